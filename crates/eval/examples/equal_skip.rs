@@ -1,4 +1,5 @@
 //! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
+//! All boxes of a policy are judged, also those too faint to be published.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
@@ -71,15 +72,15 @@ impl Point {
         mean(&self.clips, ClipResult::skip_rate)
     }
 
-    /// The mean of a figure over the clips.
+    /// The mean of a figure of all boxes of the policy, published or not, over the clips.
     pub fn mean(&self, figure: fn(&Accuracy) -> f64) -> f64 {
         mean(&self.clips, |clip| {
-            clip.accuracy.as_ref().map_or(f64::NAN, figure)
+            clip.accuracy_all.as_ref().map_or(f64::NAN, figure)
         })
     }
 
     fn minus(&self, other: &Self, figure: fn(&Accuracy) -> f64) -> Vec<f64> {
-        let of = |clip: &ClipResult| clip.accuracy.as_ref().map_or(f64::NAN, figure);
+        let of = |clip: &ClipResult| clip.accuracy_all.as_ref().map_or(f64::NAN, figure);
         let pairs = self.clips.iter().zip(&other.clips);
         pairs.map(|(own, other)| of(own) - of(other)).collect()
     }

@@ -15,7 +15,7 @@ pub struct ComparedFrame {
     pub index: u64,
     /// Its state.
     pub state: FrameState,
-    /// The detector was needed and could not be had.
+    /// The detector was needed and failed.
     pub degraded: bool,
     /// Whether the empty-scene screen was asked.
     pub screen: bool,

@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 pub(crate) const IOU_THRESHOLDS: [f64; 10] =
     [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
 
-/// Boxes below this confidence are nobody's output; see [`Accuracy::f1_50_shown`].
+/// Boxes of a lower confidence do not count in figures that know no confidences; see [`Accuracy::f1_50_shown`].
 pub const SHOWN_CONFIDENCE: f64 = 0.3;
 
 /// The place of 0.75 in [`IOU_THRESHOLDS`].
@@ -95,7 +95,7 @@ pub struct Accuracy {
     pub truths: usize,
 }
 
-/// Judges `predictions` against `truth`, both one entry a frame; where one is shorter, its missing frames
+/// Judges `predictions` against `truth`, both one entry per frame; where one is shorter, its missing frames
 /// count as frames without boxes.
 ///
 /// `None` when there is no ground-truth box at all: average precision is undefined then.
@@ -126,7 +126,7 @@ pub fn accuracy(
     }
 }
 
-/// `predictions` without those that lie by half or more of their area in a region of `ignored` (one entry a frame) and
+/// `predictions` without those that lie by half or more of their area in a region of `ignored` (one entry per frame) and
 /// overlap no ground truth by IoU 0.5: what the ground truth leaves out there cannot be judged, as KITTI's evaluation has it.
 pub(crate) fn outside_ignored(
     predictions: &[Vec<ScoredBox>],

@@ -1,7 +1,7 @@
 //! What a comparison on recordings comes to, in sentences: the first thing a report says.
 
 use crate::spec::BASELINE;
-use crate::summary::{EnergySummary, PolicySummary};
+use crate::summary::PolicySummary;
 use crate::table::short;
 
 /// AP@50 that a policy may lose and still count as keeping it: the lower end of its interval must lie above this loss.
@@ -29,7 +29,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
             match kept.max_by(|a, b| a.skip_rate.total_cmp(&b.skip_rate)) {
                 Some(best) => format!(
                     "The largest saving shown to cost at most one point of AP@50 is that of {}",
-                    told(best, baseline)
+                    described(best, baseline)
                 ),
                 None => "No policy is shown to cost at most one point of AP@50: every interval reaches below that."
                     .to_owned(),
@@ -40,7 +40,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         if let Some(best) = best.filter(|best| best.ap50.is_some()) {
             sentences.push(format!(
                 "The most accurate policy with about half of the calls or fewer is {}",
-                told(best, baseline)
+                described(best, baseline)
             ));
         }
     }
@@ -63,17 +63,17 @@ fn accuracy(summary: &PolicySummary) -> f64 {
 
 /// The lower end of the 95 % interval of the change of AP@50.
 fn lower_end(summary: &PolicySummary) -> Option<f64> {
-    Some(summary.against_baseline?.ap50?.t?.lower)
+    Some(summary.ap50_change?.t?.lower)
 }
 
 /// `albireo-u5e-4: 39.8 % of the detector calls skipped, AP@50 −0.4 points [−2.0, +1.1] over 17 clips, energy −34 % (projected).`
-fn told(summary: &PolicySummary, baseline: &PolicySummary) -> String {
+fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
     let mut text = format!(
         "{}: {:.1} % of the frames skip the detector",
         short(&summary.policy),
         summary.skip_rate * 100.0
     );
-    if let Some(ap50) = summary.against_baseline.and_then(|against| against.ap50) {
+    if let Some(ap50) = summary.ap50_change {
         text.push_str(&format!(", AP@50 {:+.1} points", ap50.mean * 100.0));
         if let Some(t) = ap50.t {
             text.push_str(&format!(
@@ -84,22 +84,12 @@ fn told(summary: &PolicySummary, baseline: &PolicySummary) -> String {
             ));
         }
     }
-    if let Some((percent, word)) = energy(summary.energy, baseline.energy) {
-        text.push_str(&format!(", energy {percent:+.0} % ({word})"));
+    if let (Some(own), Some(before)) = (summary.energy, baseline.energy)
+        && before.joules > 0.0
+    {
+        let percent = (own.joules / before.joules - 1.0) * 100.0;
+        text.push_str(&format!(", energy {percent:+.0} % (projected)"));
     }
     text.push('.');
     text
-}
-
-fn energy(
-    own: Option<EnergySummary>,
-    before: Option<EnergySummary>,
-) -> Option<(f64, &'static str)> {
-    let (own, before) = own
-        .zip(before)
-        .filter(|(own, before)| own.provenance == before.provenance && before.joules > 0.0)?;
-    Some((
-        (own.joules / before.joules - 1.0) * 100.0,
-        own.provenance.as_str(),
-    ))
 }

@@ -20,6 +20,7 @@ use crate::average_precision::TruthBox;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -52,23 +53,41 @@ pub struct Clip {
     pub name: String,
     /// Size of its pictures.
     pub picture: PictureSize,
-    /// Frames a second, where known.
+    /// Frames per second, where known.
     pub frame_rate: Option<f64>,
     /// Whether the camera is `moving` or `fixed`, where known.
     pub camera: Option<String>,
     /// Number of frames.
     pub frames: usize,
-    /// Stored detections, one entry a frame in the detector's order; `None` if none are stored.
+    /// Stored detections, one entry per frame in the detector's order; `None` if none are stored.
     pub detections: Option<Vec<Vec<StoredDetection>>>,
     /// What a real empty-scene screen said of each frame, where one was asked: whether it is empty, or
     /// nothing if it could not say.
     pub screen: Option<Vec<Option<bool>>>,
-    /// Ground truth, one entry a frame; `None` if there is none.
+    /// Ground truth, one entry per frame; `None` if there is none.
     pub truth: Option<Vec<Vec<TruthBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
-    /// Regions whose objects the ground truth leaves out, one entry a frame; empty where the data set marks none.
+    /// Regions whose objects the ground truth leaves out, one entry per frame; empty where the data set marks none.
     pub ignored: Vec<Vec<Corners>>,
+}
+
+impl Clip {
+    /// A clip without anything but its frames.
+    pub(crate) const fn new(name: String, picture: PictureSize, frames: usize) -> Self {
+        Self {
+            name,
+            picture,
+            frame_rate: None,
+            camera: None,
+            frames,
+            detections: None,
+            screen: None,
+            truth: None,
+            pictures: Vec::new(),
+            ignored: Vec::new(),
+        }
+    }
 }
 
 /// A data set as read.
@@ -143,6 +162,27 @@ impl LoadReport {
         *self.unmapped_classes.entry(class.to_owned()).or_default() += 1;
     }
 
+    /// The class of a box that is kept; a box that is not is counted under its reason.
+    pub(crate) fn keep(
+        &mut self,
+        labelled: &LabelledBox<'_>,
+        picture: PictureSize,
+        place: impl FnOnce() -> String,
+    ) -> Option<ClassId> {
+        let reason = match labelled.class {
+            Err(LeftOut::IgnoredRegion) => Some(LeftOut::IgnoredRegion),
+            _ => self
+                .check(labelled.corners, picture)
+                .or(labelled.confidence.and_then(check_confidence)),
+        };
+        match (reason, labelled.class) {
+            (None, Ok(class)) => return Some(class),
+            (None, Err(_)) => self.leave_out_class(&labelled.class_name, place),
+            (Some(reason), _) => self.leave_out(reason, place),
+        }
+        None
+    }
+
     /// The report in words, one line an entry; empty when there is nothing to say.
     pub fn lines(&self) -> Vec<String> {
         let mut lines: Vec<String> = self
@@ -171,8 +211,8 @@ impl LoadReport {
         lines
     }
 
-    /// Judges a box in pixels: the reason to leave it out, or nothing. Counts what reaches outside.
-    pub fn judge(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
+    /// The reason to leave out a box in pixels, if there is one. Boxes that reach outside the picture are counted.
+    pub fn check(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
         let numbers = [corners.x1, corners.y1, corners.x2, corners.y2];
         if numbers.iter().any(|number| !number.is_finite()) {
             return Some(LeftOut::NotFinite);
@@ -191,8 +231,19 @@ impl LoadReport {
     }
 }
 
-/// Judges a confidence.
-pub(crate) fn judge_confidence(confidence: f64) -> Option<LeftOut> {
+/// A box as a file has it.
+pub(crate) struct LabelledBox<'a> {
+    /// In pixels.
+    pub corners: Corners,
+    /// What the class is here, or why it is none that is evaluated.
+    pub class: Result<ClassId, LeftOut>,
+    /// What the file calls the class.
+    pub class_name: Cow<'a, str>,
+    /// 0 to 1; ground truth has none.
+    pub confidence: Option<f64>,
+}
+
+fn check_confidence(confidence: f64) -> Option<LeftOut> {
     if !confidence.is_finite() {
         Some(LeftOut::NotFinite)
     } else if !(0.0..=1.0).contains(&confidence) {
@@ -353,6 +404,26 @@ impl Clips {
         }
         Ok(self)
     }
+}
+
+/// What a folder holds, sorted, if `wanted`.
+fn entries(folder: &Path, wanted: impl Fn(&Path) -> bool) -> std::io::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder)?;
+    let mut paths: Vec<PathBuf> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| wanted(path))
+        .collect();
+    paths.sort();
+    Ok(paths)
+}
+
+fn has_extension(path: &Path, wanted: &[&str]) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|extension| {
+        wanted
+            .iter()
+            .any(|wanted| extension.eq_ignore_ascii_case(wanted))
+    })
 }
 
 #[cfg(test)]

@@ -129,7 +129,7 @@ impl EnergyModel {
         Self::read(&text).map_err(content)
     }
 
-    /// The model that stands in where none is named: an NVIDIA Jetson AGX Thor with YOLO26x, as in `config/energy`.
+    /// The model that is used where none is named: an NVIDIA Jetson AGX Thor with YOLO26x, as in `config/energy`.
     ///
     /// # Errors
     /// Never, as long as that file is a model.
@@ -157,7 +157,7 @@ impl EnergyModel {
         Ok(model)
     }
 
-    /// Fills in the energy and frame time of `result`, unless they were measured.
+    /// Fills in the energy and frame time of `result`.
     pub fn apply(&self, result: &mut ClipResult) {
         if result.frames == 0 {
             return;
@@ -169,32 +169,23 @@ impl EnergyModel {
         ];
         let looks = result.looked_frames as f64;
         let busy_s = (self.time_ms.total(work) + self.time_ms.look * looks) / 1e3;
-        if result.frame_time.is_none() {
-            let times = result
-                .sequence
-                .iter()
-                .zip(looks_of(result))
-                .map(|(&state, look)| self.time_ms.total(work_of(state)) + self.time_ms.look * look)
-                .collect();
-            result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
-                milliseconds,
-                provenance: Provenance::Projected,
-            });
+        let times = result
+            .sequence
+            .iter()
+            .zip(looks_of(result))
+            .map(|(&state, look)| self.time_ms.total(work_of(state)) + self.time_ms.look * look)
+            .collect();
+        result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
+            milliseconds,
+            provenance: Provenance::Projected,
+        });
+        let mut joules = self.energy_j.total(work) + self.energy_j.look * looks;
+        let mut duration_s = busy_s;
+        if let (Some(idle), Some(rate)) = (self.idle_power_w, result.frame_rate) {
+            duration_s = busy_s.max(result.frames as f64 / rate);
+            joules += idle * (duration_s - busy_s);
         }
-        if result.energy.is_none() {
-            let mut joules = self.energy_j.total(work) + self.energy_j.look * looks;
-            let mut duration_s = busy_s;
-            if let (Some(idle), Some(rate)) = (self.idle_power_w, result.frame_rate) {
-                duration_s = busy_s.max(result.frames as f64 / rate);
-                joules += idle * (duration_s - busy_s);
-            }
-            result.energy = Some(Energy::new(
-                joules,
-                duration_s,
-                result.frames,
-                Provenance::Projected,
-            ));
-        }
+        result.energy = Some(Energy::new(joules, duration_s, result.frames));
     }
 }
 
@@ -246,13 +237,7 @@ mod tests {
     }
 
     fn result(states: &[FrameState]) -> ClipResult {
-        let replay = Replay {
-            frames: Vec::new(),
-            boxes: Vec::new(),
-            boxes_last_confidence: None,
-            rejected_detections: 0,
-            trace: None,
-        };
+        let replay = Replay::default();
         let mut result = ClipResult::from_replay("clip", "policy", &replay);
         result.frames = states.len();
         result.sequence = states.to_vec();
@@ -272,7 +257,6 @@ mod tests {
         assert!((energy.joules - (3.0 * 4.0 + 0.5 + 2.0 * 1.0)).abs() < 1e-12);
         assert!((energy.duration_s - 0.175).abs() < 1e-12);
         assert!((energy.edp - 14.5 * 175.0 / 5.0).abs() < 1e-9);
-        assert_eq!(energy.provenance, Provenance::Projected);
         let time = result.frame_time.expect("projected");
         assert!((time.milliseconds.mean - 35.0).abs() < 1e-12);
         assert_eq!(time.provenance, Provenance::Projected);
@@ -302,15 +286,6 @@ mod tests {
         let energy = result.energy.expect("projected");
         assert!((energy.duration_s - 0.2).abs() < 1e-12);
         assert!((energy.joules - (4.5 + 20.0 * 0.145)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn what_was_measured_is_never_overwritten() {
-        let mut result = result(&[FrameState::I]);
-        let measured = Energy::new(1.0, 2.0, 1, Provenance::Measured);
-        result.energy = Some(measured);
-        model().apply(&mut result);
-        assert_eq!(result.energy, Some(measured));
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! Takes one policy through one clip and writes down what it did.
 
 use crate::average_precision::ScoredBox;
-use crate::scoring::{decayed_confidence, score_object, score_reported, score_truncated};
+use crate::scoring::{decayed_confidence, score_object, score_published, score_truncated};
 use crate::source::{ClipEvidence, SourceError};
 use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    Evidence, EvidenceAtHand, FrameHead, FrameState, Need, ObjectRecord, Outcome, Policy,
-    decide_at_once,
+    Evidence, EvidenceAtHand, FrameHead, FrameState, MinConfidence, Need, ObjectRecord, Outcome,
+    Policy, decide_at_once,
 };
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
@@ -31,7 +31,7 @@ pub struct FrameRecord {
     pub tau_max: Option<f64>,
     /// Active objects before the decision.
     pub active: usize,
-    /// The detector was needed and could not be had.
+    /// The detector was needed and failed.
     pub degraded: bool,
     /// The detector ran.
     pub detector: bool,
@@ -46,12 +46,14 @@ pub struct FrameRecord {
 }
 
 /// What a policy did with a clip.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Replay {
-    /// One record a frame.
+    /// One record per frame.
     pub frames: Vec<FrameRecord>,
-    /// The boxes to judge, one list a frame, with the profile's confidence.
+    /// The boxes to judge, one list per frame: those a node publishes, or all with the published evaluator's confidence.
     pub boxes: Vec<Vec<ScoredBox>>,
+    /// All boxes of the policy, where only the published ones are judged.
+    pub boxes_all: Option<Vec<Vec<ScoredBox>>>,
     /// The same boxes with the confidence of their last detection, where the profile decays it.
     pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
     /// Detections the policy refused because their numbers make no box.
@@ -60,8 +62,8 @@ pub struct Replay {
     pub trace: Option<Vec<TraceFrame>>,
 }
 
-/// Takes `policy` from its initial state through all frames of `source`. `decay_u` is the threshold that
-/// the published scoring decays confidences with.
+/// Takes `policy` from its initial state through all frames of `source`. `min_confidence` selects the boxes that are
+/// judged under the paper's scoring; `decay_u` is the threshold that the published scoring decays confidences with.
 ///
 /// # Errors
 /// [`SourceError`] when the source cannot give what the policy asks for.
@@ -69,6 +71,7 @@ pub fn replay(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     scoring: Scoring,
+    min_confidence: MinConfidence,
     decay_u: f64,
     keep_trace: bool,
 ) -> Result<Replay, SourceError> {
@@ -79,8 +82,8 @@ pub fn replay(
         frames: Vec::with_capacity(frames),
         boxes: Vec::with_capacity(frames),
         boxes_last_confidence: (scoring == Scoring::Reference).then(Vec::new),
-        rejected_detections: 0,
         trace: keep_trace.then(Vec::new),
+        ..Replay::default()
     };
     let mut objects = Vec::new();
     drive(policy, source, &mut |policy, played| {
@@ -88,11 +91,12 @@ pub fn replay(
         objects.clear();
         collect_objects(policy, &mut objects);
         match &mut result.boxes_last_confidence {
-            None => result.boxes.push(
-                (played.outcome.boxes.iter())
-                    .map(|output| score_reported(output, picture))
-                    .collect(),
-            ),
+            None => {
+                let (published, all) =
+                    score_published(&played.outcome.boxes, picture, min_confidence);
+                result.boxes.push(published);
+                result.boxes_all.get_or_insert_default().push(all);
+            }
             Some(last) => {
                 let (decayed, undecayed) =
                     score_as_published(&objects, played.outcome, picture, decay_u);
@@ -118,7 +122,7 @@ pub fn replay(
 pub(crate) struct Played<'a> {
     /// Its number among the frames of the source.
     pub frame: usize,
-    /// What the policy was told of it.
+    /// What the policy received.
     pub head: FrameHead,
     /// What happened.
     pub record: FrameRecord,
@@ -161,13 +165,27 @@ pub(crate) fn drive(
 }
 
 /// One frame of a clip as evidence; notes what was asked for, and times it.
-struct ClipFrame<'a> {
+pub(crate) struct ClipFrame<'a> {
     clip: &'a mut dyn ClipEvidence,
     frame: usize,
-    detector: bool,
+    /// Whether the detector answered.
+    pub detector: bool,
     screen: bool,
     looked: bool,
     waited: Duration,
+}
+
+impl<'a> ClipFrame<'a> {
+    pub(crate) fn new(clip: &'a mut dyn ClipEvidence, frame: usize) -> Self {
+        Self {
+            clip,
+            frame,
+            detector: false,
+            screen: false,
+            looked: false,
+            waited: Duration::ZERO,
+        }
+    }
 }
 
 impl EvidenceAtHand for ClipFrame<'_> {
@@ -207,14 +225,7 @@ fn decide_frame(
     frame: usize,
     outcome: &mut Outcome,
 ) -> Result<FrameRecord, SourceError> {
-    let mut source = ClipFrame {
-        clip,
-        frame,
-        detector: false,
-        screen: false,
-        looked: false,
-        waited: Duration::ZERO,
-    };
+    let mut source = ClipFrame::new(clip, frame);
     let start = Instant::now();
     decide_at_once(policy, head, &mut source, outcome)?;
     Ok(FrameRecord {

@@ -1,8 +1,8 @@
-//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG and PNG, and
+//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG, and
 //! `report.html`, which shows it all in one file that needs no other.
 
 mod html;
-pub mod plot;
+mod plot;
 mod summary_csv;
 mod worst;
 
@@ -21,9 +21,9 @@ pub struct Report {
     pub settings: Vec<(String, String)>,
     /// What the data's reader left out.
     pub data: LoadReport,
-    /// One entry a policy.
+    /// One entry per policy.
     pub policies: Vec<PolicySummary>,
-    /// One entry a clip and policy.
+    /// One entry per clip and policy.
     pub clips: Vec<ClipResult>,
 }
 
@@ -100,16 +100,11 @@ impl Report {
         let folder = ReportFolder::make(folder)?;
         folder.write("summary.csv", summary_csv::render(&self.clips))?;
         folder.write_json("report.json", self)?;
-        let mut shown = Vec::new();
-        for figure in plot::figures(self) {
-            let svg = figure.svg();
-            folder.write(&format!("{}.png", figure.name), figure.png())?;
-            folder.write(
-                &format!("{}.svg", figure.name),
-                svg.clone().map(String::into_bytes),
-            )?;
-            shown.extend(svg.ok().map(|svg| (figure, svg)));
+        let figures = plot::figures(self);
+        for figure in &figures {
+            let svg = figure.svg.clone().into_bytes();
+            folder.write(&format!("{}.svg", figure.name), Ok(svg))?;
         }
-        folder.write("report.html", Ok(html::render(self, &shown).into_bytes()))
+        folder.write("report.html", Ok(html::render(self, &figures).into_bytes()))
     }
 }

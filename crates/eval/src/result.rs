@@ -9,14 +9,10 @@ use albireo_core::policy::FrameState;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Where a figure of time or energy comes from. The kinds are never mixed in one figure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+/// Where a time comes from. The two are never mixed in one figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Provenance {
-    /// A meter or clock of this machine.
-    Measured,
-    /// A meter that does not see everything.
-    Estimated,
     /// Put together from times that were each measured on this machine: of the model on the frames it was
     /// needed for, of the screen likewise, of the decision.
     Composed,
@@ -28,8 +24,6 @@ impl Provenance {
     /// The word in tables and files.
     pub const fn as_str(self) -> &'static str {
         match self {
-            Self::Measured => "measured",
-            Self::Estimated => "estimated",
             Self::Composed => "composed",
             Self::Projected => "projected",
         }
@@ -72,7 +66,7 @@ pub struct FrameTime {
     pub provenance: Provenance,
 }
 
-/// Energy of a clip.
+/// Energy of a clip, projected.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Energy {
     /// Joules of the whole clip.
@@ -81,18 +75,15 @@ pub struct Energy {
     pub duration_s: f64,
     /// Energy-delay product by the paper's definition, joules times duration over frames, in J·ms/frame.
     pub edp: f64,
-    /// Where the figures come from.
-    pub provenance: Provenance,
 }
 
 impl Energy {
     /// The energy of a clip of `frames` frames.
-    pub fn new(joules: f64, duration_s: f64, frames: usize, provenance: Provenance) -> Self {
+    pub fn new(joules: f64, duration_s: f64, frames: usize) -> Self {
         Self {
             joules,
             duration_s,
             edp: joules * duration_s * 1e3 / frames as f64,
-            provenance,
         }
     }
 }
@@ -140,7 +131,7 @@ impl StateCounts {
     }
 
     /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
-    /// detector was needed and could not be had.
+    /// detector was needed and failed.
     pub fn skipped(self, degraded: usize) -> usize {
         (self.e + self.p).saturating_sub(degraded)
     }
@@ -168,7 +159,7 @@ pub struct ClipResult {
     pub policy: String,
     /// Number of frames.
     pub frames: usize,
-    /// Frames a second, where known.
+    /// Frames per second, where known.
     pub frame_rate: Option<f64>,
     /// Frames by state.
     pub states: StateCounts,
@@ -189,10 +180,14 @@ pub struct ClipResult {
     pub rejected_detections: u64,
     /// Boxes scored.
     pub boxes: usize,
-    /// Accuracy; `None` without ground truth.
+    /// Accuracy of the boxes that a node publishes; `None` without ground truth.
     pub accuracy: Option<Accuracy>,
-    /// How well identities are kept; `None` where boxes or ground truth have none.
+    /// How well these keep identities; `None` where boxes or ground truth have none.
     pub tracking: Option<Tracking>,
+    /// Accuracy of all boxes of the policy, also those too faint to be published; `None` under the published scoring.
+    pub accuracy_all: Option<Accuracy>,
+    /// How well all boxes keep identities.
+    pub tracking_all: Option<Tracking>,
     /// Accuracy with the confidences of the last detections, where the profile decays them.
     pub accuracy_last_confidence: Option<Accuracy>,
     /// Accuracy of every class that has ground truth, by name.
@@ -201,7 +196,8 @@ pub struct ClipResult {
     pub decision_us: Option<Spread>,
     /// Time per frame, detector and all.
     pub frame_time: Option<FrameTime>,
-    /// Energy, if metered or projected.
+    /// Energy, if projected.
+    #[serde(rename = "projected_energy")]
     pub energy: Option<Energy>,
     /// The states frame by frame.
     #[serde(skip)]
@@ -246,6 +242,8 @@ impl ClipResult {
             boxes: replay.boxes.iter().map(Vec::len).sum(),
             accuracy: None,
             tracking: None,
+            accuracy_all: None,
+            tracking_all: None,
             accuracy_last_confidence: None,
             classes: BTreeMap::new(),
             decision_us: Spread::of(
@@ -270,7 +268,7 @@ mod tests {
 
     #[test]
     fn edp_is_energy_times_duration_over_frames_in_milliseconds() {
-        let energy = Energy::new(800.0, 10.0, 200, Provenance::Measured);
+        let energy = Energy::new(800.0, 10.0, 200);
         assert_eq!(energy.edp, 40_000.0);
     }
 

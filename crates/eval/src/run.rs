@@ -12,7 +12,7 @@ use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
 use crate::tracking::tracking;
 use crate::worst::worst_frames;
-use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
+use albireo_core::policy::{ExpectedLoss, MinConfidence, PolicyConfigError};
 use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
@@ -24,9 +24,11 @@ pub struct Settings {
     pub scoring: Scoring,
     /// Detections below this are not shown to the policies.
     pub confidence: f64,
-    /// What stands in for the screen.
+    /// The node's `report.confidence`: what is below it is not judged. `None` for the node's default.
+    pub report_confidence: Option<f64>,
+    /// What replaces the screen.
     pub screen: ScreenRule,
-    /// Frames in a row that a real screen may call empty before the detector looks anyway; 0 for any number.
+    /// Frames in a row that a real screen may call empty before the detector runs anyway; 0 for any number.
     pub longest_empty_run: u32,
     /// Whether classes are judged apart.
     pub classes: Classes,
@@ -43,11 +45,12 @@ pub struct Settings {
 }
 
 impl Default for Settings {
-    /// What `albireo eval` does unless told otherwise.
+    /// The defaults of `albireo eval`.
     fn default() -> Self {
         Self {
             scoring: Scoring::Paper,
             confidence: 0.5,
+            report_confidence: None,
             screen: ScreenRule::Nonempty,
             longest_empty_run: ScreenConfig::default().longest_empty_run,
             classes: Classes::Pooled,
@@ -57,6 +60,13 @@ impl Default for Settings {
             energy_model: None,
             threads: 0,
         }
+    }
+}
+
+impl Settings {
+    /// What a box needs to be published.
+    pub(super) fn min_confidence(&self) -> MinConfidence {
+        MinConfidence::new(self.report_confidence, self.confidence)
     }
 }
 
@@ -172,6 +182,7 @@ pub(super) fn run_policy(
         decider.as_mut(),
         source,
         scoring,
+        settings.min_confidence(),
         policy.decay_u,
         settings.traces.is_some(),
     )
@@ -180,21 +191,27 @@ pub(super) fn run_policy(
         let file = format!("{}.jsonl.gz", clip.name);
         trace::write(&folder.join(&policy.label).join(file), frames)?;
     }
-    // The published evaluator knows no ignored regions.
-    let boxes = match (&clip.truth, scoring) {
-        (Some(truth), Scoring::Paper) => outside_ignored(&replayed.boxes, truth, &clip.ignored),
-        _ => replayed.boxes.clone(),
-    };
     let mut result = ClipResult::from_replay(&clip.name, &policy.label, &replayed);
     result.camera.clone_from(&clip.camera);
     result.frame_rate = clip.frame_rate;
-    result.accuracy = judge(clip, &boxes, settings);
-    result.accuracy_last_confidence = replayed
-        .boxes_last_confidence
-        .as_ref()
-        .and_then(|boxes| judge(clip, boxes, settings));
     if let Some(truth) = &clip.truth {
+        // The published evaluator knows no ignored regions.
+        let boxes = match scoring {
+            Scoring::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
+            Scoring::Reference => replayed.boxes.clone(),
+        };
+        let judge = |boxes: &[Vec<ScoredBox>]| {
+            accuracy(boxes, truth, settings.classes, settings.interpolation)
+        };
+        result.accuracy = judge(&boxes);
         result.tracking = tracking(&boxes, truth);
+        if let Some(all) = &replayed.boxes_all {
+            let all = outside_ignored(all, truth, &clip.ignored);
+            result.accuracy_all = judge(&all);
+            result.tracking_all = tracking(&all, truth);
+        }
+        let last = replayed.boxes_last_confidence.as_ref();
+        result.accuracy_last_confidence = last.and_then(|boxes| judge(boxes));
         result.classes = accuracy_by_class(&boxes, truth, settings.interpolation)
             .into_iter()
             .map(|(class, accuracy)| {
@@ -224,11 +241,13 @@ fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
     }
 }
 
+/// The accuracy of `boxes`, as the policy or the node has them.
 pub(super) fn judge(
     clip: &Clip,
     boxes: &[Vec<ScoredBox>],
     settings: &Settings,
 ) -> Option<Accuracy> {
     let truth = clip.truth.as_ref()?;
-    accuracy(boxes, truth, settings.classes, settings.interpolation)
+    let boxes = outside_ignored(boxes, truth, &clip.ignored);
+    accuracy(&boxes, truth, settings.classes, settings.interpolation)
 }

@@ -6,13 +6,13 @@
 //!   whole pixels towards zero and clamped to the picture [21], and with the confidence of its last
 //!   detection times `max(0.1, 1 − τ/u)` [20]. A policy without objects has its boxes cut but not clamped
 //!   and its confidences as they are.
-//! - `paper`: the boxes the policy reports, as it reports them.
+//! - `paper`: the boxes that a node publishes, as it publishes them; beside them all boxes of the policy.
 
 use crate::average_precision::ScoredBox;
 use crate::trace::TraceObject;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_core::policy::OutputBox;
+use albireo_core::policy::{MinConfidence, OutputBox};
 
 /// The published decay never takes more than nine tenths of a confidence.
 const DECAY_FLOOR: f64 = 0.1;
@@ -64,14 +64,29 @@ pub(crate) fn score_truncated(output: &OutputBox, picture: PictureSize) -> Score
     }
 }
 
-/// A box as the policy reports it.
-pub(crate) fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
+/// A box as the policy has it.
+fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
     ScoredBox {
         corners: output.bounding_box.pixel_corners(picture),
         class: output.class,
         confidence: output.confidence,
         object: output.object.map(|object| object.0),
     }
+}
+
+/// The boxes of a frame that a node publishes, and all that the policy has.
+pub(crate) fn score_published(
+    boxes: &[OutputBox],
+    picture: PictureSize,
+    min_confidence: MinConfidence,
+) -> (Vec<ScoredBox>, Vec<ScoredBox>) {
+    let score = |boxes: &[OutputBox]| {
+        let scored = boxes.iter().map(|output| score_reported(output, picture));
+        scored.collect::<Vec<_>>()
+    };
+    let mut published = boxes.to_vec();
+    min_confidence.select(&mut published);
+    (score(&published), score(boxes))
 }
 
 /// Cuts towards zero. A detector's edge on a whole pixel has been through the normalised form and may come

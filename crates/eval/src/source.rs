@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Evidence about the frames of one clip. Only what the policy needs is asked for, in order of frames.
 ///
-/// Every question answers `Ok(None)` when this one frame's evidence cannot be had (the policy is told so),
+/// Every question answers `Ok(None)` when the evidence of this one frame is missing (the policy learns that),
 /// and an error when the clip cannot be evaluated at all.
 pub trait ClipEvidence {
     /// Size of the clip's pictures.
@@ -73,7 +73,7 @@ pub enum SourceError {
     Failed(String),
 }
 
-/// What stands in for the empty-scene screen when there are no pictures.
+/// What replaces the empty-scene screen when there are no pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ScreenRule {
@@ -105,7 +105,7 @@ enum Screen<'a> {
     Nonempty,
     /// "Empty" exactly when the frame has no detection.
     Detections,
-    /// What a model said, one verdict a frame, under the limit that holds in the node.
+    /// What a model said, one verdict per frame, under the limit that holds in the node.
     Recorded(&'a [Option<bool>], EmptyRun),
 }
 
@@ -115,7 +115,7 @@ pub(crate) struct StoredEvidence<'a> {
     picture: PictureSize,
     detections: Vec<Vec<Detection>>,
     screen: Screen<'a>,
-    /// The frame in hand.
+    /// The current frame.
     frame: usize,
 }
 

@@ -11,7 +11,7 @@ use albireo_core::policy::{
 /// The label and name of the policy all others are compared with.
 pub const BASELINE: &str = "vanilla";
 
-/// What `--policy all` stands for: every policy with the settings the paper reports, and those after other papers and our
+/// What `--policy all` means: every policy with the settings the paper reports, and those after other papers and our
 /// own beside them. Those that look at pixels are left out where there are none.
 const ALL: [&str; 27] = [
     "albireo:3e-4",
@@ -57,7 +57,7 @@ pub struct PolicySpec {
     pub decay_u: f64,
 }
 
-/// A policy that cannot be had as it was asked for.
+/// A policy that cannot be made as asked.
 #[derive(Debug, thiserror::Error)]
 pub enum SpecError {
     /// The policy room refuses it.

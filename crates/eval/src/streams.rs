@@ -8,31 +8,26 @@ mod run_times;
 
 pub use run_times::RunTimes;
 
-use crate::average_precision::{Accuracy, ScoredBox, outside_ignored};
+use crate::average_precision::Accuracy;
 use crate::data::Clip;
 use crate::pictures::{PictureEvidence, PicturedClip};
-use crate::replay::drive;
+use crate::replay::{ClipFrame, drive};
 use crate::run::{RunError, Settings, in_parallel, judge, no_evidence};
-use crate::scoring::{DEFAULT_DECAY_U, score_reported};
+use crate::scoring::score_published;
 use crate::source::{ClipEvidence, SourceError, StoredEvidence};
 use crate::spec::{BASELINE, PolicySpec};
 use crate::statistics::mean;
 use crate::summary::Difference;
-use albireo_core::detection::ObjectId;
-use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    Albireo, BoxSource, Evidence, EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox,
-    Policy, PolicyConfig, PolicyConfigError, Settler, decide_at_once,
+    EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler,
+    decide_at_once,
 };
-use std::collections::HashMap;
 use std::fmt::Write;
 use std::time::Duration;
 
 /// Settled frames are held back by this at most, as a node does.
 const LONGEST_DELAY: Duration = Duration::from_secs(2);
-
-/// The label of Vanilla's own boxes, smoothed.
-const SMOOTHED: &str = "vanilla-smoothed";
 
 /// Times are compared with this tolerance, seconds: frame times are sums of rounded intervals.
 const SAME_TIME: f64 = 1e-9;
@@ -53,8 +48,11 @@ pub enum Stream {
 #[derive(Clone, Debug)]
 struct Judged {
     policy: usize,
+    /// Of the published boxes.
     accuracy: Option<Accuracy>,
-    /// Detector calls a frame.
+    /// Of all boxes of the policy.
+    accuracy_all: Option<Accuracy>,
+    /// Detector calls per frame.
     calls: f64,
     /// Mean delay of a settled frame, frames.
     delay: f64,
@@ -72,7 +70,7 @@ pub struct StreamResults {
 /// The boxes of a clip to be judged.
 #[derive(Default)]
 struct Published {
-    boxes: Vec<Vec<ScoredBox>>,
+    boxes: Vec<Vec<OutputBox>>,
     calls: usize,
     /// Summed delay, frames.
     delay: u64,
@@ -124,31 +122,28 @@ fn run_clips<'a>(
     stream: Stream,
     open: &(dyn Fn(usize) -> Opened<'a> + Sync),
 ) -> Result<StreamResults, RunError> {
-    let mut policies = policies.to_vec();
-    if stream == Stream::Settled {
-        policies.extend(smoothing());
-    }
     let steps: Vec<(usize, usize)> = (0..policies.len())
         .flat_map(|policy| (0..clips).map(move |clip| (policy, clip)))
         .collect();
     let judged = in_parallel(&steps, settings.threads, &|| (), &|(index, clip)| {
         let spec = &policies[index];
         let (clip, evidence) = open(clip);
-        let policy = spec
-            .config
-            .build()
-            .map_err(|source| cannot_build(spec, source))?;
+        let policy = spec.config.build().map_err(|source| RunError::Policy {
+            policy: spec.label.clone(),
+            source,
+        })?;
         let published = evidence
-            .and_then(|mut evidence| publish(clip, spec, policy, &mut *evidence, &stream))
+            .and_then(|mut evidence| publish(clip, policy, &mut *evidence, &stream))
             .map_err(|source| no_evidence(clip, spec, source))?;
         let frames = clip.frames.max(1) as f64;
-        let boxes = match &clip.truth {
-            Some(truth) => outside_ignored(&published.boxes, truth, &clip.ignored),
-            None => published.boxes,
-        };
+        let min_confidence = settings.min_confidence();
+        let (boxes, all): (Vec<_>, Vec<_>) = (published.boxes.iter())
+            .map(|boxes| score_published(boxes, clip.picture, min_confidence))
+            .unzip();
         Ok(Judged {
             policy: index,
             accuracy: judge(clip, &boxes, settings),
+            accuracy_all: judge(clip, &all, settings),
             calls: published.calls as f64 / frames,
             delay: published.delay as f64 / frames,
         })
@@ -160,24 +155,13 @@ fn run_clips<'a>(
     })
 }
 
-fn cannot_build(spec: &PolicySpec, source: PolicyConfigError) -> RunError {
-    RunError::Policy {
-        policy: spec.label.clone(),
-        source,
-    }
-}
-
 fn publish(
     clip: &Clip,
-    spec: &PolicySpec,
     mut policy: Box<dyn Policy>,
     source: &mut dyn ClipEvidence,
     stream: &Stream,
 ) -> Result<Published, SourceError> {
     let Stream::AtArrival { detector } = stream else {
-        if spec.label == SMOOTHED {
-            return smoothed(&mut *policy, source);
-        }
         let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
         return settled(&mut *policy, source, interval);
     };
@@ -231,11 +215,7 @@ fn at_once(
         while let Some((asked, need, at)) = waits
             && at <= now + SAME_TIME
         {
-            let mut stored = Stored {
-                source: &mut *source,
-                frame: asked,
-                calls: 0,
-            };
+            let mut stored = ClipFrame::new(&mut *source, asked);
             let evidence = stored.evidence(need)?;
             let next = late.deliver(asked as u64, evidence, &mut unused);
             let next = next.map_err(|error| failed(&error))?;
@@ -248,9 +228,7 @@ fn at_once(
             waits = Some((frame, need, now + timing.of(need, published.calls)));
         }
         published.calls += usize::from(need == Need::Detections);
-        published
-            .boxes
-            .push(scored(&outcome.boxes, source.picture()));
+        published.boxes.push(outcome.boxes.clone());
     }
     Ok(published)
 }
@@ -275,14 +253,10 @@ fn when_known(
         let start = f64::max(free, frame as f64 * timing.interval);
         let step = (frame + 1 - next) as u32;
         let head = head(frame, step, source.picture());
-        let mut stored = Stored {
-            source: &mut *source,
-            frame,
-            calls: 0,
-        };
+        let mut stored = ClipFrame::new(&mut *source, frame);
         decide_at_once(policy, head, &mut stored, &mut outcome)?;
         free = start;
-        for _ in 0..stored.calls {
+        if stored.detector {
             free += timing.detector.of(published.calls);
             published.calls += 1;
         }
@@ -293,7 +267,7 @@ fn when_known(
         {
             published.boxes.push(last.clone());
         }
-        last = scored(&outcome.boxes, source.picture());
+        last.clone_from(&outcome.boxes);
     }
     published.boxes.resize(source.frames(), last);
     Ok(published)
@@ -305,7 +279,6 @@ fn settled(
     source: &mut dyn ClipEvidence,
     interval: Duration,
 ) -> Result<Published, SourceError> {
-    let picture = source.picture();
     let mut published = Published::default();
     let mut settler = Settler::new(LONGEST_DELAY);
     let mut calls = 0;
@@ -317,72 +290,14 @@ fn settled(
         let time = interval.saturating_mul(u32::try_from(now).unwrap_or(u32::MAX));
         settler.frame(now, time, played.outcome, false, |frame| {
             delay += now - frame.index;
-            boxes.push(scored(frame.boxes, picture));
+            boxes.push(frame.boxes.to_vec());
         });
     })?;
-    settler.flush(|frame| boxes.push(scored(frame.boxes, picture)));
+    settler.flush(|frame| boxes.push(frame.boxes.to_vec()));
     published.boxes = boxes;
     published.calls = calls;
     published.delay = delay;
     Ok(published)
-}
-
-/// The control of what is settled: Vanilla's own boxes, and where the detector missed an object between two of its
-/// detections, boxes on the line between these.
-fn smoothed(
-    policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
-) -> Result<Published, SourceError> {
-    let picture = source.picture();
-    let mut published = Published::default();
-    let mut last: HashMap<ObjectId, (usize, OutputBox)> = HashMap::new();
-    drive(policy, source, &mut |_, played| {
-        published.calls += usize::from(played.record.detector);
-        let detected = |found: &&OutputBox| found.source == BoxSource::Detected;
-        let found = played.outcome.boxes.iter().filter(detected);
-        let now = played.frame;
-        published.boxes.push(Vec::new());
-        for own in found {
-            published.boxes[now].push(score_reported(own, picture));
-            let Some(object) = own.object else {
-                continue;
-            };
-            let Some((then, before)) = last.insert(object, (now, *own)) else {
-                continue;
-            };
-            for missed in then + 1..now {
-                let share = (missed - then) as f64 / (now - then) as f64;
-                let line = |before: f64, now: f64| before + share * (now - before);
-                let (from, to) = (before.bounding_box, own.bounding_box);
-                let drawn = OutputBox {
-                    bounding_box: BoundingBox {
-                        center_x: line(from.center_x, to.center_x),
-                        center_y: line(from.center_y, to.center_y),
-                        width: line(from.width, to.width),
-                        height: line(from.height, to.height),
-                    },
-                    confidence: (before.confidence + own.confidence) / 2.0,
-                    ..*own
-                };
-                published.boxes[missed].push(score_reported(&drawn, picture));
-            }
-        }
-    })?;
-    Ok(published)
-}
-
-/// What joins Vanilla's detections to objects for [`smoothed`]: Albireo's matching, with the detector on every frame.
-fn smoothing() -> Option<PolicySpec> {
-    let mut config = PolicyConfig {
-        u: Albireo::KNOB.minimum,
-        ..PolicyConfig::default()
-    };
-    config.select(Albireo::NAME).ok()?;
-    Some(PolicySpec {
-        label: SMOOTHED.to_owned(),
-        config,
-        decay_u: DEFAULT_DECAY_U,
-    })
 }
 
 fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
@@ -393,52 +308,14 @@ fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
     }
 }
 
-fn scored(boxes: &[OutputBox], picture: PictureSize) -> Vec<ScoredBox> {
-    let score = |output| score_reported(output, picture);
-    boxes.iter().map(score).collect()
-}
-
-/// One frame of a source.
-struct Stored<'a> {
-    source: &'a mut dyn ClipEvidence,
-    frame: usize,
-    /// Detector calls so far.
-    calls: usize,
-}
-
-impl EvidenceAtHand for Stored<'_> {
-    type Error = SourceError;
-
-    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, SourceError> {
-        let known = match need {
-            Need::Nothing => None,
-            Need::Screen => {
-                let empty = self.source.screen_says_empty(self.frame)?;
-                empty.map(|empty| Evidence::Screen { empty })
-            }
-            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
-                let grey = self.source.grey_picture(self.frame, need)?;
-                grey.map(Evidence::GreyPicture)
-            }
-            Need::Detections => {
-                self.calls += 1;
-                self.source
-                    .detections(self.frame)?
-                    .map(Evidence::Detections)
-            }
-        };
-        Ok(known.unwrap_or(Evidence::Unavailable))
-    }
-}
-
-/// One of the figures of accuracy.
-type Figure = fn(&Accuracy) -> f64;
+/// One of the figures of a policy on a clip.
+type Figure = fn(&Judged) -> Option<f64>;
 
 /// A column of the table: the mean, and the difference to the baseline with its interval, in points.
 const FIGURES: [(&str, Figure); 3] = [
-    ("AP@50", |accuracy| accuracy.ap50),
-    ("AP@75", |accuracy| accuracy.ap75),
-    ("F1@50 >=.3", |accuracy| accuracy.f1_50_shown),
+    ("AP@50", |judged| Some(judged.accuracy?.ap50)),
+    ("AP@75", |judged| Some(judged.accuracy?.ap75)),
+    ("F1@50 >=.3", |judged| Some(judged.accuracy?.f1_50_shown)),
 ];
 
 impl StreamResults {
@@ -455,7 +332,7 @@ impl StreamResults {
         self.judged.extend(others.judged);
     }
 
-    /// The table: one line a policy.
+    /// The table: one line per policy.
     pub fn table(&self) -> String {
         let title = match &self.stream {
             Stream::AtArrival { detector } => format!(
@@ -472,7 +349,7 @@ impl StreamResults {
         for (name, _) in FIGURES {
             let _ = write!(text, " {name:>10}");
         }
-        let _ = writeln!(text, " {:>5} {:>5} {:>5}", "F1@50", "mAP", "delay");
+        let _ = writeln!(text, " {:>5} {:>5} {:>5}", "mAP", "all", "delay");
         for (index, policy) in self.policies.iter().enumerate() {
             let own = self.of(index);
             let average = |figure: fn(&Judged) -> f64| {
@@ -483,17 +360,15 @@ impl StreamResults {
             for (_, figure) in FIGURES {
                 let _ = write!(text, " {:>10}", three(&own, figure));
             }
-            let rest = [three(&own, |a| a.f1_50), three(&own, |a| a.map)];
+            let map = three(&own, |judged| Some(judged.accuracy?.map));
+            let all = three(&own, |judged| Some(judged.accuracy_all?.ap50));
             let delay = average(|judged| judged.delay);
-            let _ = writeln!(text, " {} {} {delay:>5.1}", rest[0], rest[1]);
+            let _ = writeln!(text, " {map:>5} {all:>5} {delay:>5.1}");
         }
         if let Some(baseline) = baseline {
             self.write_differences(baseline, &mut text);
         }
-        text.push_str("\ncalls%: detector calls of 100 frames; delay: frames.\n");
-        if self.stream == Stream::Settled {
-            text.push_str("vanilla-smoothed fills gaps when an object is found again, however late:\nits delay is not counted.\n");
-        }
+        text.push_str("\ncalls%: detector calls of 100 frames; all: AP@50 of all boxes, also those too\nfaint for a node to publish; delay: frames.\n");
         text
     }
 
@@ -526,7 +401,7 @@ impl StreamResults {
     fn against(&self, policy: usize, baseline: usize, figure: Figure) -> String {
         let (own, base) = (self.of(policy), self.of(baseline));
         let differences: Vec<f64> = (own.iter().zip(&base))
-            .filter_map(|(own, base)| Some(figure(&own.accuracy?) - figure(&base.accuracy?)))
+            .filter_map(|(own, base)| Some(figure(own)? - figure(base)?))
             .collect();
         let points = |share: f64| 100.0 * share;
         match Difference::of(&differences) {
@@ -544,9 +419,7 @@ impl StreamResults {
 
 /// The mean of a figure with three decimals.
 fn three(judged: &[&Judged], figure: Figure) -> String {
-    let values = judged
-        .iter()
-        .filter_map(|judged| judged.accuracy.as_ref().map(figure));
+    let values = judged.iter().filter_map(|judged| figure(judged));
     mean(values).map_or("    -".to_owned(), |value| format!("{value:.3}"))
 }
 

@@ -1,4 +1,4 @@
-//! Text for a terminal.
+//! Text for a terminal, and tables as files.
 
 /// `text` broken at blanks into lines of at most `width` columns; a longer word has a line of its own.
 pub fn wrapped(text: &str, width: usize) -> String {
@@ -17,4 +17,18 @@ pub fn wrapped(text: &str, width: usize) -> String {
         used += length;
     }
     lines
+}
+
+/// Rows of named cells as CSV; the names of the first are the header.
+pub(crate) fn csv(rows: &[Vec<(&'static str, String)>]) -> Result<Vec<u8>, csv::Error> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for (number, row) in rows.iter().enumerate() {
+        if number == 0 {
+            writer.write_record(row.iter().map(|(name, _)| name))?;
+        }
+        writer.write_record(row.iter().map(|(_, cell)| cell))?;
+    }
+    writer
+        .into_inner()
+        .map_err(|error| csv::Error::from(std::io::Error::other(error.to_string())))
 }

@@ -1,6 +1,6 @@
 //! Traces: what a policy did and knows, frame by frame, as gzipped JSON Lines.
 //!
-//! One line a frame with the keys of [`TraceFrame`], one file a clip and policy:
+//! One line per frame with the keys of [`TraceFrame`], one file per clip and policy:
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
 //! can be compared line by line.
 

@@ -56,7 +56,7 @@ impl Overlaps {
     }
 }
 
-/// Judges the tracks of `predictions` against `truth`, both one entry a frame.
+/// Judges the tracks of `predictions` against `truth`, both one entry per frame.
 ///
 /// `None` without ground truth, and when a box that counts does not say which object it shows.
 pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Option<Tracking> {

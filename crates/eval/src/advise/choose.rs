@@ -143,7 +143,7 @@ pub fn advise(
     })
 }
 
-/// With three digits: nobody wants to put more into a configuration.
+/// With three digits, enough for a configuration.
 fn three_digits(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }

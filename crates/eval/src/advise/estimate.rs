@@ -1,6 +1,6 @@
 //! Figures of a recording with their intervals.
 //!
-//! Frames that follow each other are alike, so that a thousand of them do not tell a thousand times as much as one. The
+//! Frames that follow each other are alike, so that a thousand of them do not say a thousand times as much as one. The
 //! recording is therefore cut into blocks of consecutive frames, and every figure is a ratio of sums over the blocks,
 //! whose spread between the blocks says how well it is known (the variance of a ratio estimator, with Student's t).
 
@@ -21,7 +21,7 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// Four digits: no recording tells more.
+/// Four digits: no recording is more exact.
 fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     let rounded = format!("{value:.3e}").parse().unwrap_or(*value);
     serializer.serialize_f64(rounded)
@@ -29,7 +29,7 @@ fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S:
 
 impl Estimate {
     /// The ratio of the sums of `parts`, a numerator and a denominator each; `None` where the denominators add up to
-    /// nothing. Of a single part nobody knows the spread: the interval is everything then, from 0 to 1.
+    /// nothing. The spread of a single part is unknown: its interval is then 0 to 1.
     pub(super) fn share(parts: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let mut count = 0.0;
         let (mut numerator, mut denominator) = (0.0, 0.0);

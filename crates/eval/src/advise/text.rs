@@ -11,7 +11,7 @@ use std::fmt::Write;
 /// Columns of the text.
 const WIDTH: usize = 100;
 
-/// Below this share of frames nobody would say that something is skipped.
+/// Below this share of frames the advice says that nothing is skipped.
 const NOTHING: f64 = 0.005;
 
 // Writing to a string cannot fail, so the results are dropped throughout.

@@ -20,7 +20,7 @@ const LEAST_FRAMES: usize = 20;
 pub struct Settings {
     /// Detections below this are not used.
     pub confidence: f64,
-    /// Frames in a row that a screen may call empty before the detector looks anyway; 0 for any number.
+    /// Frames in a row that a screen may call empty before the detector runs anyway; 0 for any number.
     pub longest_empty_run: u32,
 }
 
@@ -94,7 +94,7 @@ impl Block {
     }
 }
 
-/// What became of a recording.
+/// The outcome on a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Trial {
     /// The value of the threshold.

@@ -13,9 +13,9 @@ pub struct Playing {
     pub frames: u64,
     /// Size of its pictures, `1280x720`.
     pub size: String,
-    /// Its own frames a second.
+    /// Its own frames per second.
     pub rate: f64,
-    /// Frames a second it was played at; `None` for as fast as they were taken.
+    /// Frames per second it was played at; `None` for as fast as they were taken.
     pub played_rate: Option<f64>,
     /// Warm-up under each policy before each run, seconds.
     pub warm_up_s: f64,

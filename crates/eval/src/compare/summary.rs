@@ -163,7 +163,7 @@ pub struct Summary {
     pub rounds: usize,
     /// Highest CPU time of reading the meter, as a share of one core; `None` where nothing is read.
     pub meter_share_of_core: Option<f64>,
-    /// Runs during which clocks were held back, where the board tells.
+    /// Runs during which clocks were held back, where the board reports it.
     pub throttled_runs: usize,
     /// Power modes that were met.
     pub power_modes: Vec<String>,

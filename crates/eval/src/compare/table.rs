@@ -3,7 +3,7 @@
 use super::run::Comparison;
 use super::schedule::schedule;
 use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
-use super::verdict::paragraphs;
+use super::verdict::verdicts;
 use crate::text::wrapped;
 use std::fmt::Write;
 
@@ -78,8 +78,8 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         (Figure::Dropped, ["frames dropped", ""]),
     ];
     table(&mut text, &title, &summary.policies, &columns, means);
-    for paragraph in paragraphs(comparison, summary) {
-        wrap(&mut text, &paragraph);
+    for verdict in verdicts(comparison, summary) {
+        wrap(&mut text, &verdict.sentence);
     }
     text.truncate(text.trim_end().len());
     text.push('\n');
@@ -132,7 +132,7 @@ fn energy(summary: &Summary) -> String {
         Basis::Measured { source } => format!("Energy is measured by `{source}`."),
         Basis::Partial { source } => format!(
             "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run. Where they \
-             do not cover the whole run its energy is not known, and neither energy nor EDP is told.",
+             do not cover the whole run its energy is not known, and neither energy nor EDP is shown.",
             summary.coverage * 100.0
         ),
         Basis::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \
@@ -212,7 +212,7 @@ fn row(text: &mut String, width: usize, label: &str, cells: impl Iterator<Item =
     text.push('\n');
 }
 
-/// Whether a figure lies between 0 and 1, and is told in percent.
+/// Whether a figure lies between 0 and 1, and is shown in percent.
 fn is_share(figure: Figure) -> bool {
     matches!(
         figure,

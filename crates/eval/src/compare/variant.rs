@@ -23,7 +23,7 @@ pub enum VariantError {
         /// Why not.
         source: PolicyConfigError,
     },
-    /// Values of `u`, and nobody to take them.
+    /// Values of `u` for policies that do not take it.
     #[error(
         "--u: none of the policies asked for has a threshold `u` left to set; add --policy albireo"
     )]
@@ -40,7 +40,7 @@ pub enum VariantError {
 /// as in `base`.
 ///
 /// # Errors
-/// [`VariantError`] for an unknown policy, a value it cannot have, values of `u` that nobody takes, and
+/// [`VariantError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
 /// fewer than two variants.
 pub fn variants(
     asked: &[String],
@@ -141,7 +141,8 @@ mod tests {
     #[test]
     fn what_cannot_be_compared_is_refused_with_what_to_do() {
         let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
-        assert!(refused(&["vanila", "albireo"], &[]).contains("the policies are `albireo`"));
+        assert!(refused(&["vanila", "albireo"], &[]).contains("`vanilla`"));
+        assert!(refused(&["nobody", "albireo"], &[]).contains("the policies are `albireo`"));
         assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("add --policy albireo"));
         assert!(refused(&["albireo"], &[]).contains("name a second policy"));
         assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));

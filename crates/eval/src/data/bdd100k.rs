@@ -5,14 +5,16 @@
 //! of predictions is the same with a `score` in each label. Boxes marked as crowd are ground truth like any
 //! other: neither the paper nor its published evaluator makes an exception for them.
 
-use super::classes::{Meaning, from_name};
+use super::classes::from_name;
 use super::rows::read_text;
-use super::{Clip, Clips, DataError, LoadReport, StoredDetection, judge_confidence};
+use super::{
+    Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection, entries, has_extension,
+};
 use crate::average_precision::TruthBox;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, btree_map};
 use std::path::{Path, PathBuf};
 
 /// Size of all pictures of BDD100K.
@@ -68,20 +70,12 @@ pub struct Source<'a> {
     pub detections: Option<&'a Path>,
     /// Size of all pictures.
     pub picture: PictureSize,
-    /// Frames a second.
+    /// Frames per second.
     pub frame_rate: Option<f64>,
 }
 
-/// One judged label of a frame.
-struct Entry {
-    corners: Corners,
-    class: ClassId,
-    score: Option<f64>,
-    object: Option<u64>,
-}
-
-/// Frames of each video, by index.
-type Videos = BTreeMap<String, BTreeMap<usize, Vec<Entry>>>;
+/// Boxes of each video's frames, by index.
+type Videos<T> = BTreeMap<String, BTreeMap<usize, Vec<T>>>;
 
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
@@ -89,75 +83,73 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<Entry>>>;
 /// [`DataError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
 pub fn read(source: &Source<'_>) -> Result<Clips, DataError> {
     let mut clips = Clips::default();
-    let mut read = |path: Option<&Path>, scored: bool| {
-        path.map(|path| read_videos(path, source.picture, scored, &mut clips.report))
-            .transpose()
+    let (picture, report) = (source.picture, &mut clips.report);
+    let truth_box = |label: &Label, corners, class| {
+        let object = label.id.as_ref().and_then(number_of);
+        Ok(TruthBox {
+            corners,
+            class,
+            object,
+        })
     };
-    let truths = read(source.truth, false)?;
-    let mut found = read(source.detections, true)?;
-    let mut truths = truths.map(|truths| truths.into_iter().collect::<HashMap<_, _>>());
-    let names: std::collections::BTreeSet<String> = truths
+    let detection = |label: &Label, corners, class| {
+        let confidence = label.score.ok_or("has no `score`: is this ground truth?")?;
+        Ok(StoredDetection {
+            corners,
+            class,
+            confidence,
+        })
+    };
+    let mut truths = source
+        .truth
+        .map(|path| read_videos(path, picture, truth_box, report))
+        .transpose()?;
+    let mut found = source
+        .detections
+        .map(|path| read_videos(path, picture, detection, report))
+        .transpose()?;
+    let names: BTreeSet<String> = truths
         .iter()
-        .flat_map(HashMap::keys)
+        .flat_map(BTreeMap::keys)
         .chain(found.iter().flat_map(BTreeMap::keys))
         .cloned()
         .collect();
     for name in names {
         let truth = truths.as_mut().and_then(|truths| truths.remove(&name));
         let detections = found.as_mut().and_then(|found| found.remove(&name));
-        let last = |frames: &Option<BTreeMap<usize, Vec<Entry>>>| {
-            let last = frames.as_ref().and_then(BTreeMap::last_key_value);
-            last.map_or(0, |(index, _)| index + 1)
-        };
-        let frames = last(&truth).max(last(&detections));
+        let frames = length(truth.as_ref()).max(length(detections.as_ref()));
         clips.push(Clip {
-            name,
-            picture: source.picture,
             frame_rate: source.frame_rate,
-            camera: None,
-            frames,
-            detections: detections.map(|detections| {
-                spread(detections, frames, |entry| StoredDetection {
-                    corners: entry.corners,
-                    class: entry.class,
-                    confidence: entry.score.unwrap_or_default(),
-                })
-            }),
-            truth: truth.map(|truth| {
-                spread(truth, frames, |entry| TruthBox {
-                    corners: entry.corners,
-                    class: entry.class,
-                    object: entry.object,
-                })
-            }),
-            screen: None,
-            pictures: Vec::new(),
-            ignored: Vec::new(),
+            detections: detections.map(|detections| spread(detections, frames)),
+            truth: truth.map(|truth| spread(truth, frames)),
+            ..Clip::new(name, picture, frames)
         });
     }
     let place = source.truth.or(source.detections).unwrap_or(Path::new("."));
     clips.nonempty(place)
 }
 
-/// One list a frame; frames the file does not have are empty.
-fn spread<T: Clone>(
-    by_index: BTreeMap<usize, Vec<Entry>>,
-    frames: usize,
-    make: impl Fn(Entry) -> T,
-) -> Vec<Vec<T>> {
+fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
+    frames
+        .and_then(BTreeMap::last_key_value)
+        .map_or(0, |(index, _)| index + 1)
+}
+
+/// One list per frame; frames the file does not have are empty.
+fn spread<T: Clone>(by_index: BTreeMap<usize, Vec<T>>, frames: usize) -> Vec<Vec<T>> {
     let mut spread = vec![Vec::new(); frames];
-    for (index, entries) in by_index {
-        spread[index] = entries.into_iter().map(&make).collect();
+    for (index, boxes) in by_index {
+        spread[index] = boxes;
     }
     spread
 }
 
-fn read_videos(
+fn read_videos<T>(
     path: &Path,
     picture: PictureSize,
-    scored: bool,
+    make: impl Fn(&Label, Corners, ClassId) -> Result<T, &'static str>,
     report: &mut LoadReport,
-) -> Result<Videos, DataError> {
+) -> Result<Videos<T>, DataError> {
     let mut videos = Videos::new();
     for file in json_files(path)? {
         let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
@@ -170,8 +162,32 @@ fn read_videos(
             let what = format!("it is no list of frames in the Scalabel form: {error}");
             DataError::line(&file, error.line() as u64, what)
         })?;
+        let stem = file
+            .file_stem()
+            .unwrap_or("clip".as_ref())
+            .to_string_lossy();
         for (position, frame) in frames.into_iter().enumerate() {
-            add_frame(&file, position, frame, picture, scored, &mut videos, report)?;
+            let index = frame.index.unwrap_or(position);
+            let video = frame.video.as_deref().unwrap_or(&stem).to_owned();
+            let place = videos
+                .entry(video)
+                .or_insert_with(BTreeMap::new)
+                .entry(index);
+            let btree_map::Entry::Vacant(place) = place else {
+                let what = format!(
+                    "frame {} comes twice: its video already has the index {index}",
+                    frame.name
+                );
+                return Err(DataError::file(&file, what));
+            };
+            if index >= MOST_FRAMES {
+                let what = format!(
+                    "frame {} has the index {index}, which is no frame of a clip",
+                    frame.name
+                );
+                return Err(DataError::file(&file, what));
+            }
+            place.insert(boxes(&file, &frame, picture, &make, report)?);
         }
     }
     Ok(videos)
@@ -182,91 +198,38 @@ fn json_files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
-    let entries = std::fs::read_dir(path)
-        .map_err(|error| DataError::read(path, error, "is the folder readable?"))?;
-    let mut files: Vec<PathBuf> = entries
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| {
-            path.extension()
-                .is_some_and(|extension| extension == "json")
-        })
-        .collect();
-    files.sort();
-    Ok(files)
+    entries(path, |path| has_extension(path, &["json"]))
+        .map_err(|error| DataError::read(path, error, "is the folder readable?"))
 }
 
-fn add_frame(
+/// The boxes of a frame that are kept.
+fn boxes<T>(
     file: &Path,
-    position: usize,
-    frame: Frame,
+    frame: &Frame,
     picture: PictureSize,
-    scored: bool,
-    videos: &mut Videos,
+    make: impl Fn(&Label, Corners, ClassId) -> Result<T, &'static str>,
     report: &mut LoadReport,
-) -> Result<(), DataError> {
-    let stem = || {
-        file.file_stem().map_or_else(
-            || "clip".to_owned(),
-            |stem| stem.to_string_lossy().into_owned(),
-        )
-    };
-    let video = videos.entry(frame.video.unwrap_or_else(stem)).or_default();
-    let index = frame.index.unwrap_or(position);
-    if index >= MOST_FRAMES {
-        return Err(DataError::file(
-            file,
-            format!(
-                "frame {} has the index {index}, which is no frame of a clip",
-                frame.name
-            ),
-        ));
-    }
-    let std::collections::btree_map::Entry::Vacant(place) = video.entry(index) else {
-        return Err(DataError::file(
-            file,
-            format!(
-                "frame {} comes twice: its video already has the index {index}",
-                frame.name
-            ),
-        ));
-    };
-    let mut entries = Vec::new();
-    for (number, label) in frame.labels.into_iter().flatten().enumerate() {
-        let spot = || format!("{}, frame {}, label {number}", file.display(), frame.name);
-        let Some(corners) = label.box2d else {
+) -> Result<Vec<T>, DataError> {
+    let mut boxes = Vec::new();
+    for (number, label) in frame.labels.iter().flatten().enumerate() {
+        let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
             continue;
         };
-        let corners = Corners {
-            x1: corners.x1,
-            y1: corners.y1,
-            x2: corners.x2,
-            y2: corners.y2,
+        let corners = Corners { x1, y1, x2, y2 };
+        let labelled = LabelledBox {
+            corners,
+            class: from_name(&label.category),
+            class_name: label.category.as_str().into(),
+            confidence: label.score,
         };
-        if scored && label.score.is_none() {
-            return Err(DataError::file(
-                file,
-                format!(
-                    "frame {}, label {number} has no `score`: is this ground truth?",
-                    frame.name
-                ),
-            ));
-        }
-        let reason = report
-            .judge(corners, picture)
-            .or_else(|| label.score.and_then(judge_confidence));
-        match (reason, from_name(&label.category)) {
-            (Some(reason), _) => report.leave_out(reason, spot),
-            (None, Meaning::Class(class)) => entries.push(Entry {
-                corners,
-                class,
-                score: label.score,
-                object: label.id.as_ref().and_then(number_of),
-            }),
-            (None, _) => report.leave_out_class(&label.category, spot),
+        let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
+        if let Some(class) = report.keep(&labelled, picture, place) {
+            boxes.push(make(label, corners, class).map_err(|what| {
+                DataError::file(file, format!("frame {}, label {number} {what}", frame.name))
+            })?);
         }
     }
-    place.insert(entries);
-    Ok(())
+    Ok(boxes)
 }
 
 /// An object's id as a number, whether the file writes it as one or as text.

@@ -3,6 +3,7 @@
 //! Numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
 //! classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six classes.
 
+use super::LeftOut;
 use albireo_core::detection::ClassId;
 
 /// A person, walking or riding.
@@ -36,53 +37,42 @@ pub fn name(class: ClassId) -> Option<&'static str> {
         .map(|(_, name)| *name)
 }
 
-/// What a data set's class name means here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Meaning {
-    /// One of the six classes.
-    Class(ClassId),
-    /// A region that is not to be judged.
-    Ignored,
-    /// Nothing that is evaluated.
-    Unmapped,
-}
-
 /// BDD100K's and COCO's names, in either spelling of BDD100K's releases.
-pub fn from_name(name: &str) -> Meaning {
+pub fn from_name(name: &str) -> Result<ClassId, LeftOut> {
     match name {
-        "person" | "pedestrian" | "rider" => Meaning::Class(PERSON),
-        "bicycle" | "bike" => Meaning::Class(BICYCLE),
-        "car" => Meaning::Class(CAR),
-        "motorcycle" | "motor" => Meaning::Class(MOTORCYCLE),
-        "bus" => Meaning::Class(BUS),
-        "truck" => Meaning::Class(TRUCK),
-        _ => Meaning::Unmapped,
+        "person" | "pedestrian" | "rider" => Ok(PERSON),
+        "bicycle" | "bike" => Ok(BICYCLE),
+        "car" => Ok(CAR),
+        "motorcycle" | "motor" => Ok(MOTORCYCLE),
+        "bus" => Ok(BUS),
+        "truck" => Ok(TRUCK),
+        _ => Err(LeftOut::UnmappedClass),
     }
 }
 
 /// KITTI's tracking types. A cyclist's box holds rider and bicycle and counts as bicycle.
-pub(crate) fn from_kitti(kind: &str) -> Meaning {
+pub(crate) fn from_kitti(kind: &str) -> Result<ClassId, LeftOut> {
     match kind {
-        "Pedestrian" | "Person" | "Person_sitting" => Meaning::Class(PERSON),
-        "Cyclist" => Meaning::Class(BICYCLE),
-        "Car" | "Van" => Meaning::Class(CAR),
-        "Truck" => Meaning::Class(TRUCK),
-        "DontCare" => Meaning::Ignored,
-        _ => Meaning::Unmapped,
+        "Pedestrian" | "Person" | "Person_sitting" => Ok(PERSON),
+        "Cyclist" => Ok(BICYCLE),
+        "Car" | "Van" => Ok(CAR),
+        "Truck" => Ok(TRUCK),
+        "DontCare" => Err(LeftOut::IgnoredRegion),
+        _ => Err(LeftOut::UnmappedClass),
     }
 }
 
 /// MOTChallenge's numbers (MOT16 and later; the 2015 release writes -1, and holds pedestrians only).
-pub(crate) fn from_mot_challenge(number: i64) -> Meaning {
+pub(crate) fn from_mot_challenge(number: i64) -> Result<ClassId, LeftOut> {
     match number {
         // Pedestrian, person on a vehicle, static person.
-        -1 | 1 | 2 | 7 => Meaning::Class(PERSON),
-        3 => Meaning::Class(CAR),
-        4 => Meaning::Class(BICYCLE),
-        5 => Meaning::Class(MOTORCYCLE),
+        -1 | 1 | 2 | 7 => Ok(PERSON),
+        3 => Ok(CAR),
+        4 => Ok(BICYCLE),
+        5 => Ok(MOTORCYCLE),
         // Distractor, occluder, occluder on the ground, occluder full, reflection, crowd.
-        8..=13 => Meaning::Ignored,
-        _ => Meaning::Unmapped,
+        8..=13 => Err(LeftOut::IgnoredRegion),
+        _ => Err(LeftOut::UnmappedClass),
     }
 }
 
@@ -95,12 +85,12 @@ mod tests {
         let mapped: std::collections::BTreeSet<u16> = albireo_core::detection::BDD100K_CLASSES
             .iter()
             .map(|name| match from_name(name) {
-                Meaning::Class(class) => class.0,
+                Ok(class) => class.0,
                 other => panic!("{name} is {other:?}"),
             })
             .collect();
         assert_eq!(mapped.len(), 6);
         assert_eq!(from_name("rider"), from_name("pedestrian"));
-        assert_eq!(from_name("traffic light"), Meaning::Unmapped);
+        assert_eq!(from_name("traffic light"), Err(LeftOut::UnmappedClass));
     }
 }

@@ -4,8 +4,8 @@
 //! `frame_id`, else of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 
-use super::classes::{Meaning, from_name};
-use super::{Clip, Clips, DataError, LeftOut, StoredDetection, judge_confidence};
+use super::classes::from_name;
+use super::{Clip, Clips, DataError, LabelledBox, LeftOut, StoredDetection};
 use crate::average_precision::TruthBox;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
@@ -78,27 +78,40 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
     let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
     let mut clips = Clips::default();
     let report = &mut clips.report;
+    let labelled = |annotation: &Annotation| {
+        let name = names.get(&annotation.category_id).copied();
+        let known = name.map_or(Err(LeftOut::UnmappedClass), from_name);
+        let is_crowd = annotation.iscrowd != 0;
+        LabelledBox {
+            corners: corners(annotation.bbox),
+            class: if is_crowd {
+                Err(LeftOut::IgnoredRegion)
+            } else {
+                known
+            },
+            class_name: name.map_or_else(
+                || format!("category {}", annotation.category_id).into(),
+                Into::into,
+            ),
+            confidence: annotation.score,
+        }
+    };
     for (number, annotation) in set.annotations.iter().flatten().enumerate() {
         let spot = || format!("{}, annotation {number}", dataset.display());
         let (clip, frame) = place(dataset, &places, annotation, number)?;
         let clip = &mut drafts[clip];
-        let corners = corners(annotation.bbox);
-        let name = names.get(&annotation.category_id).copied();
-        match (report.judge(corners, clip.picture), meaning(name)) {
-            (Some(reason), _) => report.leave_out(reason, spot),
-            _ if annotation.iscrowd != 0 => report.leave_out(LeftOut::IgnoredRegion, spot),
-            (None, Meaning::Class(class)) => {
-                if let Some(truth) = &mut clip.truth {
-                    truth[frame].push(TruthBox {
-                        corners,
-                        class,
-                        object: annotation.track_id,
-                    });
-                }
-            }
-            (None, _) => {
-                report.leave_out_class(&class_name(name, annotation.category_id), spot);
-            }
+        let labelled = LabelledBox {
+            confidence: None,
+            ..labelled(annotation)
+        };
+        if let (Some(class), Some(truth)) =
+            (report.keep(&labelled, clip.picture, spot), &mut clip.truth)
+        {
+            truth[frame].push(TruthBox {
+                corners: labelled.corners,
+                class,
+                object: annotation.track_id,
+            });
         }
     }
     if let Some(path) = results {
@@ -110,25 +123,16 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
             let confidence = result
                 .score
                 .ok_or_else(|| DataError::file(path, format!("result {number} has no `score`")))?;
-            let corners = corners(result.bbox);
-            let name = names.get(&result.category_id).copied();
-            let reason = report
-                .judge(corners, clip.picture)
-                .or(judge_confidence(confidence));
-            match (reason, meaning(name)) {
-                (Some(reason), _) => report.leave_out(reason, spot),
-                (None, Meaning::Class(class)) => {
-                    if let Some(detections) = &mut clip.detections {
-                        detections[frame].push(StoredDetection {
-                            corners,
-                            class,
-                            confidence,
-                        });
-                    }
-                }
-                (None, _) => {
-                    report.leave_out_class(&class_name(name, result.category_id), spot);
-                }
+            let labelled = labelled(result);
+            if let (Some(class), Some(detections)) = (
+                report.keep(&labelled, clip.picture, spot),
+                &mut clip.detections,
+            ) {
+                detections[frame].push(StoredDetection {
+                    corners: labelled.corners,
+                    class,
+                    confidence,
+                });
             }
         }
     }
@@ -151,14 +155,6 @@ fn corners([x, y, width, height]: [f64; 4]) -> Corners {
         x2: x + width,
         y2: y + height,
     }
-}
-
-fn meaning(name: Option<&str>) -> Meaning {
-    name.map_or(Meaning::Unmapped, from_name)
-}
-
-fn class_name(name: Option<&str>, number: u64) -> String {
-    name.map_or_else(|| format!("category {number}"), str::to_owned)
 }
 
 /// Clip and frame of each image.
@@ -233,16 +229,9 @@ fn frames(
             places.insert(image.id, (clips.len(), frame));
         }
         clips.push(Clip {
-            name,
-            picture,
-            frame_rate: None,
-            camera: None,
-            frames: images.len(),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
-            screen: None,
-            pictures: Vec::new(),
-            ignored: Vec::new(),
+            ..Clip::new(name, picture, images.len())
         });
     }
     Ok((clips, places))

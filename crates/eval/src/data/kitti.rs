@@ -4,10 +4,12 @@
 //! Rows are `frame id type truncated occluded alpha x1 y1 x2 y2 height width length x y z rotation [score]`,
 //! frames and pixels from 0. Source: KITTI tracking development kit, readme.
 
-use super::classes::{Meaning, from_kitti};
+use super::classes::from_kitti;
 use super::pictures::{pictures_in, png_size};
 use super::rows::{Row, read_text, space_separated};
-use super::{Clip, Clips, DataError, LeftOut, LoadReport, StoredDetection, judge_confidence};
+use super::{
+    Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection, entries, has_extension,
+};
 use crate::average_precision::TruthBox;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -26,18 +28,13 @@ const MOST_FRAMES: usize = 1_000_000;
 /// [`DataError`] for a missing or broken file, with the line where there is one.
 pub fn read(folder: &Path) -> Result<Clips, DataError> {
     let labels = folder.join("label_02");
-    let entries = std::fs::read_dir(&labels).map_err(|error| {
+    let files = entries(&labels, |path| has_extension(path, &["txt"])).map_err(|error| {
         DataError::read(
             &labels,
             error,
-            "give the folder that holds label_02 with one file a sequence",
+            "give the folder that holds label_02 with one file per sequence",
         )
     })?;
-    let mut files: Vec<_> = entries
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.extension().is_some_and(|extension| extension == "txt"))
-        .collect();
-    files.sort();
     let mut clips = Clips::default();
     for file in files {
         let Some(name) = file
@@ -73,7 +70,7 @@ fn read_sequence(
         if row.text(2, "type")? == "DontCare" {
             ignored.resize(truth.len(), Vec::new());
             ignored[frame].push(corners(row)?);
-        } else if let Some((corners, class)) = judged_box(row, picture, report)? {
+        } else if let Some((corners, class)) = kept_box(row, picture, None, report)? {
             truth[frame].push(TruthBox {
                 corners,
                 class,
@@ -91,15 +88,12 @@ fn read_sequence(
             let frame = row.frame(0, 0, known.unwrap_or(MOST_FRAMES))?;
             grow(found, frame);
             let confidence = row.number(17, "score")?;
-            if let Some((corners, class)) = judged_box(row, picture, report)? {
-                match judge_confidence(confidence) {
-                    Some(reason) => report.leave_out(reason, || row.place()),
-                    None => found[frame].push(StoredDetection {
-                        corners,
-                        class,
-                        confidence,
-                    }),
-                }
+            if let Some((corners, class)) = kept_box(row, picture, Some(confidence), report)? {
+                found[frame].push(StoredDetection {
+                    corners,
+                    class,
+                    confidence,
+                });
             }
             Ok(())
         })?;
@@ -110,16 +104,12 @@ fn read_sequence(
         detections.resize(frames, Vec::new());
     }
     Ok(Clip {
-        name: name.to_owned(),
-        picture,
         frame_rate: Some(FRAME_RATE),
-        camera: None,
-        frames,
         detections,
         truth: Some(truth),
-        screen: None,
         pictures,
         ignored,
+        ..Clip::new(name.to_owned(), picture, frames)
     })
 }
 
@@ -130,22 +120,21 @@ fn grow<T: Clone>(frames: &mut Vec<Vec<T>>, frame: usize) {
 }
 
 /// The row's box and class, or nothing if it was left out and counted.
-fn judged_box(
+fn kept_box(
     row: &Row<'_>,
     picture: PictureSize,
+    confidence: Option<f64>,
     report: &mut LoadReport,
 ) -> Result<Option<(Corners, ClassId)>, DataError> {
-    let kind = row.text(2, "type")?;
-    let corners = corners(row)?;
-    match from_kitti(kind) {
-        Meaning::Ignored => report.leave_out(LeftOut::IgnoredRegion, || row.place()),
-        Meaning::Unmapped => report.leave_out_class(kind, || row.place()),
-        Meaning::Class(class) => match report.judge(corners, picture) {
-            Some(reason) => report.leave_out(reason, || row.place()),
-            None => return Ok(Some((corners, class))),
-        },
-    }
-    Ok(None)
+    let (corners, class_name) = (corners(row)?, row.text(2, "type")?);
+    let labelled = LabelledBox {
+        corners,
+        class: from_kitti(class_name),
+        class_name: class_name.into(),
+        confidence,
+    };
+    let class = report.keep(&labelled, picture, || row.place());
+    Ok(class.map(|class| (corners, class)))
 }
 
 fn corners(row: &Row<'_>) -> Result<Corners, DataError> {

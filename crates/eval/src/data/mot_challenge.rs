@@ -5,10 +5,10 @@
 //! 2016 and later (nine columns) the seventh is 0 for boxes not to be judged and the eighth the class; the
 //! 2015 release (ten columns) has pedestrians only. Source: MOT16 paper, arXiv 1603.00831, table 3.
 
-use super::classes::{Meaning, PERSON, from_mot_challenge};
+use super::classes::{PERSON, from_mot_challenge};
 use super::pictures::pictures_in;
 use super::rows::{Row, comma_separated, read_text};
-use super::{Clip, Clips, DataError, LeftOut, LoadReport, StoredDetection, judge_confidence};
+use super::{Clip, Clips, DataError, LabelledBox, LeftOut, LoadReport, StoredDetection, entries};
 use crate::average_precision::TruthBox;
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
@@ -20,24 +20,19 @@ use std::path::Path;
 /// # Errors
 /// [`DataError`] for a missing or broken file, with the line where there is one.
 pub fn read(folder: &Path) -> Result<Clips, DataError> {
+    let is_sequence = |folder: &Path| folder.join("seqinfo.ini").exists();
+    let folders = if is_sequence(folder) {
+        vec![folder.to_owned()]
+    } else {
+        entries(folder, is_sequence).map_err(|error| {
+            DataError::read(
+                folder,
+                error,
+                "give a sequence's folder or a folder of them",
+            )
+        })?
+    };
     let mut clips = Clips::default();
-    if folder.join("seqinfo.ini").exists() {
-        let clip = read_sequence(folder, &mut clips.report)?;
-        clips.push(clip);
-        return clips.nonempty(folder);
-    }
-    let entries = std::fs::read_dir(folder).map_err(|error| {
-        DataError::read(
-            folder,
-            error,
-            "give a sequence's folder or a folder of them",
-        )
-    })?;
-    let mut folders: Vec<_> = entries
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.join("seqinfo.ini").exists())
-        .collect();
-    folders.sort();
     for folder in folders {
         let clip = read_sequence(&folder, &mut clips.report)?;
         clips.push(clip);
@@ -59,16 +54,11 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, DataErr
         .then(|| read_detections(&detection_file, picture, frames, report))
         .transpose()?;
     Ok(Clip {
-        name: info.name,
-        picture,
         frame_rate: info.frame_rate,
-        camera: None,
-        frames,
         detections,
         truth,
-        screen: None,
         pictures: pictures_in(&folder.join(info.pictures)),
-        ignored: Vec::new(),
+        ..Clip::new(info.name, picture, frames)
     })
 }
 
@@ -145,28 +135,20 @@ fn read_truth(
     comma_separated(path, &text, None, |row| {
         let frame = row.frame(0, 1, frames)?;
         let corners = corners(row)?;
-        let judged: f64 = row.number(6, "whether it is judged")?;
-        let class = if row.len() <= 9 {
+        let is_judged = row.number::<f64>(6, "whether it is judged")? != 0.0;
+        let (class, class_name) = if row.len() <= 9 {
             let number = row.integer(7, "class")?;
-            match from_mot_challenge(number) {
-                Meaning::Class(class) => class,
-                Meaning::Ignored => {
-                    report.leave_out(LeftOut::IgnoredRegion, || row.place());
-                    return Ok(());
-                }
-                Meaning::Unmapped => {
-                    report.leave_out_class(&number.to_string(), || row.place());
-                    return Ok(());
-                }
-            }
+            (from_mot_challenge(number), number.to_string().into())
         } else {
-            PERSON
+            (Ok(PERSON), "".into())
         };
-        if judged == 0.0 {
-            report.leave_out(LeftOut::IgnoredRegion, || row.place());
-        } else if let Some(reason) = report.judge(corners, picture) {
-            report.leave_out(reason, || row.place());
-        } else {
+        let labelled = LabelledBox {
+            corners,
+            class: class.and_then(|class| is_judged.then_some(class).ok_or(LeftOut::IgnoredRegion)),
+            class_name,
+            confidence: None,
+        };
+        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
             truth[frame].push(TruthBox {
                 corners,
                 class,
@@ -188,17 +170,19 @@ fn read_detections(
     let mut detections = vec![Vec::new(); frames];
     comma_separated(path, &text, None, |row| {
         let frame = row.frame(0, 1, frames)?;
-        let detection = StoredDetection {
-            corners: corners(row)?,
-            class: PERSON,
-            confidence: row.number(6, "score")?,
+        let (corners, confidence) = (corners(row)?, row.number(6, "score")?);
+        let labelled = LabelledBox {
+            corners,
+            class: Ok(PERSON),
+            class_name: "".into(),
+            confidence: Some(confidence),
         };
-        match report
-            .judge(detection.corners, picture)
-            .or(judge_confidence(detection.confidence))
-        {
-            Some(reason) => report.leave_out(reason, || row.place()),
-            None => detections[frame].push(detection),
+        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
+            detections[frame].push(StoredDetection {
+                corners,
+                class,
+                confidence,
+            });
         }
         Ok(())
     })?;

@@ -1,25 +1,13 @@
 //! Pictures that lie beside labels: which there are, and how large they are.
 
+use super::{entries, has_extension};
 use albireo_core::geometry::PictureSize;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// The JPEG and PNG files of a folder, sorted by name; none if there is no such folder.
 pub(super) fn pictures_in(folder: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = std::fs::read_dir(folder) else {
-        return Vec::new();
-    };
-    let mut pictures: Vec<PathBuf> = entries
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| {
-            let extension = path.extension().and_then(|extension| extension.to_str());
-            extension.is_some_and(|extension| {
-                ["jpg", "jpeg", "png"].contains(&extension.to_ascii_lowercase().as_str())
-            })
-        })
-        .collect();
-    pictures.sort();
-    pictures
+    entries(folder, |path| has_extension(path, &["jpg", "jpeg", "png"])).unwrap_or_default()
 }
 
 /// The size a PNG file says it has, from its header alone; `None` if it is not a PNG file.

@@ -12,12 +12,12 @@
 //! (`ground_truth_boxes`) must have the file. [`write`] makes the same layout.
 
 use super::rows::{Row, comma_separated, read_text};
-use super::{Clip, Clips, DataError, LoadReport, StoredDetection, judge_confidence};
+use super::{Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection};
 use crate::average_precision::TruthBox;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
+use std::fmt::Write;
 use std::path::Path;
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
@@ -120,17 +120,14 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     let mut detections = vec![Vec::new(); entry.frames];
     comma_separated(&path, &text, Some(DETECTION_HEADER), |row| {
         let frame = columns(row, 7)?.frame(0, 0, entry.frames)?;
-        let detection = StoredDetection {
-            corners: corners(row)?,
-            class: class(row, 6)?,
-            confidence: row.number(5, "score")?,
-        };
-        match report
-            .judge(detection.corners, picture)
-            .or(judge_confidence(detection.confidence))
-        {
-            Some(reason) => report.leave_out(reason, || row.place()),
-            None => detections[frame].push(detection),
+        let (corners, confidence) = (corners(row)?, row.number(5, "score")?);
+        let labelled = labelled(corners, class(row, 6)?, Some(confidence));
+        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
+            detections[frame].push(StoredDetection {
+                corners,
+                class,
+                confidence,
+            });
         }
         Ok(())
     })?;
@@ -147,15 +144,15 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         let mut truth = vec![Vec::new(); entry.frames];
         comma_separated(&path, &text, Some(TRUTH_HEADER), |row| {
             let frame = columns(row, 7)?.frame(0, 0, entry.frames)?;
-            let object = row.integer(6, "object_id")?;
-            let truth_box = TruthBox {
-                corners: corners(row)?,
-                class: class(row, 5)?,
-                object: u64::try_from(object).ok(),
-            };
-            match report.judge(truth_box.corners, picture) {
-                Some(reason) => report.leave_out(reason, || row.place()),
-                None => truth[frame].push(truth_box),
+            let corners = corners(row)?;
+            let object = u64::try_from(row.integer(6, "object_id")?).ok();
+            let labelled = labelled(corners, class(row, 5)?, None);
+            if let Some(class) = report.keep(&labelled, picture, || row.place()) {
+                truth[frame].push(TruthBox {
+                    corners,
+                    class,
+                    object,
+                });
             }
             Ok(())
         })?;
@@ -176,16 +173,13 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     }
     let screen = super::screen_verdicts::read(folder, &entry.name, entry.frames)?;
     Ok(Clip {
-        name: entry.name,
-        picture,
         frame_rate: entry.fps,
         camera: entry.camera,
-        frames: entry.frames,
         detections: Some(detections),
         truth,
         screen,
-        pictures: Vec::new(),
         ignored,
+        ..Clip::new(entry.name, picture, entry.frames)
     })
 }
 
@@ -213,76 +207,58 @@ fn class(row: &Row<'_>, index: usize) -> Result<ClassId, DataError> {
     row.number(index, "class").map(ClassId)
 }
 
+/// A box of these files, which have numbers of classes and no names.
+fn labelled(corners: Corners, class: ClassId, confidence: Option<f64>) -> LabelledBox<'static> {
+    LabelledBox {
+        corners,
+        class: Ok(class),
+        class_name: "".into(),
+        confidence,
+    }
+}
+
 /// Writes `clips` in this layout, so that they can be replayed; numbers are written so that reading gives
 /// the same doubles back. Files that are there are replaced.
 ///
 /// # Errors
 /// [`DataError::Write`] when a file cannot be written.
 pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
-    let failed = DataError::write;
-    let detections = folder.join("detections");
-    let truths = folder.join("groundtruth");
-    for needed in [&detections, &truths] {
-        std::fs::create_dir_all(needed).map_err(|error| failed(needed, error))?;
-    }
     let mut index = Index {
         sequences: Vec::new(),
     };
+    // Writing to a string cannot fail.
     for clip in clips {
         let file = format!("{}.csv", clip.name);
-        let path = detections.join(&file);
-        let mut text = format!("{DETECTION_HEADER}\n").into_bytes();
+        let mut text = format!("{DETECTION_HEADER}\n");
         for (frame, boxes) in clip.detections.iter().flatten().enumerate() {
-            for StoredDetection {
-                corners: b,
-                class,
-                confidence,
-            } in boxes
-            {
-                let _infallible = writeln!(
-                    text,
-                    "{frame},{},{},{},{},{confidence},{}",
-                    b.x1, b.y1, b.x2, b.y2, class.0
-                );
+            for found in boxes {
+                let (place, class) = (cells(found.corners), found.class.0);
+                let _ = writeln!(text, "{frame},{place},{},{class}", found.confidence);
             }
         }
-        std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
-        let path = truths.join(&file);
-        if let Some(truth) = &clip.truth {
-            let mut text = format!("{TRUTH_HEADER}\n").into_bytes();
+        put(&folder.join("detections").join(&file), Some(text))?;
+        let truth = clip.truth.as_ref().map(|truth| {
+            let mut text = format!("{TRUTH_HEADER}\n");
             for (frame, boxes) in truth.iter().enumerate() {
-                for TruthBox {
-                    corners: b,
-                    class,
-                    object,
-                } in boxes
-                {
-                    let object = object.map_or(-1, |object| object as i64);
-                    let _infallible = writeln!(
-                        text,
-                        "{frame},{},{},{},{},{},{object}",
-                        b.x1, b.y1, b.x2, b.y2, class.0
-                    );
+                for known in boxes {
+                    let (place, class) = (cells(known.corners), known.class.0);
+                    let object = known.object.map_or(-1, |object| object as i64);
+                    let _ = writeln!(text, "{frame},{place},{class},{object}");
                 }
             }
-            std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
-        } else if path.exists() {
-            // Of an earlier run: it would be taken for this clip's.
-            std::fs::remove_file(&path).map_err(|error| failed(&path, error))?;
-        }
-        let path = folder.join("ignore").join(&file);
-        if !clip.ignored.is_empty() {
-            let mut text = format!("{IGNORED_HEADER}\n").into_bytes();
+            text
+        });
+        put(&folder.join("groundtruth").join(&file), truth)?;
+        let ignored = (!clip.ignored.is_empty()).then(|| {
+            let mut text = format!("{IGNORED_HEADER}\n");
             for (frame, regions) in clip.ignored.iter().enumerate() {
-                for b in regions {
-                    let _infallible = writeln!(text, "{frame},{},{},{},{}", b.x1, b.y1, b.x2, b.y2);
+                for region in regions {
+                    let _ = writeln!(text, "{frame},{}", cells(*region));
                 }
             }
-            std::fs::create_dir_all(folder.join("ignore")).map_err(|error| failed(&path, error))?;
-            std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
-        } else if path.exists() {
-            std::fs::remove_file(&path).map_err(|error| failed(&path, error))?;
-        }
+            text
+        });
+        put(&folder.join("ignore").join(&file), ignored)?;
         super::screen_verdicts::write(folder, clip)?;
         index.sequences.push(Entry {
             name: clip.name.clone(),
@@ -300,5 +276,23 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
     let path = folder.join("sequences.json");
     let text = serde_json::to_string_pretty(&index)
         .map_err(|error| DataError::file(&path, error.to_string()))?;
-    std::fs::write(&path, text).map_err(|error| failed(&path, error))
+    put(&path, Some(text))
+}
+
+fn cells(b: Corners) -> String {
+    format!("{},{},{},{}", b.x1, b.y1, b.x2, b.y2)
+}
+
+/// Writes a file, or removes that of an earlier run, which would be taken for this clip's.
+pub(super) fn put(path: &Path, text: Option<String>) -> Result<(), DataError> {
+    let done = match (text, path.parent()) {
+        (Some(text), Some(folder)) => {
+            std::fs::create_dir_all(folder).and_then(|()| std::fs::write(path, text))
+        }
+        _ => std::fs::remove_file(path).or_else(|error| match error.kind() {
+            std::io::ErrorKind::NotFound => Ok(()),
+            _ => Err(error),
+        }),
+    };
+    done.map_err(|error| DataError::write(path, error))
 }

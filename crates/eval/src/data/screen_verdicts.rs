@@ -1,5 +1,6 @@
 //! What an empty-scene screen said of each frame, beside stored detections: `screen/<name>.csv`.
 
+use super::recorded::put;
 use super::rows::{comma_separated, read_text};
 use super::{Clip, DataError};
 use std::fmt::Write;
@@ -36,23 +37,18 @@ pub(super) fn read(
 
 /// Writes the verdicts on `clip`, or removes a file of an earlier run if it has none.
 pub(super) fn write(folder: &Path, clip: &Clip) -> Result<(), DataError> {
-    let folder = folder.join("screen");
-    let path = folder.join(format!("{}.csv", clip.name));
-    let failed = |error| DataError::write(&path, error);
-    let Some(verdicts) = &clip.screen else {
-        return match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(failed(error)),
-            _ => Ok(()),
-        };
-    };
-    let mut text = format!("{HEADER}\n");
-    for (frame, verdict) in verdicts.iter().enumerate() {
-        if let Some(empty) = verdict {
-            // Writing to a string cannot fail.
-            let _ = writeln!(text, "{frame},{}", u8::from(*empty));
+    let text = clip.screen.as_ref().map(|verdicts| {
+        let mut text = format!("{HEADER}\n");
+        for (frame, verdict) in verdicts.iter().enumerate() {
+            if let Some(empty) = verdict {
+                // Writing to a string cannot fail.
+                let _ = writeln!(text, "{frame},{}", u8::from(*empty));
+            }
         }
-    }
-    std::fs::create_dir_all(&folder)
-        .and_then(|()| std::fs::write(&path, text))
-        .map_err(failed)
+        text
+    });
+    put(
+        &folder.join("screen").join(format!("{}.csv", clip.name)),
+        text,
+    )
 }

@@ -1,4 +1,4 @@
-//! Why footage cannot be had.
+//! Why footage cannot be read.
 
 use albireo_vision::picture::{CutError, FrameFault, PictureFileError};
 use std::path::PathBuf;
@@ -42,8 +42,8 @@ pub enum FootageError {
     /// The file has no video.
     #[error("{0}: there is no video in it")]
     NoVideo(String),
-    /// Nobody says how fast it is.
-    #[error("{0}: ffprobe tells no frame rate; give one with --rate")]
+    /// Its frame rate is unknown.
+    #[error("{0}: ffprobe reports no frame rate; give one with --rate")]
     NoRate(String),
     /// `ffmpeg` or `ffprobe` ended with an error.
     #[error("{input}: ffmpeg cannot read it: {reason}")]

@@ -15,7 +15,7 @@ pub struct PictureFolder {
 }
 
 impl PictureFolder {
-    /// Frames per second, where nobody says.
+    /// Frames per second where none are given.
     pub const RATE: f64 = 10.0;
 
     /// The pictures of a folder, or one picture.

@@ -26,7 +26,7 @@ pub trait FrameSource: Send {
     /// The next picture; `None` at the end of the pass.
     ///
     /// # Errors
-    /// When the source fails. Nothing more can be had from it then.
+    /// When the source fails. It returns nothing more after that.
     fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError>;
 
     /// Goes back to the first picture.
@@ -51,7 +51,7 @@ pub fn clip_name(path: &Path) -> String {
     plain_name(stem.to_string_lossy().trim_start_matches('.'))
 }
 
-/// `text` as a name that can stand in a clip id.
+/// `text` as a name that is valid in a clip id.
 pub(super) fn plain_name(text: &str) -> String {
     let name: String = text
         .chars()

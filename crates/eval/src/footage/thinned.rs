@@ -12,7 +12,7 @@ pub struct Sieve {
 }
 
 impl Sieve {
-    /// From `rate` frames a second to `wanted`; all of them if there are no more than that.
+    /// From `rate` frames per second to `wanted`; all of them if there are no more than that.
     pub fn new(rate: f64, wanted: f64) -> Self {
         let share = wanted / rate;
         Self {
@@ -38,7 +38,7 @@ impl Sieve {
     }
 }
 
-/// A source of which only so many frames a second are taken.
+/// A source of which only some frames per second are taken.
 pub struct Thinned<'a> {
     source: &'a mut dyn FrameSource,
     sieve: Sieve,
@@ -47,7 +47,7 @@ pub struct Thinned<'a> {
 }
 
 impl<'a> Thinned<'a> {
-    /// `source` at `rate` frames a second, or at its own if that is lower.
+    /// `source` at `rate` frames per second, or at its own if that is lower.
     pub fn new(source: &'a mut dyn FrameSource, rate: f64) -> Self {
         let own = source.rate();
         Self {

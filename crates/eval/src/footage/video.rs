@@ -70,7 +70,7 @@ struct Pass {
     complaints: JoinHandle<String>,
 }
 
-/// The running ffmpeg, shared with whoever may stop it.
+/// The running ffmpeg, shared with the thread that may stop it.
 #[derive(Debug, Default)]
 struct Process {
     child: Option<Child>,

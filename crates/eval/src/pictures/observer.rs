@@ -1,7 +1,7 @@
 //! Looks at one picture as a node does: decodes it, asks the detector and the screen, and takes the time of
 //! each step.
 
-use crate::data::classes::{Meaning, from_name};
+use crate::data::classes::from_name;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, InferenceError, StartError,
@@ -90,13 +90,7 @@ impl Observer {
             Ok::<_, StartError>((detector, screen))
         })?;
         let names = detector.class_names();
-        let classes: Vec<_> = names
-            .iter()
-            .map(|name| match from_name(name) {
-                Meaning::Class(class) => Some(class),
-                Meaning::Ignored | Meaning::Unmapped => None,
-            })
-            .collect();
+        let classes: Vec<_> = names.iter().map(|name| from_name(name).ok()).collect();
         if classes.iter().all(Option::is_none) {
             let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
             return Err(ObserveError::NoClass {

@@ -91,7 +91,7 @@ pub enum PassError {
 /// Looks at every picture of `source`. What is left out goes to `report`; `seen` is called after each frame.
 ///
 /// # Errors
-/// [`PassError`] at the first frame that cannot be had or looked at: frames would no longer be in step with
+/// [`PassError`] at the first frame that cannot be read or examined: frames would no longer be in step with
 /// their ground truth.
 pub fn collect(
     source: &mut dyn FrameSource,
@@ -160,15 +160,9 @@ pub fn collect(
     Ok(PicturedClip {
         clip: Clip {
             frame_rate: Some(source.rate()),
-            name,
-            picture,
-            camera: None,
-            frames: times.len(),
             detections: Some(detections),
             screen: observer.has_screen().then_some(verdicts),
-            truth: None,
-            pictures: Vec::new(),
-            ignored: Vec::new(),
+            ..Clip::new(name, picture, times.len())
         },
         grey,
         small,
@@ -202,7 +196,7 @@ fn stored(
             x2: corners.x2.clamp(0.0, width),
             y2: corners.y2.clamp(0.0, height),
         };
-        match report.judge(corners, picture) {
+        match report.check(corners, picture) {
             Some(reason) => report.leave_out(reason, place),
             None => kept.push(StoredDetection {
                 corners,

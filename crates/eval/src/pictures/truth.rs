@@ -24,7 +24,7 @@ pub enum TruthFormat {
     Recorded,
 }
 
-/// Ground truth and the regions that it leaves out, one entry a frame each.
+/// Ground truth and the regions that it leaves out, one entry per frame each.
 pub type FrameTruth = (Vec<Vec<TruthBox>>, Vec<Vec<Corners>>);
 
 /// Files of ground truth.
@@ -50,7 +50,7 @@ pub enum TruthError {
     Frames {
         /// Name of the clip.
         clip: String,
-        /// Where the ground truth stands.
+        /// Where the ground truth is.
         path: String,
         /// Frames of the ground truth.
         truth: usize,
@@ -64,7 +64,7 @@ pub enum TruthError {
     Size {
         /// Name of the clip.
         clip: String,
-        /// Where the ground truth stands.
+        /// Where the ground truth is.
         path: String,
         /// Size the ground truth is for.
         truth: albireo_core::geometry::PictureSize,

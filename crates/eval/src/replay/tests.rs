@@ -100,6 +100,11 @@ impl ClipEvidence for Patchy {
     }
 }
 
+/// What is published of a detector that drops what is below 0.5.
+fn floor() -> MinConfidence {
+    MinConfidence::new(None, 0.5)
+}
+
 #[test]
 fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
     let mut policy = Curious {
@@ -110,7 +115,15 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
         found: Vec::new(),
         grey: vec![0, 0],
     };
-    let result = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false).expect("it runs");
+    let result = replay(
+        &mut policy,
+        &mut source,
+        Scoring::Paper,
+        floor(),
+        3e-4,
+        false,
+    )
+    .expect("it runs");
     assert_eq!(
         policy.told,
         [
@@ -137,11 +150,47 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
             found: Vec::new(),
             grey: Vec::new(),
         };
-        let result = replay(&mut Curious::default(), &mut source, scoring, 3e-4, false);
+        let result = replay(
+            &mut Curious::default(),
+            &mut source,
+            scoring,
+            floor(),
+            3e-4,
+            false,
+        );
         result.expect("it runs").boxes[0][0].corners
     };
     assert!((run(Scoring::Paper).x1 - 44.45).abs() < 1e-9);
     assert_eq!(run(Scoring::Reference).x1, 44.0);
+}
+
+#[test]
+fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
+    let mut source = Patchy {
+        found: Vec::new(),
+        grey: Vec::new(),
+    };
+    let mut counts = |scoring, least| {
+        let floor = MinConfidence::new(least, 0.8);
+        let result = replay(
+            &mut Curious::default(),
+            &mut source,
+            scoring,
+            floor,
+            3e-4,
+            false,
+        );
+        let result = result.expect("it runs");
+        (
+            result.boxes[0].len(),
+            result.boxes_all.map(|all| all[0].len()),
+        )
+    };
+    // The detector found it with a confidence of 0.7.
+    assert_eq!(counts(Scoring::Paper, None), (0, Some(1)));
+    assert_eq!(counts(Scoring::Paper, Some(0.7)), (1, Some(1)));
+    // The published evaluator judges every box.
+    assert_eq!(counts(Scoring::Reference, None), (1, None));
 }
 
 #[test]
@@ -163,7 +212,14 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         ignored: Vec::new(),
     };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
-    let error = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false);
+    let error = replay(
+        &mut policy,
+        &mut source,
+        Scoring::Paper,
+        floor(),
+        3e-4,
+        false,
+    );
     assert_eq!(error, Err(SourceError::NoPictures));
 }
 
@@ -180,7 +236,14 @@ fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyCon
             found: found.clone(),
             grey: Vec::new(),
         };
-        let result = replay(policy.as_mut(), &mut source, Scoring::Reference, 3e-4, true);
+        let result = replay(
+            policy.as_mut(),
+            &mut source,
+            Scoring::Reference,
+            floor(),
+            3e-4,
+            true,
+        );
         let result = result.expect("it runs");
         (result.trace, result.boxes, result.boxes_last_confidence)
     };

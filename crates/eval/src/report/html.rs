@@ -4,18 +4,18 @@ use super::Report;
 use super::plot::Figure;
 use super::worst;
 use crate::conclusion::conclusion;
-use crate::result::{ClipResult, Provenance};
+use crate::result::ClipResult;
 use crate::spec::BASELINE;
-use crate::summary::{Difference, EnergySummary, PolicySummary};
-use crate::table::{p_value, short};
+use crate::summary::PolicySummary;
+use crate::table::{columns, notes, short};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
 
 const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
-/// The page. `figures` come with their SVG documents.
-pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
+/// The page.
+pub(super) fn render(report: &Report, figures: &[Figure]) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -32,11 +32,11 @@ pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
                         h1 { (report.title) }
                         (concluded(&report.policies))
                     }
-                    @for (figure, svg) in figures {
+                    @for figure in figures {
                         section {
                             h2 { (figure.title) }
                             figure.plot {
-                                (PreEscaped(svg))
+                                (PreEscaped(&figure.svg))
                                 figcaption { (figure.caption) }
                             }
                         }
@@ -109,65 +109,14 @@ fn settings(report: &Report) -> Markup {
 
 /// A figure that may not exist, as a cell with `digits` after the point.
 fn cell(value: Option<f64>, digits: usize) -> Markup {
+    text_cell(&value.map_or("-".to_owned(), |value| format!("{value:.digits$}")))
+}
+
+/// A cell of the table, `-` for a figure that does not exist.
+fn text_cell(text: &str) -> Markup {
     html! {
-        @match value {
-            Some(value) => td { (minus(&format!("{value:.digits$}"))) },
-            None => (no_figure()),
-        }
+        @if text == "-" { td.none { "–" } } @else { td { (text.replace('-', "−")) } }
     }
-}
-
-fn no_figure() -> Markup {
-    html! { td.none { "–" } }
-}
-
-/// With a proper minus sign.
-fn minus(text: &str) -> String {
-    text.replace('-', "−")
-}
-
-/// A change in percentage points with its confidence interval as a tooltip.
-fn change(difference: Option<Difference>) -> Markup {
-    let Some(difference) = difference else {
-        return no_figure();
-    };
-    let class = if difference.mean < 0.0 {
-        "worse"
-    } else {
-        "better"
-    };
-    let hint = difference.t.map(|t| {
-        format!(
-            "95 % confidence interval {:+.2} to {:+.2} pp",
-            t.lower * 100.0,
-            t.upper * 100.0
-        )
-    });
-    let text = minus(&format!("{:+.2}", difference.mean * 100.0));
-    html! { td class=(class) title=[hint] { (text) } }
-}
-
-/// The p-value, where any policy has one: a single clip has none.
-fn test(difference: Option<Difference>, shown: bool) -> Markup {
-    let p = difference.and_then(|difference| difference.t).map(|t| t.p);
-    html! {
-        @if shown && p.is_some() {
-            td { (p_value(p)) }
-        } @else if shown {
-            (no_figure())
-        }
-    }
-}
-
-/// A word where figures were not measured.
-fn badge(provenance: Provenance) -> Markup {
-    let word = match provenance {
-        Provenance::Measured => return Markup::default(),
-        Provenance::Estimated => "estimated",
-        Provenance::Composed => "composed",
-        Provenance::Projected => "projected",
-    };
-    html! { " " small { (word) } }
 }
 
 /// A table that is sorted by a click on a column's head.
@@ -183,130 +132,26 @@ fn sortable(head: &Markup, rows: &Markup) -> Markup {
 }
 
 fn policies(summaries: &[PolicySummary]) -> Markup {
-    let energy = summaries.iter().find_map(|summary| summary.energy);
-    let time = summaries.iter().find_map(|summary| summary.frame_time_ms);
-    let before = summaries
-        .iter()
-        .find(|summary| summary.policy == BASELINE)
-        .and_then(|summary| summary.energy);
-    let told = Told::of(summaries);
+    let columns = columns(summaries);
+    let (names, figures) = columns.split_at(1.min(columns.len()));
     let head = html! {
-        th { "Policy" } th { "Skipped %" } th { "Detector calls" }
-        @if told.accuracy { th { "AP@50" } th { "Δ pp" } }
-        @if told.tests { th { "p" } }
-        @if told.several { th { "Clips kept" } }
-        @if told.accuracy { th { "mAP" } th { "Δ pp" } th { "AP@75" } th { "F1@50" } th { "HOTA" } th { "IDF1" } th { "Precision" } th { "Recall" } }
-        @if let Some((_, kind)) = time {
-            th { "Frame ms" (badge(kind)) }
-        }
-        @if let Some(energy) = energy {
-            th { "Energy J" (badge(energy.provenance)) }
-            th { "EDP J·ms" (badge(energy.provenance)) }
-            th { "Δ EDP %" }
-        }
+        @for column in &columns { th { (column.heads.join(" ").trim()) } }
     };
     let rows = html! {
-        @for summary in summaries {
+        @for (row, summary) in summaries.iter().enumerate() {
             tr class=[(summary.policy == BASELINE).then_some("baseline")] {
-                (policy_cells(summary, told))
-                @if time.is_some() {
-                    (cell(summary.frame_time_ms.map(|time| time.0), 2))
-                }
-                @if energy.is_some() {
-                    (cell(summary.energy.map(|energy| energy.joules), 1))
-                    (cell(summary.energy.map(|energy| energy.edp), 0))
-                    (cell(edp_change(summary, before), 1))
-                }
+                @for column in names { th scope="row" { (column.cells[row]) } }
+                @for column in figures { (text_cell(&column.cells[row])) }
             }
         }
     };
-    let first = summaries.first();
-    let clips = first.map_or(0, |summary| summary.clips);
-    let without = first.map_or(0, |summary| summary.clips_without_truth);
     html! {
         section {
             h2 { "Policies" }
             (sortable(&head, &rows))
-            p.legend {
-                "Unweighted means over " (clips) " clip" @if clips != 1 { "s" }
-                @if without > 0 { "; " (without) " without ground truth are not in them" }
-                ". "
-                @if told.accuracy { "Δ against Vanilla, clip by clip. " }
-                @if told.tests { "p: paired t-test, two-sided. " }
-                @if told.several { "Clips kept: same or better AP@50. " }
-                "★ no other skips as much and is as accurate. Click a column's head to sort."
-            }
+            p.legend { (notes(summaries).join(" ")) " Click a column's head to sort." }
         }
     }
-}
-
-/// Which columns say anything.
-#[derive(Clone, Copy)]
-struct Told {
-    accuracy: bool,
-    tests: bool,
-    several: bool,
-}
-
-impl Told {
-    fn of(summaries: &[PolicySummary]) -> Self {
-        let ap50 = |summary: &PolicySummary| summary.against_baseline.and_then(|found| found.ap50);
-        let accuracy = summaries.iter().any(|summary| summary.ap50.is_some());
-        Self {
-            accuracy,
-            tests: (summaries.iter())
-                .filter_map(ap50)
-                .any(|found| found.clips > 1 && found.t.is_some()),
-            several: accuracy && summaries.iter().any(|summary| summary.clips > 1),
-        }
-    }
-}
-
-/// The cells that every policy has, measured time and energy or not.
-fn policy_cells(summary: &PolicySummary, told: Told) -> Markup {
-    let against = summary.against_baseline;
-    let ap50 = against.and_then(|against| against.ap50);
-    let kept = against
-        .filter(|_| ap50.is_some())
-        .map(|against| format!("{} of {}", against.clips_keeping_ap50, summary.clips));
-    html! {
-        th scope="row" {
-            (short(&summary.policy))
-            @if summary.on_skip_frontier {
-                " " span.star title="No other skips as much and is as accurate" { "★" }
-            }
-        }
-        (cell(Some(summary.skip_rate * 100.0), 1))
-        (cell(Some(summary.detector_frames), 1))
-        @if told.accuracy {
-            (cell(summary.ap50, 4))
-            (change(ap50))
-        }
-        (test(ap50, told.tests))
-        @if told.several {
-            td { (kept.as_deref().unwrap_or("–")) }
-        }
-        @if told.accuracy {
-            (cell(summary.map, 4))
-            (change(against.and_then(|against| against.map)))
-            (cell(summary.ap75, 4))
-            (cell(summary.f1_50, 4))
-            (cell(summary.hota, 4))
-            (cell(summary.idf1, 4))
-            (cell(summary.precision, 3))
-            (cell(summary.recall, 3))
-        }
-    }
-}
-
-/// How much of the baseline's EDP is saved or lost, percent, where both come about alike.
-fn edp_change(summary: &PolicySummary, before: Option<EnergySummary>) -> Option<f64> {
-    summary
-        .energy
-        .zip(before)
-        .filter(|(own, before)| own.provenance == before.provenance)
-        .map(|(own, before)| (own.edp / before.edp - 1.0) * 100.0)
-        .filter(|_| summary.policy != BASELINE)
 }
 
 /// AP@50 by class, where there is more than one.

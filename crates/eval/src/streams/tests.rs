@@ -6,6 +6,8 @@ use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_core::policy::Profile;
 
+const PICTURE: PictureSize = PictureSize::new(1280, 720);
+
 /// With a detector whose runs take these milliseconds in turn.
 fn at_arrival(milliseconds: &str) -> Stream {
     Stream::AtArrival {
@@ -13,7 +15,7 @@ fn at_arrival(milliseconds: &str) -> Stream {
     }
 }
 
-/// Ten frames a second; one car that moves by `speed` pixels a frame.
+/// Ten frames per second; one car that moves by `speed` pixels a frame.
 fn drive_by(frames: usize, speed: f64) -> Clip {
     let car = |frame: usize| Corners {
         x1: 100.0 + speed * frame as f64,
@@ -34,7 +36,7 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
     };
     Clip {
         name: "drive-by".to_owned(),
-        picture: PictureSize::new(1280, 720),
+        picture: PICTURE,
         frame_rate: Some(10.0),
         camera: None,
         frames,
@@ -62,13 +64,14 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let spec = specs.last().unwrap();
     let policy = spec.config.build().unwrap();
     let mut evidence = StoredEvidence::new(clip, &Settings::default()).unwrap();
-    publish(clip, spec, policy, &mut evidence, &stream).unwrap()
+    publish(clip, policy, &mut evidence, &stream).unwrap()
 }
 
 /// The left edge of the box of each frame.
 fn left_edges(published: &Published) -> Vec<Option<i64>> {
     let boxes = published.boxes.iter();
-    let left = |boxes: &Vec<ScoredBox>| boxes.first().map(|b| b.corners.x1.round() as i64);
+    let x1 = |found: &OutputBox| found.bounding_box.pixel_corners(PICTURE).x1.round() as i64;
+    let left = |boxes: &Vec<OutputBox>| boxes.first().map(x1);
     boxes.map(left).collect()
 }
 
@@ -137,28 +140,6 @@ fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
         );
     }
     assert!(skipping.delay >= 27, "{}", skipping.delay);
-}
-
-#[test]
-fn smoothing_fills_the_gaps_between_two_detections_of_an_object_and_adds_nothing_else() {
-    let mut clip = drive_by(20, 6.0);
-    let detections = clip.detections.as_mut().unwrap();
-    for missed in [10, 11, 19] {
-        detections[missed].clear();
-    }
-    let spec = smoothing().unwrap();
-    let policy = spec.config.build().unwrap();
-    let mut evidence = StoredEvidence::new(&clip, &Settings::default()).unwrap();
-    let smoothed = publish(&clip, &spec, policy, &mut evidence, &Stream::Settled).unwrap();
-    let expected: Vec<_> = (0..20)
-        .map(|frame| (frame < 19).then_some(100 + 6 * frame))
-        .collect();
-    assert_eq!(left_edges(&smoothed), expected);
-    assert_eq!(smoothed.calls, 20);
-    let table = run(&[clip], &[], &Settings::default(), Stream::Settled)
-        .unwrap()
-        .table();
-    assert!(table.contains("vanilla-smoothed"), "{table}");
 }
 
 #[test]

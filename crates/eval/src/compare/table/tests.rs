@@ -58,8 +58,6 @@ albireo u=5e-4       91.2 ± 0         95 ± 0         93 ± 0         60 ± 0  
 
 albireo u=5e-4: 60 % fewer detector calls than vanilla, AP@50 91.2 % against the boxes of vanilla,
 18 ± 2 kWh for a year like this clip saved (measured by `rapl`).
-
-On this clip none of them keeps AP@50 at 95 %: turn them down, or leave the detector to every frame.
 ";
     assert_eq!(found, expected, "\n{found}");
 }
