@@ -20,7 +20,6 @@ pub mod eval;
 #[cfg(feature = "hub")]
 mod fleet;
 pub mod frames;
-mod help;
 #[cfg(feature = "hub")]
 mod hub;
 mod man;
@@ -50,30 +49,31 @@ const STRAGGLERS: Duration = Duration::from_millis(500);
 #[cfg(feature = "eval")]
 const EXAMPLES: &str = "\
 Examples:
-  albireo demo                           everything at once, with nothing to configure
-  albireo check config/node.toml         say what is wrong with a configuration
-  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
-  albireo power                          say which power meters work here
-  albireo compare                        see what each policy costs and finds here
-  albireo node --config config/node.toml run a node
-  albireo hub --config config/hub.toml   run the hub of a fleet
-  albireo diag                           fetch what a node or a hub tells of itself
-  albireo replay drive.mp4               play a video to it as a camera
-  albireo publish /dev/video0            send a camera's frames to a node elsewhere
-  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
+  albireo demo                             run everything at once
+  albireo check config/node.toml           list the mistakes in a configuration
+  albireo detect model.onnx frame.jpg      run a detector on a picture
+  albireo power                            list the power meters of this machine
+  albireo compare                          measure the policies on this machine
+  albireo publish /dev/video0              send a camera to a node elsewhere
+  albireo replay drive.mp4                 play a video to a node as a camera
+  albireo node --config config/node.toml   run a node
+  ALBIREO_NODE__NAME=car-7 albireo node    run one with defaults and a name
+  albireo hub --config config/hub.toml     run the hub of a fleet
+  albireo diag                             collect diagnostics into one archive";
 
 #[cfg(not(feature = "eval"))]
 const EXAMPLES: &str = "\
 Examples:
-  albireo check config/node.toml         say what is wrong with a configuration
-  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
-  albireo power                          say which power meters work here
-  albireo node --config config/node.toml run a node
-  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
-  albireo publish /dev/video0            send a camera's frames to a node elsewhere
+  albireo check config/node.toml           list the mistakes in a configuration
+  albireo detect model.onnx frame.jpg      run a detector on a picture
+  albireo power                            list the power meters of this machine
+  albireo publish /dev/video0              send a camera to a node elsewhere
+  albireo node --config config/node.toml   run a node
+  ALBIREO_NODE__NAME=car-7 albireo node    run one with defaults and a name
 
-This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
-built with it, which can play a camera to this node from another machine.";
+This program was built for a board, without the feature `eval`. A program built
+with it has demo, replay, compare and eval, and can play a camera to this node
+from another machine.";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
 #[derive(Debug, Parser)]
@@ -86,10 +86,31 @@ pub struct Arguments {
     command: Command,
 }
 
+/// The subcommands, in the order in which a newcomer uses them.
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[cfg(feature = "eval")]
+    /// Run a camera, a node and a hub in one process, with nothing to configure.
+    Demo(demo::Arguments),
+    /// Check a configuration file and list all its mistakes.
+    Check(check::Arguments),
+    /// Describe a detector, and run it on pictures.
+    Detect(detect::Arguments),
+    /// List the power meters that work on this machine, their rails, and watts now.
+    Power(power::Arguments),
+    #[cfg(feature = "eval")]
+    /// Play a clip to a live node under several policies, and measure what each costs and finds.
+    Compare(compare::Arguments),
+    /// Send a live camera's frames to a node on another machine.
+    Publish(publish::Arguments),
+    #[cfg(feature = "eval")]
+    /// Publish a video, a folder of pictures or the recorded road as a camera.
+    Replay(replay::ReplayArguments),
     /// Run a node: frames in, detections and clip reports out.
     Node(node::Arguments),
+    #[cfg(feature = "hub")]
+    /// Collect diagnostics from a node or a hub into one archive.
+    Diag(diag::Arguments),
     #[cfg(feature = "hub")]
     /// Run a hub: a fleet's reports, presence and history.
     Hub(hub::Arguments),
@@ -97,40 +118,20 @@ enum Command {
     /// See and tune a fleet through its hub, from the terminal.
     Fleet(Box<fleet::Arguments>),
     #[cfg(feature = "hub")]
-    /// Fetch what a node or a hub tells of itself, as one archive for whoever looks for a fault.
-    Diag(diag::Arguments),
-    #[cfg(feature = "hub")]
     /// Run the router between the nodes of a fleet and its hubs.
     Router(router::Arguments),
     #[cfg(feature = "hub")]
     /// Make, renew and revoke the certificates of a fleet.
     Cert(cert::Arguments),
     #[cfg(feature = "hub")]
-    /// Generate the router's access control from the certificates.
+    /// Generate the router's access rules from the certificates.
     Acl(acl::Arguments),
-    /// Check a configuration file and say everything that is wrong with it.
-    Check(check::Arguments),
-    /// Say what a detector is, and run it on pictures.
-    Detect(detect::Arguments),
-    /// Say which power sources work on this machine, their rails, and watts now.
-    Power(power::Arguments),
-    /// Send a live camera's frames to a node on another machine.
-    Publish(publish::Arguments),
-    #[cfg(feature = "eval")]
-    /// Play a clip to the live node under several policies: what each costs and finds here.
-    Compare(compare::Arguments),
-    #[cfg(feature = "eval")]
-    /// Publish a video, a folder of pictures or the recorded road as a camera.
-    Replay(replay::ReplayArguments),
-    #[cfg(feature = "eval")]
-    /// Replay recordings through any policy: accuracy against what it saves.
-    Eval(eval::EvalArguments),
     #[cfg(feature = "simulate")]
-    /// Play a fleet of nodes to a hub: load, outages, reactions to what is desired.
+    /// Send a hub the load of a fleet without cameras.
     Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
-    /// Run a camera, a node and a hub in one process, with nothing to configure.
-    Demo(demo::Arguments),
+    /// Replay recordings through any policy: accuracy against detector calls.
+    Eval(eval::EvalArguments),
     /// Write the manual pages of all subcommands into a folder.
     Man(man::Arguments),
     /// Print the completions of a shell.
@@ -151,14 +152,9 @@ impl Command {
 }
 
 impl Arguments {
-    /// The command line with its help, made to fit a terminal.
-    pub fn fitted_command() -> clap::Command {
-        help::grouped(help::fitted(Self::command()))
-    }
-
     /// The arguments of this process. Ends it with a message when they make no sense.
     pub fn from_process() -> Self {
-        let matches = Self::fitted_command().get_matches();
+        let matches = Self::command().get_matches();
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
     }
 
@@ -210,8 +206,8 @@ impl Arguments {
     }
 }
 
-/// An error and its causes in one line, without the places in Zenoh's sources. A cause that the text before it already
-/// tells is not told again.
+/// An error and its causes in one line, without the places in Zenoh's sources. Skips a cause that the text before it
+/// already contains.
 fn in_words(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1) {
@@ -246,7 +242,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_is_told_with_every_cause_and_none_twice() {
+    fn no_help_is_wider_than_80_columns() {
+        fn check(command: &mut clap::Command) -> usize {
+            let help = command.render_long_help().to_string();
+            // Clap never breaks the line of the usage.
+            for line in help.lines().filter(|line| !line.starts_with("Usage:")) {
+                assert!(line.chars().count() <= 80, "{}: {line}", command.get_name());
+            }
+            let closing = command.get_after_help().map(ToString::to_string);
+            for line in closing.iter().flat_map(|closing| closing.lines()) {
+                assert!(help.lines().any(|shown| shown == line), "broken: {line}");
+            }
+            1 + command.get_subcommands_mut().map(check).sum::<usize>()
+        }
+        let mut command = Arguments::command().term_width(80);
+        command.build();
+        assert!(check(&mut command) > 20);
+    }
+
+    #[test]
+    fn an_error_is_printed_with_every_cause_and_none_twice() {
         let cause = std::io::Error::other("no such file");
         let error = anyhow::Error::new(cause)
             .context("cannot read a.csv: no such file")

@@ -6,8 +6,9 @@ use anyhow::Context;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-Zenoh's rules know no templates: each node gets its own, by the common name of its certificate. What they do not
-allow is denied. Generate them anew after each `albireo cert node` and `albireo cert revoke`, and restart the router:
+Zenoh's rules know no templates: each node gets its own, by the common name of
+its certificate. What they do not allow is denied. Generate them anew after each
+`albireo cert node` and `albireo cert revoke`, and restart the router:
 its sessions come back by themselves.
 
 Examples:

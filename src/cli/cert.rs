@@ -7,8 +7,9 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "\
-The folder has the authority's key: whoever reads it can let anybody in. Keep it on a machine of its own, and bring
-each member only authority.pem, its certificate and its key.
+The folder has the authority's key: whoever reads it can let anybody in. Keep it
+on a machine of its own, and bring each member only authority.pem, its
+certificate and its key.
 
 Examples:
   albireo cert authority --name 'fleet north'
@@ -40,7 +41,7 @@ pub(super) struct Arguments {
 enum Command {
     /// Make the authority, once.
     Authority {
-        /// Its name, as it stands in its certificate.
+        /// Its name in the certificate.
         #[arg(long, default_value = "albireo fleet")]
         name: String,
         /// How long it is good, days.
@@ -49,18 +50,18 @@ enum Command {
     },
     /// Make certificates of nodes: each may report under its own name.
     Node(Members),
-    /// Make certificates of hubs: they hear and tune all nodes.
+    /// Make certificates of hubs: they receive from all nodes and change their settings.
     Hub(Members),
     /// Make certificates of routers, for the names and addresses they are reached at.
     Router(Members),
-    /// Make new certificates in the place of good ones. The old ones stay good until they end.
+    /// Renew valid certificates. The old ones stay valid until they expire.
     Renew {
         /// Of which role; with the name.
         #[arg(requires = "name", required_unless_present = "within")]
         role: Option<Kind>,
         /// Of whom.
         name: Option<String>,
-        /// All that end within so many days.
+        /// All that expire within this many days.
         #[arg(long, value_name = "DAYS", conflicts_with = "role")]
         within: Option<u32>,
         /// How long they are good, days.
@@ -122,7 +123,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut authority = Authority::open(folder).with_context(|| {
         format!(
-            "no authority in {}; `albireo cert authority` makes one",
+            "no authority in {}; create one with `albireo cert authority`",
             folder.display()
         )
     })?;
@@ -146,7 +147,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Revoke { role, name } => {
             let revoked = authority.revoke((*role).into(), name)?;
             println!(
-                "`{}` is revoked; generate the router's rules anew with `albireo acl`, and restart it",
+                "`{}` is revoked; generate the router's rules again with `albireo acl`, and restart it",
                 revoked.common_name()
             );
         }
@@ -184,7 +185,7 @@ fn renew(
         }
     };
     if who.is_empty() {
-        println!("none ends so soon");
+        println!("no certificate expires that soon");
     }
     for (role, name) in who {
         tell(&authority.renew(role, &name, DAY * days)?);

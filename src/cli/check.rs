@@ -15,13 +15,17 @@ use {
 };
 
 const EXAMPLES: &str = "\
-The file is a node's or a hub's; its sections say which ([hub] or [database]: a hub). Checked are every key and value, also those from environment
-variables (ALBIREO_SECTION__KEY), and for a node what it needs on this machine: models, class names, token, certificates,
-ONNX Runtime and its providers, the state directory. A port that is in use is a note, not an error: the node may be
-running. --file-only skips this machine. --online also tries what the file names: it runs the model on its provider, opens
-each source until a picture comes, calls the router and looks for a hub behind it.
+The file is a node's or a hub's; its sections say which ([hub] or [database]: a
+hub). Checked are every key and value, also those from environment variables
+(ALBIREO_SECTION__KEY), and for a node what it needs on this machine: models,
+class names, token, certificates, ONNX Runtime and its providers, the state
+directory. A port that is in use is a note, not an error: the node may be
+running. --file-only skips this machine. --online also tries what the file
+names: it runs the model on its provider, opens each source until a picture
+comes, calls the router and looks for a hub behind it.
 
-Exit code 0 when the configuration can be used (and everything tried works), 1 when not.
+Exit code 0 when the configuration can be used (and everything tried works), 1
+when not.
 
 Examples:
   albireo check config/node.toml
@@ -49,23 +53,23 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if is_for_a_hub(&arguments.file) {
         return check_hub(arguments);
     }
-    let file = &arguments.file;
-    let (config, mut findings) = examine::<NodeConfig>(Some(file));
+    let (config, mut findings) = examine::<NodeConfig>(Some(&arguments.file));
     if let Some(config) = config.as_ref().filter(|_| !arguments.file_only) {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
         let missing = config.missing_here().into_iter();
         findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
     }
-    let config = match config {
-        Some(config) if findings.is_empty() => config,
-        _ => {
-            let file = file.display().to_string();
-            return Err(ConfigError { file, findings }.into());
-        }
+    let file = arguments.file.display().to_string();
+    let tried = match config.as_ref().filter(|_| arguments.online) {
+        Some(config) => block_on(online(config)),
+        None => Ok(()),
     };
+    let Some(config) = config.filter(|_| findings.is_empty()) else {
+        return Err(ConfigError { file, findings }.into());
+    };
+    tried?;
     println!(
-        "{} can be used: node `{}`, {} camera{}",
-        file.display(),
+        "{file} can be used: node `{}`, {} camera{}",
         config.node.name,
         config.cameras.len(),
         if config.cameras.len() == 1 { "" } else { "s" },
@@ -74,9 +78,6 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         for finding in config.in_the_way() {
             println!("note: {finding} (by a running node?)");
         }
-    }
-    if arguments.online {
-        block_on(online(&config))?;
     }
     Ok(())
 }

@@ -21,24 +21,30 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 const EXAMPLES: &str = "\
-Each run starts a node as `albireo node` does (same code, same configuration), with a camera that \
-plays the clip to it over a Zenoh session of its own. The clip's pictures are read and encoded once, \
-before the first run. Each round plays every policy once, every second round in the opposite order, so \
-that what changes slowly falls on all alike. A run is: rest (--cool-down), the node starts, the clip's \
-beginning as a warm-up that is not counted, then the clip. A round is one sample; intervals are \
-Student's t over the rounds. Ctrl-C ends it with the rounds that are complete.
+Each run starts a node as `albireo node` does (same code, same configuration),
+with a camera that plays the clip to it over a Zenoh session of its own. The
+clip's pictures are read and encoded once, before the first run. Each round
+plays every policy once, every second round in the opposite order, so that what
+changes slowly falls on all alike. A run is: rest (--cool-down), the node
+starts, the clip's beginning as a warm-up that is not counted, then the clip. A
+round is one sample; intervals are Student's t over the rounds. Ctrl-C ends it
+with the rounds that are complete.
 
-Frames come at the clip's own rate, as on a board: energy is then what a camera costs in that time, and \
-EDP differs as energy does. With --unpaced the next frame comes when the last was taken: energy is then \
-what the clip costs when nothing is waited for.
+Frames come at the clip's own rate, as on a board: energy is then what a camera
+costs in that time, and EDP differs as energy does. With --unpaced the next
+frame comes when the last was taken: energy is then what the clip costs when
+nothing is waited for.
 
-Without a power meter it says so and compares CPU time and detector calls; energy is then estimated, \
-and marked so. `albireo power` says which meter works here.
+Without a power meter it says so and compares CPU time and detector calls;
+energy is then estimated, and marked so. `albireo power` says which meter works
+here.
 
 Examples:
   albireo compare
-      vanilla, albireo and expected-loss on the demonstration's road, 5 rounds of 20 s: about seven minutes
-  albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4
+      vanilla, albireo and expected-loss on the demonstration's road, 5 rounds
+      of 20 s: about seven minutes
+  albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 \\
+      --clip drive.mp4
       two thresholds on a recording of one's own (needs ffmpeg)
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
@@ -74,7 +80,7 @@ pub(super) struct Arguments {
     /// Frames per second of a source that has none of its own
     #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = super::rate::parse_rate)]
     rate: Option<f64>,
-    /// Play so many times as fast as the clip's own rate
+    /// Play this many times as fast as the clip's own rate
     #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor, conflicts_with = "unpaced")]
     speed: f64,
     /// Play as fast as the node takes the frames; none is dropped then
@@ -110,7 +116,7 @@ fn above_zero(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A pace that a clock can keep: a clip of 10 frames a second at a thousandth of it is a picture in 100 s.
+/// A pace that a clock can keep: a clip of 10 frames per second at a thousandth of it is a picture in 100 s.
 fn factor(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if (0.001..=1000.0).contains(&value) => Ok(value),
@@ -216,7 +222,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
-        // Dropped frames are told in the table; a node that forgets its reports and is not ready at once is meant so.
+        // The table shows dropped frames; that the node forgets its reports and is not ready at once is intended.
         config.log.level = "warn,albireo_node::input::intake=error,albireo_node::delivery::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
@@ -230,7 +236,7 @@ struct Chosen {
     name: String,
 }
 
-/// Finds out which meter there is, so that every run uses the same and what cannot be used is told once.
+/// Finds out which meter there is, so that every run uses the same and what cannot be used is reported once.
 async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
     let mut config = config.power.clone();
     let wanted = config.clone();
@@ -274,7 +280,7 @@ async fn play_all(
         };
         let name = format!("run {} of {}, {}", number + 1, turns.len(), variant.label);
         let before = frames * number as u64;
-        // Where there is no terminal for a bar, a line a run says how far it is.
+        // Where there is no terminal for a bar, a line per run says how far it is.
         if bar.is_hidden() {
             eprintln!("{name} …");
         }
@@ -316,7 +322,7 @@ fn judge(player: &Player, variants: &[Variant], done: Vec<Done>) -> anyhow::Resu
         .iter()
         .map(|done| done.played.boxes(&mut classes))
         .collect();
-    // A detector says the same of the same picture, so a frame dropped in one round is known from another.
+    // A detector finds the same in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
     for (done, boxes) in done.iter().zip(&boxes) {
         if done.turn.variant == boxes_of {

@@ -1,6 +1,7 @@
 //! `albireo completions`: what a shell needs to complete the program's arguments.
 
 use anyhow::Context;
+use clap::CommandFactory;
 use clap_complete::Shell;
 use std::io::Write;
 
@@ -20,7 +21,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut text = Vec::new();
-    let mut command = super::Arguments::fitted_command();
+    let mut command = super::Arguments::command();
     clap_complete::generate(arguments.shell, &mut command, "albireo", &mut text);
     // The generator writes to standard output itself only by panicking on a closed pipe.
     std::io::stdout()

@@ -26,10 +26,12 @@ Examples:
   albireo demo --u 1e-3             a higher threshold
   albireo demo --clip drive.mp4     your own road; needs ffmpeg
   albireo demo --policy expected-loss:0.5
-                                    our own policy, a detector call priced at 0.5
+                                    our own policy, a detector call priced at
+                                    0.5
 While it runs, in another terminal:
   curl localhost:8080/api/v1/frame-states
-  albireo fleet ls                  the hub's view; also: show demo, energy, set-u 5e-4 --select all
+  albireo fleet ls
+      the hub's view; also: show demo, energy, set-u 5e-4 --select all
   curl -X PUT localhost:8080/api/v1/threshold -d '{\"u\":7e-4}'";
 
 /// The camera of the demonstration.
@@ -42,7 +44,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// Stop so many seconds after the camera starts [default: run until Ctrl-C]
+    /// Stop this many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
     /// Frames per second
@@ -145,7 +147,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     let mut config = NodeConfig::default();
     config.node.name = "demo".to_owned();
     config.zenoh.listen = vec![endpoint.to_owned()];
-    // Who looks at a demonstration wants to see each clip arrive.
+    // In a demonstration each clip should arrive at once.
     config.outbox.gather_s = 0;
     config.uplink.pictures = true;
     config.detector.model.clone_from(&arguments.detector);
@@ -156,7 +158,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.cameras = vec![CameraConfig::named(CAMERA)];
     if !config.detector.model.exists() {
         bail!(
-            "{} is not there: run the demonstration in the project's folder, or name a detector with --detector",
+            "{} is missing: run the demo in the project's folder, or set a detector with --detector",
             config.detector.model.display()
         );
     }

@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     /// How the model's output is read.
     #[arg(long, value_enum, default_value_t = HeadName::Auto)]
     head: HeadName,
-    /// Names of its classes, one a line [default: those of its metadata, or the head's own list]
+    /// Names of its classes, one per line [default: those of its metadata, or the head's own list]
     #[arg(long, value_name = "FILE")]
     class_names: Option<PathBuf>,
     /// Report all classes of the model under their own names and numbers, not only those of BDD100K.
@@ -71,7 +71,7 @@ pub(super) struct Arguments {
     write_input: Option<PathBuf>,
 }
 
-/// What is told of the model.
+/// The printed facts of the model.
 #[derive(Serialize)]
 struct ModelFacts<'a> {
     model: &'a Path,
@@ -80,7 +80,7 @@ struct ModelFacts<'a> {
     classes: &'a [String],
 }
 
-/// What is told of a picture.
+/// The printed results of a picture.
 #[derive(Serialize)]
 struct PictureFacts<'a> {
     picture: &'a Path,

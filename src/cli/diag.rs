@@ -1,4 +1,4 @@
-//! `albireo diag`: what a node or a hub tells of itself, as one archive for whoever looks for a fault.
+//! `albireo diag`: collects the diagnostics of a node or a hub into one archive.
 
 use super::block_on;
 use anyhow::{Context, anyhow, bail};
@@ -26,11 +26,11 @@ pub(super) struct Arguments {
     /// HTTP interface of the node or the hub.
     #[arg(default_value = "http://127.0.0.1:8080", value_name = "URL")]
     url: String,
-    /// Its token; better in the environment than here, where others see it.
+    /// Its token; safer in the environment, because other users see the command line.
     #[arg(long, env = "ALBIREO_HTTP__TOKEN", hide_env_values = true)]
     token: Option<String>,
-    /// Where to write the archive, in place of the name that the service gives it; a file that is there already is left
-    /// alone.
+    /// Where to write the archive, instead of the name that the service gives it; an existing file is not
+    /// overwritten.
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -43,7 +43,7 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { url, token, output } = arguments;
     let url = Url::parse(url)
         .and_then(|base| base.join("/api/v1/diag"))
-        .with_context(|| format!("`{url}` is no address such as http://127.0.0.1:8080"))?;
+        .with_context(|| format!("`{url}` is not an address such as http://127.0.0.1:8080"))?;
     let client = reqwest::Client::builder()
         .connect_timeout(Duration::from_secs(5))
         .timeout(WITHIN)
@@ -62,11 +62,14 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let is_archive = response.headers().get(CONTENT_TYPE);
     if is_archive.is_none_or(|kind| kind != "application/x-tar") {
-        bail!("{url} gives no archive; is it a node or a hub?");
+        bail!("{url} returned no archive; is it a node or a hub?");
     }
     let file = output.clone().or_else(|| named(&response));
     let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
-    let archive = response.bytes().await.context("the archive broke off")?;
+    let archive = response
+        .bytes()
+        .await
+        .context("the connection ended before the archive was complete")?;
     save(&file, &archive)?;
     let shown = file.display();
     println!("{shown}: {} bytes; tar xf {shown}", archive.len());

@@ -28,7 +28,8 @@ Examples:
       what each threshold costs in accuracy and saves in detector calls
   albireo eval advise drive.mp4 --target recall=0.95
       which value of a threshold your road and your detector allow
-  albireo eval recorded DIR --profile reference --screen detections --traces traces
+  albireo eval recorded DIR --profile reference --screen detections \\
+      --traces traces
       the published code's decisions, frame by frame";
 
 /// Compare policies side by side: accuracy, skip rate, frame time, energy.
@@ -73,7 +74,7 @@ enum What {
         /// Size of the pictures, which the files do not say.
         #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::size::parse_size)]
         size: PictureSize,
-        /// Frames a second.
+        /// Frames per second.
         #[arg(long, default_value_t = bdd100k::BDD100K_FRAME_RATE)]
         frame_rate: f64,
         #[command(flatten)]
@@ -120,13 +121,16 @@ struct RunArguments {
     /// What the empty-scene screen says: never "empty", or "empty" exactly when nothing is detected.
     #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
-    /// Frames in a row that a real screen may call empty before the detector looks anyway, as
-    /// Frames in a row that the screen may call empty; 0 for any number.
+    /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
     #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
     longest_empty_run: u32,
     /// Detections below this confidence are not used.
     #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
+    /// Boxes below this confidence are not judged, as a node with this `report.confidence` does not publish them
+    /// [default: --confidence for detected boxes, half of it for predicted ones].
+    #[arg(long, help_heading = JUDGED)]
+    report_confidence: Option<f64>,
     /// Judge every class by itself instead of all as one.
     #[arg(long, help_heading = JUDGED)]
     per_class: bool,
@@ -289,6 +293,7 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     Ok(Settings {
         scoring: arguments.profile,
         confidence: arguments.confidence,
+        report_confidence: arguments.report_confidence,
         screen: arguments.screen,
         longest_empty_run: arguments.longest_empty_run,
         classes: if arguments.per_class {
@@ -329,6 +334,18 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
         (
             "Detector confidence",
             format!("at least {}", arguments.confidence),
+        ),
+        (
+            "Boxes judged",
+            match (arguments.profile, arguments.report_confidence) {
+                (Scoring::Reference, _) => "all".to_owned(),
+                (Scoring::Paper, Some(least)) => format!("of confidence {least} and above"),
+                (Scoring::Paper, None) => format!(
+                    "as a node publishes them: detected ones of confidence {} and above, others from {}",
+                    arguments.confidence,
+                    arguments.confidence / 2.0
+                ),
+            },
         ),
         ("Empty-scene screen", arguments.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),

@@ -16,27 +16,35 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 
 const EXAMPLES: &str = "\
-Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or `all`; parts joined by & must
-all match ('cam-* & region=north'), a part after ! must not ('all & !cam-3'). Several --select add up.
+Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or
+`all`; parts joined by & must all match ('cam-* & region=north'), a part after !
+must not ('all & !cam-3'). Several --select add up.
 
-Exit codes: 0 done as asked; 1 the hub cannot be reached or refuses; 2 wrong arguments; 3 some nodes
-refused the value or did not answer in time, or a rollout went back; 4 nothing failed, but something is
-still open: nodes out of reach, a rollout that is held.
+Exit codes: 0 done as asked; 1 the hub cannot be reached or refuses; 2 wrong
+arguments; 3 some nodes refused the value or did not answer in time, or a
+rollout went back; 4 nothing failed, but something is still open: nodes out of
+reach, a rollout that is held.
 
 Examples:
   albireo fleet ls                                   all nodes, and how they are
-  albireo fleet show cam-7                           one node: values, health, last clips
+  albireo fleet show cam-7
+      one node: values, health, last clips
   albireo fleet set-u 5e-4 --select 'cam-*' --dry-run    who would change
   albireo fleet set-u 5e-4 --select 'cam-*' --why 'less traffic at night'
-  albireo fleet set-target skip_rate=0.5 --select region=north    a target in the place of a value
+  albireo fleet set-target skip_rate=0.5 --select region=north
+      a target instead of a value
   albireo fleet set-target off --select region=north
-  albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% --soak 30m --gate 'joules<=+5%'
-  albireo fleet rollout show --follow                until it is done, held or back
+  albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% \\
+      --soak 30m --gate 'joules<=+5%'
+  albireo fleet rollout show --follow
+      until it is done, held or back
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
   albireo fleet forget car-7                         a node that was scrapped
   albireo fleet energy --since 7d --by node
-  albireo fleet diag                                 an archive for whoever looks for a fault
-  albireo fleet changes --node cam-7                 who set what, when, why, and what came of it
+  albireo fleet diag
+      an archive for finding a fault
+  albireo fleet changes --node cam-7
+      who set what, when, why, and what came of it
   ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
 
 /// Arguments of `albireo fleet`.
@@ -76,7 +84,7 @@ enum Command {
     },
     /// Set the uncertainty threshold u (or another knob) of selected nodes.
     SetU(set::Arguments),
-    /// Let selected nodes hold a target in the place of a threshold.
+    /// Let selected nodes hold a target instead of a threshold.
     SetTarget(set::TargetArguments),
     /// The history of what was ordered.
     Changes(set::ChangesArguments),
@@ -92,7 +100,7 @@ enum Command {
     Energy(nodes::EnergyArguments),
     /// The fleet, renewed every two seconds.
     Watch(nodes::WatchArguments),
-    /// Fetch what the hub tells of itself, as one archive, for whoever looks for a fault.
+    /// Fetch the hub's diagnostics as one archive.
     Diag(diag::Arguments),
 }
 

@@ -54,6 +54,6 @@ impl FrameTarget {
     }
 }
 
-/// What to do about a key on which nobody listens.
+/// What to check if no node subscribes to a key.
 pub(crate) const NOBODY: &str =
     "is the node running, and does one of its cameras have this name (or this key)?";

@@ -1,4 +1,4 @@
-//! `albireo hub`: runs a hub until it is told to stop, or moves its database.
+//! `albireo hub`: runs a hub until a signal stops it, or moves its database.
 
 use super::block_on;
 use albireo_hub::config::{DatabaseConfig, HubConfig};
@@ -10,9 +10,10 @@ use std::path::PathBuf;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-Without --config the built-in defaults apply; config/hub.toml lists them all. An environment variable
-overrides a single key: ALBIREO_SECTION__KEY, with two underscores between section and key.
-Ctrl-C or SIGTERM stops it: received reports are committed and acknowledged first.
+Without --config the built-in defaults apply; config/hub.toml lists them all. An
+environment variable overrides a single key: ALBIREO_SECTION__KEY, with two
+underscores between section and key. Ctrl-C or SIGTERM stops it: received
+reports are committed and acknowledged first.
 
 Examples:
   albireo hub --config /etc/albireo/hub.toml
@@ -21,12 +22,14 @@ Examples:
   albireo hub move albireo-hub.db postgres://hub@db.example/fleet";
 
 const MOVE_EXAMPLES: &str = "\
-Stop the hub first, and start it with the new database.url afterwards: what it still stores in the
-file in between is not moved. Nodes keep their reports until a hub takes them, so none is lost or counted
-twice. The file stays as it is. PGPASSWORD keeps the password out of the command line.
+Stop the hub first, and start it with the new database.url afterwards: what it
+still stores in the file in between is not moved. Nodes keep their reports until
+a hub takes them, so none is lost or counted twice. The file stays as it is.
+PGPASSWORD keeps the password out of the command line.
 
 Example:
-  PGPASSWORD=secret albireo hub move /var/lib/albireo/hub.db postgres://hub@db.example/fleet";
+  PGPASSWORD=secret albireo hub move /var/lib/albireo/hub.db \\
+      postgres://hub@db.example/fleet";
 
 /// Arguments of `albireo hub`.
 #[derive(Debug, clap::Args)]

@@ -1,10 +1,12 @@
 //! `albireo man`: the manual pages, made from the same descriptions as `--help`.
 
 use anyhow::Context;
+use clap::CommandFactory;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-One page a subcommand, albireo-node.1 and so on, beside albireo.1. Packages bring them along.
+One page a subcommand, albireo-node.1 and so on, beside albireo.1. Packages
+bring them along.
 
 Examples:
   albireo man /usr/local/share/man/man1
@@ -22,6 +24,6 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{} cannot be made", folder.display()))?;
-    clap_mangen::generate_to(super::Arguments::fitted_command(), folder)
+    clap_mangen::generate_to(super::Arguments::command(), folder)
         .with_context(|| format!("the pages cannot be written to {}", folder.display()))
 }

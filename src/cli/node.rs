@@ -1,4 +1,4 @@
-//! `albireo node`: runs a node until it is told to stop.
+//! `albireo node`: runs a node until it is stopped.
 
 use super::block_on;
 use albireo_node::config::NodeConfig;
@@ -8,14 +8,16 @@ use std::path::PathBuf;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-Without --config the built-in defaults apply; config/node.toml lists them all. An environment variable
-overrides a single key: ALBIREO_SECTION__KEY, with two underscores between section and key. RUST_LOG
-overrides log.level.
-Ctrl-C or SIGTERM stops it: the current frame is finished and the open clip reported first.
+Without --config the built-in defaults apply; config/node.toml lists them all.
+An environment variable overrides a single key: ALBIREO_SECTION__KEY, with two
+underscores between section and key. RUST_LOG overrides log.level. Ctrl-C or
+SIGTERM stops it: the current frame is finished and the open clip reported
+first.
 
 Examples:
   albireo node --config /etc/albireo/node.toml
-  ALBIREO_POLICY__U=5e-4 ALBIREO_LOG__FORMAT=json albireo node --config node.toml";
+  ALBIREO_POLICY__U=5e-4 ALBIREO_LOG__FORMAT=json albireo node \\
+      --config node.toml";
 
 /// Arguments of `albireo node`.
 #[derive(Debug, clap::Args)]

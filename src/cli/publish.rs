@@ -20,17 +20,19 @@ use zenoh::session::Session;
 
 const EXAMPLES: &str = "\
 Examples:
-  albireo publish rtsp://192.168.0.20/stream --node car-7 --connect tcp/192.168.0.5:7447
+  albireo publish rtsp://192.168.0.20/stream --node car-7 \\
+      --connect tcp/192.168.0.5:7447
       a network camera, to the camera `front` of a node on another machine
   albireo publish 'rtsp://${CAMERA_USER}:${CAMERA_PASSWORD}@192.168.0.20/stream'
-      credentials from the environment: the quotation marks keep them from the shell
+      credentials from the environment: the quotation marks keep them from the
+      shell
   albireo publish /dev/video0 --rate 10 --camera cabin
       a camera of this machine, at most ten frames a second
   albireo publish 'v4l2src device=/dev/video0 ! image/jpeg ! jpegparse'
       a GStreamer pipeline that makes JPEG files
 
-A camera on the node's own machine needs no publisher: [[camera]] source in its configuration.
-Runs until stopped: camera and node may go away and come back.";
+A camera on the node's own machine needs no publisher: [[camera]] source in its
+configuration. Runs until stopped: camera and node may go away and come back.";
 
 /// JPEG quality of what is not motion JPEG already (`-q:v`, 2 is the best).
 const QUALITY: u8 = 3;
@@ -43,7 +45,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} stands for an environment
+    /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} is an environment
     /// variable
     source: SourceAddress,
     /// Where the frames go.
@@ -58,25 +60,25 @@ pub(super) struct Arguments {
     /// Decode with this acceleration (`ffmpeg -hwaccels`: cuda, vaapi) or decoder (`ffmpeg -decoders`: h264_v4l2m2m)
     #[arg(long, value_name = "NAME")]
     hardware: Option<String>,
-    /// An option of ffmpeg put before the source, may be given again: --source-option=-video_size
+    /// An ffmpeg option, placed before the source; may be repeated: --source-option=-video_size
     /// --source-option=1280x720
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     source_option: Vec<String>,
-    /// Open the camera anew after so long without a picture
+    /// Reconnect to the camera after this many seconds without a picture
     #[arg(long, value_name = "SECONDS", default_value_t = 15)]
     source_timeout: u64,
 }
 
 pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        // That nobody can be reached is told here, and once.
+        // An unreachable node is reported here, once.
         level: "info,zenoh=error".to_owned(),
         ..LogConfig::default()
     })?;
     if arguments.source.holds_password() {
         tracing::warn!(
-            "the password in the address stands in the list of processes, for every user of this machine: give \
-             ${{NAME}} in its place and set that variable"
+            "every user of this machine can read the password in the list of processes: write ${{NAME}} instead, and \
+             set that environment variable"
         );
     }
     block_on(async {
@@ -109,7 +111,8 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     };
     let sender = FrameSender::declare(&session, &key, Pacing::Drop).await?;
     tracing::info!(source = source.name(), key, "publishing");
-    tokio::spawn(log_receivers(sender.receivers(), key.clone()));
+    let receivers = sender.receivers();
+    tokio::spawn(log_receivers(receivers.clone(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
     let sink = Outlet {
         source: source.name(),
@@ -124,10 +127,14 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
         .await
         .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
     println!("sent {} frames on {key}", sent.load(Ordering::Relaxed));
-    ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))
+    ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
+    if receivers.borrow().is_none() {
+        bail!("no node subscribed to `{key}`: {NOBODY}");
+    }
+    Ok(())
 }
 
-/// A session with the node, however long that takes; none when it is told to stop before.
+/// Waits for a session with the node; none if stopped before.
 async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option<Session> {
     let mut pause = FIRST_PAUSE;
     loop {
@@ -153,7 +160,10 @@ async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String
         if *receivers.borrow_and_update() == Some(true) {
             tracing::info!(key, "a node takes the frames");
         } else {
-            tracing::warn!(key, "nobody listens, so frames go to nobody: {NOBODY}");
+            tracing::warn!(
+                key,
+                "no node subscribes to this key, so frames are lost: {NOBODY}"
+            );
         }
         if receivers.changed().await.is_err() {
             return;

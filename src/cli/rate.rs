@@ -1,13 +1,13 @@
 //! Frames a second as an argument.
 
-/// Fewest frames a second that anything here plays, sends or takes: one in 17 minutes. A period is computed from them, and
+/// Fewest frames per second that anything here plays, sends or takes: one in 17 minutes. A period is computed from them, and
 /// one of a billion years is a slip of the finger.
 pub(super) const LEAST: f64 = 0.001;
 
-/// Most frames a second.
+/// Most frames per second.
 pub(super) const MOST: f64 = 1000.0;
 
-/// Reads a number of frames a second.
+/// Reads a number of frames per second.
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(rate) if (LEAST..=MOST).contains(&rate) => Ok(rate),

@@ -34,7 +34,8 @@ const CLIPS: &str = "Clips";
   albireo replay demo --connect tcp/192.168.0.20:7447
       the demonstration's road, to another machine
 
-A live camera is not replayed: the node opens it ([[camera]] source), or `albireo publish` does."
+A live camera is not replayed: the node opens it ([[camera]] source), or
+`albireo publish` does."
 )]
 pub struct ReplayArguments {
     /// A video file, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
@@ -43,11 +44,11 @@ pub struct ReplayArguments {
     /// Where the frames go.
     #[command(flatten)]
     pub target: FrameTarget,
-    /// Wait for a subscriber before the first frame, at most SECONDS (60 when not said)
+    /// Wait for a subscriber before the first frame, at most SECONDS (60 if not given)
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
     pub wait_for_subscriber: Option<u64>,
-    /// Lose nothing: send each frame when the node has taken the one before, instead of dropping frames
-    /// as a camera does. The node's camera needs delivery = "every" for it.
+    /// Lose no frame: send each frame after the node has taken the previous one, instead of dropping frames
+    /// as a camera does. Needs delivery = "every" for the node's camera.
     #[arg(long)]
     pub every: bool,
 
@@ -118,7 +119,7 @@ const LISTENERS: Duration = Duration::from_secs(2);
 /// Replays until the source ends or `shutdown`, then says what was sent.
 ///
 /// # Errors
-/// When the source cannot be read, the node cannot be reached, or nobody listens in time.
+/// When the source cannot be read, the node cannot be reached, or no node subscribes in time.
 pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
     let key = arguments.target.frame_key()?;
     let rate = match arguments.rate {
@@ -152,7 +153,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
             () = shutdown.cancelled() => return Ok(Sent::default()),
         };
         if waited.is_err() {
-            eprintln!("albireo: nobody listens on `{key}` yet, so frames go to nobody: {NOBODY}");
+            eprintln!("albireo: no node subscribes to `{key}` yet, so frames are lost: {NOBODY}");
         }
     }
     let total = match (options.frames, source.frames()) {
@@ -180,7 +181,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let sent = sent?;
     println!("{}", summary(&sent, &key));
     if sent.frames > 0 && receivers.borrow().is_none() {
-        bail!("nobody listened on `{key}`: {NOBODY}");
+        bail!("no node subscribed to `{key}`: {NOBODY}");
     }
     Ok(sent)
 }

@@ -11,12 +11,14 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-A Zenoh router with health and metrics. Its configuration is Zenoh's own (JSON5), which zenohd takes too;
-config/zenoh-router.json5 shows what a fleet needs.
+A Zenoh router with health and metrics. Its configuration is Zenoh's own
+(JSON5), which zenohd takes too; config/zenoh-router.json5 shows what a fleet
+needs.
 
 Examples:
   albireo router --config config/zenoh-router.json5
-  albireo router --config /etc/albireo/router.json5 --access /etc/albireo/access.json
+  albireo router --config /etc/albireo/router.json5 \\
+      --access /etc/albireo/access.json
   curl http://127.0.0.1:8095/metrics";
 
 /// Arguments of `albireo router`.

@@ -7,16 +7,22 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const EXAMPLES: &str = "\
-The nodes are real to a hub: status, reports with their cursors, pulls and notices go over real Zenoh
-sessions. Their pictures, energy and latencies are made up, and say so (`simulated`). Only endpoints
-of this machine are connected to. Exit code 1 when a report was not acknowledged in the end.
+The nodes are real to a hub: status, reports, pulls and
+notices go over real Zenoh sessions. Their pictures, energy and latencies are
+made up, and say so (`simulated`). Only endpoints of this machine are connected
+to. Exit code 1 when a report was not acknowledged in the end.
 
 Examples:
-  albireo simulate                                  100 nodes on 4 sessions for a minute
-  albireo simulate --nodes 10000 --sessions 50 --seconds 300 --pid hub=4711 --pid router=4712
-      the load of 10,000 nodes for five minutes, and what hub and router cost meanwhile
-  albireo simulate --nodes 40 --clip-seconds 1 --status-seconds 2 --gather 1 --seconds 600 --spoilt-above 4e-4
-      a small fast fleet to which values above 4e-4 do harm: for walking a rollout
+  albireo simulate
+      100 nodes on 4 sessions for a minute
+  albireo simulate --nodes 10000 --sessions 50 --seconds 300 --pid hub=4711 \\
+      --pid router=4712
+      the load of 10,000 nodes for five minutes, and what hub and router cost
+      meanwhile
+  albireo simulate --nodes 40 --clip-seconds 1 --status-seconds 2 --gather 1 \\
+      --seconds 600 --spoilt-above 4e-4
+      a small fast fleet to which values above 4e-4 do harm: for walking a
+      rollout
   albireo simulate --nodes 10000 --sessions 50 --backlog 90 --seconds 60
       after an hour's outage: every node has 90 reports to deliver";
 
@@ -40,9 +46,6 @@ pub(super) struct Arguments {
     /// A Zenoh configuration to begin with, for TLS.
     #[arg(long, value_name = "FILE")]
     zenoh_config: Option<PathBuf>,
-    /// First part of every key.
-    #[arg(long, default_value = "albireo")]
-    prefix: String,
     /// What the nodes' names begin with.
     #[arg(long, default_value = "sim-")]
     name: String,
@@ -58,51 +61,27 @@ pub(super) struct Arguments {
     /// Reports that a node gathers before it sends them.
     #[arg(long, help_heading = REPORTS, default_value_t = 12)]
     gather: u64,
-    /// Most reports of a batch, where more wait.
-    #[arg(long, help_heading = REPORTS, default_value_t = 90)]
-    batch: u64,
     /// Reports that every node has to deliver when it starts.
     #[arg(long, help_heading = REPORTS, default_value_t = 0)]
     backlog: u64,
-    /// Give each node a liveliness token (quadratic in the nodes: some 10,000 at most).
-    #[arg(long)]
-    tokens: bool,
-    /// Nodes do not listen to their notice: they learn of a value from the answer to a report.
+    /// Nodes do not listen for notices: they learn of a value from the answer to a report.
     #[arg(long)]
     no_notices: bool,
-    /// Cut all nodes off after so many seconds.
-    #[arg(long, help_heading = FAULTS, value_name = "SECONDS")]
-    outage_after: Option<f64>,
-    /// How long the outage lasts, seconds; clips go on being made.
-    #[arg(long, help_heading = FAULTS, default_value_t = 60.0, value_name = "SECONDS")]
-    outage_for: f64,
-    /// Share of the nodes whose clock is thirty years ahead.
-    #[arg(long, help_heading = FAULTS, default_value_t = 0.0, value_name = "SHARE")]
-    wrong_clocks: f64,
-    /// Share of the nodes that refuse every value.
-    #[arg(long, help_heading = FAULTS, default_value_t = 0.0, value_name = "SHARE")]
-    refusing: f64,
     /// Above this threshold clips cost more energy and time.
     #[arg(long, help_heading = FAULTS, value_name = "U")]
     spoilt_above: Option<f64>,
     /// How many times as much.
     #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
     spoilt_by: f64,
-    /// Call the made-up energy measured, to try gates on measured energy.
-    #[arg(long, help_heading = REPORTS)]
-    as_measured: bool,
     /// How long to go on in the end until everything is acknowledged, seconds.
     #[arg(long, help_heading = REPORTS, default_value_t = 30.0, value_name = "SECONDS")]
     drain: f64,
-    /// Draws instances, times and figures; by default others each run.
+    /// Seed of the times and figures; random by default.
     #[arg(long)]
     seed: Option<u64>,
-    /// A process whose cost is told too, `hub=4711`; may be given several times.
+    /// A process whose cost is reported too, `hub=4711`; may be given several times.
     #[arg(long = "pid", value_name = "NAME=PID", value_parser = named_pid)]
     pids: Vec<(String, u32)>,
-    /// Seconds between two lines of progress.
-    #[arg(long, default_value_t = 10.0)]
-    every: f64,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -153,33 +132,22 @@ fn options(arguments: Arguments) -> anyhow::Result<Options> {
         sessions: arguments.sessions,
         connect: arguments.connect,
         zenoh_config: arguments.zenoh_config,
-        prefix: arguments.prefix,
         name: arguments.name,
         duration: seconds("for", arguments.seconds)?,
         status_s: arguments.status_s,
         clip_s: arguments.clip_s,
         gather: arguments.gather,
-        batch: arguments.batch,
         backlog: arguments.backlog,
-        tokens: arguments.tokens,
         notices: !arguments.no_notices,
-        outage_after: arguments
-            .outage_after
-            .map(|after| seconds("outage-after", after))
-            .transpose()?,
-        outage_for: seconds("outage-for", arguments.outage_for)?,
-        wrong_clock_share: arguments.wrong_clocks,
-        refusing_share: arguments.refusing,
         behaviour: Behaviour {
             spoilt_above: arguments.spoilt_above,
             spoilt_by: arguments.spoilt_by,
-            measured: arguments.as_measured,
+            measured: false,
         },
         drain: seconds("drain", arguments.drain)?,
         seed: arguments
             .seed
             .unwrap_or_else(|| clock.map_or(1, |now| now.as_nanos() as u64)),
         watch: arguments.pids,
-        every: seconds("every", arguments.every)?,
     })
 }

@@ -7,13 +7,13 @@ use std::process::Command;
 /// A variable that is wanted, and its value.
 pub(super) type Variable = (&'static str, &'static str);
 
-/// ONNX Runtime's builds for Linux keep a data base of what is run under the user's cache folder and can send it to the
-/// vendor. That is set up as soon as the library's environment is made, so that its call for turning telemetry off comes
-/// too late; only this is in time (seen in version 1.31.1).
+/// ONNX Runtime's builds for Linux keep a database of runs in the user's cache folder and can send it to the vendor. The
+/// library sets this up when it creates its environment, so its own call to disable telemetry comes too late; only this
+/// variable is in time (seen in version 1.31.1).
 pub(super) const NO_TELEMETRY: Variable = ("ORT_DISABLE_TELEMETRY", "1");
 
-/// glibc gives threads heaps of their own, up to eight for each processor, and keeps in each what once held pictures. The
-/// threads that decode come and go, so a busy node's memory grew by a megabyte a minute; with two heaps it stayed
+/// glibc gives threads separate heaps, up to eight per processor, and keeps memory that once held pictures in each. The
+/// decoding threads come and go, so a busy node's memory grew by a megabyte per minute; with two heaps it stayed constant
 /// (benches/README.md).
 pub(super) const FEW_HEAPS: Variable = ("MALLOC_ARENA_MAX", "2");
 

@@ -63,7 +63,7 @@ impl LoadedClip {
         &self.name
     }
 
-    /// Its own frames a second.
+    /// Its own frames per second.
     pub(super) fn rate(&self) -> f64 {
         self.rate
     }

@@ -36,7 +36,7 @@ pub(super) struct Player {
     pub config: NodeConfig,
     /// What is played.
     pub clip: LoadedClip,
-    /// Frames a second; `None` for as fast as they are taken.
+    /// Frames per second; `None` for as fast as they are taken.
     pub rate: Option<f64>,
     /// Warm-up, seconds of the clip.
     pub warm_up_s: f64,
@@ -93,7 +93,7 @@ impl Played {
 }
 
 impl Player {
-    /// Frames a run sends, warm-up included.
+    /// Frames that a run sends, warm-up included.
     pub(super) fn frames_of_a_run(&self) -> u64 {
         self.warm_up_frames() + self.clip.frames() as u64
     }
@@ -102,7 +102,7 @@ impl Player {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
-    /// Rests, then plays the clip to a new node under `policy`. `tell` is told the frames sent and what is
+    /// Rests, then plays the clip to a new node under `policy`. `tell` gets the frames sent and what is
     /// being done.
     ///
     /// # Errors
@@ -306,7 +306,7 @@ async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<V
         })
         .background()
         .await
-        .map_err(|error| anyhow!("detections cannot be had: {error}"))?;
+        .map_err(|error| anyhow!("detections cannot be received: {error}"))?;
     Ok(answers)
 }
 

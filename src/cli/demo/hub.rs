@@ -3,10 +3,10 @@
 use albireo_hub::config::HubConfig;
 use albireo_service::config::{Configuration, ZenohMode};
 use anyhow::{Context, bail};
+use std::fs::Permissions;
 use std::net::SocketAddr;
-use std::os::unix::fs::DirBuilderExt;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::os::unix::fs::PermissionsExt;
+use tempfile::TempDir;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -16,7 +16,7 @@ pub(super) struct DemoHub {
     address: SocketAddr,
     stop: CancellationToken,
     running: JoinHandle<Result<(), albireo_hub::HubError>>,
-    _folder: Folder,
+    _folder: TempDir,
 }
 
 impl DemoHub {
@@ -27,12 +27,16 @@ impl DemoHub {
         demonstration: CancellationToken,
     ) -> anyhow::Result<Self> {
         let address = listener.local_addr()?;
-        let folder = Folder::make()?;
+        let folder = tempfile::Builder::new()
+            .prefix("albireo-demo-")
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir()
+            .context("no folder for the hub's database")?;
         let mut config = HubConfig::default();
         config.zenoh.mode = ZenohMode::Peer;
         config.zenoh.connect = vec![node.to_owned()];
         config.zenoh.listen = Vec::new();
-        config.database.url = format!("sqlite:{}", folder.0.join("hub.db").display());
+        config.database.url = format!("sqlite:{}", folder.path().join("hub.db").display());
         if let Some(problem) = config.findings().into_iter().next() {
             bail!("{problem}");
         }
@@ -60,44 +64,5 @@ impl DemoHub {
     pub(super) async fn stop(self) -> anyhow::Result<()> {
         self.stop.cancel();
         self.running.await.context("hub")?.context("hub")
-    }
-}
-
-/// A folder of this process alone, removed in the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn make() -> anyhow::Result<Self> {
-        let mut builder = std::fs::DirBuilder::new();
-        builder.mode(0o700);
-        let base = std::env::temp_dir();
-        // A folder that is there already may be somebody else's: it is left alone.
-        for number in 0..1000 {
-            let path = base.join(format!("albireo-demo-{}-{number}", std::process::id()));
-            match builder.create(&path) {
-                Ok(()) => return Ok(Self(path)),
-                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error).context(in_words(&path)),
-            }
-        }
-        bail!(in_words(&base))
-    }
-}
-
-fn in_words(path: &Path) -> String {
-    format!("no folder for the hub's database: {}", path.display())
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // The database's last connection may still be taking its files away.
-        for _ in 0..20 {
-            match std::fs::remove_dir_all(&self.0) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    std::thread::sleep(Duration::from_millis(50));
-                }
-                _ => return,
-            }
-        }
     }
 }

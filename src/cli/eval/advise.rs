@@ -18,7 +18,7 @@ Examples:
       what a video of your own road allows, by your own detector
   albireo eval video drive.mp4 --detector detector.onnx --save-detections drive
   albireo eval advise drive --target skip_rate=0.5
-      the same detections again, for another target, without another look at the pictures")]
+      the same detections for another target, without reading the pictures")]
 pub(super) struct AdviseArguments {
     /// Video files, folders of pictures, or folders of recorded detections (`albireo eval video … --save-detections`); an
     /// hour of the road the camera sees is a good recording.
@@ -33,10 +33,10 @@ pub(super) struct AdviseArguments {
     /// Detections below this confidence are not used, as `detector.confidence` of a node.
     #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
-    /// Frames a second of folders of pictures.
+    /// Frames per second of folders of pictures.
     #[arg(long, help_heading = JUDGED, value_name = "FPS", value_parser = parse_rate)]
     rate: Option<f64>,
-    /// Frames in a row that a screen may call empty before the detector looks anyway; 0 for any number.
+    /// Frames in a row that a screen may call empty before the detector runs anyway; 0 for any number.
     #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
     longest_empty_run: u32,
     /// Print the advice as JSON instead.

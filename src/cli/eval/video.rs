@@ -28,7 +28,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 
-/// One run that takes this long has failed; nobody waits for it as a camera would.
+/// A run that takes this long has failed; no camera waits for it.
 const TIMEOUT_MS: u64 = 60_000;
 
 /// Arguments of `albireo eval video`.
@@ -38,10 +38,10 @@ pub(super) struct VideoArguments {
     /// demo/road.tar. Each is a clip named after its file; each folder of an archive is one
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
-    /// Frames a second of pictures.
+    /// Frames per second of pictures.
     #[arg(long, default_value_t = PictureFolder::RATE, value_parser = parse_rate)]
     rate: f64,
-    /// Take so many frames a second, as if the camera were slower.
+    /// Take this many frames per second, as if the camera were slower.
     #[arg(long, value_name = "FPS", conflicts_with = "ground_truth", value_parser = parse_rate)]
     fps: Option<f64>,
     /// How a video's frames are encoded on the way from ffmpeg to the detector.
@@ -58,8 +58,8 @@ pub(super) struct VideoArguments {
 /// Where ground truth comes from.
 #[derive(Debug, Args)]
 struct TruthArguments {
-    /// Ground truth, may be given again. Clips it has nothing for are judged against Vanilla's own output, in
-    /// a table of their own.
+    /// Ground truth, may be given again. Clips that it does not name are left out. Without any, clips are judged
+    /// against Vanilla's own output.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
     ground_truth: Vec<PathBuf>,
     /// Its layout.
@@ -76,7 +76,7 @@ pub(super) struct PassArguments {
     /// How its output is read.
     #[arg(long, help_heading = LOOKED, value_enum, default_value_t = HeadName::Auto)]
     head: HeadName,
-    /// Names of its classes, one a line [default: those of its metadata, or the head's own list]
+    /// Names of its classes, one per line [default: those of its metadata, or the head's own list]
     #[arg(long, help_heading = LOOKED, value_name = "FILE")]
     class_names: Option<PathBuf>,
     /// What runs it.
@@ -116,7 +116,7 @@ pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
             }
         }
     }
-    evaluation.finish(&title)
+    evaluation.finish(title)
 }
 
 /// What a report is headed with: the clips' names, or the first of many.
@@ -141,39 +141,16 @@ struct Evaluation<'a> {
     observer: Observer,
     keep: PixelsAsked,
     report: LoadReport,
-    judged: Judged,
-    against_vanilla: Judged,
+    results: Vec<ClipResult>,
+    /// Of all clips, one for each stream that was asked for.
+    streams: Vec<StreamResults>,
     times: Vec<StepTimes>,
     /// The clips without their pictures, for `--save-detections`.
     kept: Vec<Clip>,
 }
 
-/// Results that are judged alike.
-#[derive(Default)]
-struct Judged {
-    /// A list of policies for each clip.
-    clips: Vec<Vec<ClipResult>>,
-    /// Of all clips, one for each stream that was asked for.
-    streams: Vec<StreamResults>,
-}
-
 /// Picks one step out of the times of a frame.
 type StepTime = fn(&StepTimes) -> f64;
-
-impl Judged {
-    /// In order of policies, then clips.
-    fn into_results(self) -> Vec<ClipResult> {
-        let mut clips: Vec<_> = self.clips.into_iter().map(Vec::into_iter).collect();
-        let mut results = Vec::new();
-        loop {
-            let before = results.len();
-            results.extend(clips.iter_mut().filter_map(Iterator::next));
-            if results.len() == before {
-                return results;
-            }
-        }
-    }
-}
 
 impl<'a> Evaluation<'a> {
     fn start(
@@ -217,23 +194,51 @@ impl<'a> Evaluation<'a> {
             clips: names.len(),
             observer,
             report: LoadReport::default(),
-            judged: Judged::default(),
-            against_vanilla: Judged::default(),
+            results: Vec::new(),
+            streams: Vec::new(),
             times: Vec::new(),
             kept: Vec::new(),
         })
     }
 
-    /// Looks at a clip, finds its ground truth, and runs every policy over it.
+    /// Runs the detector over a clip and every policy on what it found, and judges them by the clip's ground truth or, where
+    /// none was given, against Vanilla. The frames that lost most get their pictures from `source` once more: keeping all
+    /// pictures until these frames are known takes memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
         let mut pictured = self.pass(source)?;
-        if let Some(truth) = &mut self.truth
-            && let Some((boxes, ignored)) =
-                truth.of(&pictured.clip, self.clips == 1, &mut self.report)?
-        {
-            (pictured.clip.truth, pictured.clip.ignored) = (Some(boxes), ignored);
+        self.times.extend_from_slice(&pictured.times);
+        let clip = &mut pictured.clip;
+        if let Some(truth) = &mut self.truth {
+            let found = truth.of(clip, self.clips == 1, &mut self.report)?;
+            (clip.truth, clip.ignored) = found
+                .map(|(boxes, ignored)| (Some(boxes), ignored))
+                .unwrap_or_default();
         }
-        self.run(pictured, source)
+        if self.pass.save_detections.is_some() {
+            self.kept.push(clip.clone());
+        }
+        if self.truth.is_none() {
+            clip.truth = Some(against_vanilla(clip, self.settings.confidence));
+        } else if clip.truth.is_none() {
+            let note = format!("{}: not in the ground truth, left out", clip.name);
+            self.report.notes.push(note);
+            return Ok(());
+        }
+        let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
+        if let Err(error) = attach_pictures(source, &mut results) {
+            let name = &pictured.clip.name;
+            let note = format!("{name}: no pictures of the frames that lost most: {error}");
+            self.report.notes.push(note);
+        }
+        self.results.extend(results);
+        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
+            let results = streams::run_pictured(&pictured, &self.policies, &self.settings, stream)?;
+            match self.streams.get_mut(at) {
+                Some(clips_before) => clips_before.extend(results),
+                None => self.streams.push(results),
+            }
+        }
+        Ok(())
     }
 
     /// The detector's pass over a clip.
@@ -246,43 +251,8 @@ impl<'a> Evaluation<'a> {
         pass_over(source, &mut self.observer, &settings, &mut self.report)
     }
 
-    /// Every policy over a clip, judged against its ground truth if it has some, else against Vanilla. The frames that
-    /// lost most get their pictures from `source` once more: to keep all until it is known which they are takes memory.
-    fn run(
-        &mut self,
-        mut pictured: PicturedClip,
-        source: &mut dyn FrameSource,
-    ) -> anyhow::Result<()> {
-        self.times.extend_from_slice(&pictured.times);
-        if self.pass.save_detections.is_some() {
-            self.kept.push(pictured.clip.clone());
-        }
-        let judged = if pictured.clip.truth.is_some() {
-            &mut self.judged
-        } else {
-            let truth = against_vanilla(&pictured.clip, self.settings.confidence);
-            pictured.clip.truth = Some(truth);
-            &mut self.against_vanilla
-        };
-        let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
-        if let Err(error) = attach_pictures(source, &mut results) {
-            let name = &pictured.clip.name;
-            let note = format!("{name}: no pictures of the frames that lost most: {error}");
-            self.report.notes.push(note);
-        }
-        judged.clips.push(results);
-        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let results = streams::run_pictured(&pictured, &self.policies, &self.settings, stream)?;
-            match judged.streams.get_mut(at) {
-                Some(clips_before) => clips_before.extend(results),
-                None => judged.streams.push(results),
-            }
-        }
-        Ok(())
-    }
-
     /// Saves, prints and reports.
-    fn finish(self, title: &str) -> anyhow::Result<()> {
+    fn finish(mut self, title: String) -> anyhow::Result<()> {
         for line in self.report.lines() {
             eprintln!("{line}");
         }
@@ -290,63 +260,48 @@ impl<'a> Evaluation<'a> {
             recorded::write(folder, &self.kept)?;
             eprintln!("Detections written to {}", folder.display());
         }
-        let mut settings = listed(&self.arguments);
+        let basis = if self.truth.is_some() {
+            "by ground truth".to_owned()
+        } else {
+            let confidence = self.settings.confidence;
+            format!(
+                "against vanilla: its own output at confidence {confidence} is taken for ground truth"
+            )
+        };
+        let mut settings = vec![("Judged".to_owned(), basis.clone())];
+        settings.extend(listed(&self.arguments));
         settings.extend(self.models());
-        let both = !self.judged.clips.is_empty() && !self.against_vanilla.clips.is_empty();
-        let vanilla = format!(
-            "against vanilla: its own output at confidence {} stands for ground truth",
-            self.settings.confidence
-        );
-        let parts = [
-            (self.judged, "ground truth".to_owned(), None),
-            (self.against_vanilla, vanilla, Some("against-vanilla")),
-        ];
-        for (mut judged, basis, folder) in parts {
-            if judged.clips.is_empty() {
-                continue;
-            }
-            let streams = std::mem::take(&mut judged.streams);
-            let results = judged.into_results();
-            let mut settings = settings.clone();
-            settings.insert(0, ("Judged".to_owned(), basis.clone()));
-            let report = Report {
-                title: folder.map_or_else(
-                    || title.to_owned(),
-                    |_| format!("{title} (against vanilla)"),
-                ),
-                settings,
-                data: self.report.clone(),
-                policies: summary::summarise(&results),
-                clips: results,
-            };
-            println!(
-                "Judged {}",
-                if folder.is_some() {
-                    basis
-                } else {
-                    format!("by {basis}")
-                }
-            );
-            println!("{}", table::render(&report.policies));
-            print_conclusion(&report.policies);
-            print_streams(&streams);
-            for line in screen_lines(&report.clips) {
-                println!("{line}");
-            }
-            if let Some(out) = &self.arguments.out {
-                let out = match folder.filter(|_| both) {
-                    Some(folder) => out.join(folder),
-                    None => out.clone(),
-                };
-                report.write(&out)?;
-                write_streams(&streams, &out)?;
-                eprintln!("Written to {}", out.display());
-            }
+        let policies = &self.policies;
+        let place = |result: &ClipResult| {
+            policies
+                .iter()
+                .position(|policy| policy.label == result.policy)
+        };
+        self.results.sort_by_key(place);
+        let report = Report {
+            title,
+            settings,
+            data: self.report,
+            policies: summary::summarise(&self.results),
+            clips: self.results,
+        };
+        println!("Judged {basis}");
+        println!("{}", table::render(&report.policies));
+        print_conclusion(&report.policies);
+        print_streams(&self.streams);
+        for line in screen_lines(&report.clips) {
+            println!("{line}");
         }
-        for (name, value) in settings
+        if let Some(out) = &self.arguments.out {
+            report.write(out)?;
+            write_streams(&self.streams, out)?;
+            eprintln!("Written to {}", out.display());
+        }
+        let times = report
+            .settings
             .iter()
-            .filter(|(name, _)| name.starts_with("Time of"))
-        {
+            .filter(|(name, _)| name.starts_with("Time of"));
+        for (name, value) in times {
             println!("{name}: {value}");
         }
         Ok(())
@@ -465,7 +420,7 @@ fn pass_over(
     Ok(pictured?)
 }
 
-/// The detector's pass over videos and pictures. `rate` is the frames a second of pictures.
+/// The detector's pass over videos and pictures. `rate` is the frames per second of pictures.
 pub(super) fn look_at(
     clips: &[SourceName],
     rate: Option<f64>,

@@ -1,4 +1,4 @@
-//! `diag`: what a hub tells of itself, as one archive.
+//! `diag`: fetches a hub's diagnostics as one archive.
 
 use super::client::Failure;
 use super::{Context, Ended};
@@ -16,8 +16,8 @@ pub(super) async fn fetch(context: &Context, arguments: Arguments) -> Result<End
     let archive = context.client.bytes("/api/v1/diag").await?;
     crate::cli::diag::save(&arguments.output, &archive)?;
     let shown = arguments.output.display().to_string();
-    let told = serde_json::json!({ "file": shown, "bytes": archive.len() });
-    context.print(&told, |_| {
+    let saved = serde_json::json!({ "file": shown, "bytes": archive.len() });
+    context.print(&saved, |_| {
         format!("{shown}: {} bytes; tar xf {shown}\n", archive.len())
     })?;
     Ok(Ended::Well)

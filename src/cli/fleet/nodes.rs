@@ -2,7 +2,9 @@
 
 use super::client::Failure;
 use super::table::{Table, WIDTH, cut};
-use super::units::{ago, figure, now_ms, seconds, setting, target_words, threshold};
+use super::units::{
+    ago, figure, items, now_ms, seconds, setting, target_words, text_of, threshold,
+};
 use super::{Context, Ended};
 use anyhow::anyhow;
 use serde_json::{Value, json};
@@ -124,10 +126,7 @@ fn value(node: &Value) -> String {
     if node["status"]["target"].is_object() {
         return setting(&node["status"]["target"]);
     }
-    let cameras = node["status"]["cameras"]
-        .as_array()
-        .map(Vec::as_slice)
-        .unwrap_or_default();
+    let cameras = items(&node["status"]["cameras"]);
     match cameras {
         [] => "-".to_owned(),
         [first, rest @ ..]
@@ -156,15 +155,15 @@ fn table(nodes: &[Value]) -> String {
     ]);
     for node in nodes {
         table.row([
-            node["node"].as_str().unwrap_or("?").to_owned(),
-            node["state"].as_str().unwrap_or("?").to_owned(),
+            text_of(&node["node"]),
+            text_of(&node["state"]),
             ago(node["since_ms"].as_i64().unwrap_or(0)),
             value(node),
             node["status"]["policy"].as_str().unwrap_or("-").to_owned(),
             node["waiting"].to_string(),
             node["revision"].to_string(),
             cut(&labels(node), 30),
-            node["why"].as_str().unwrap_or_default().to_owned(),
+            text_of(&node["why"]),
         ]);
     }
     table.to_string()
@@ -233,7 +232,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
             );
         }
         line("target", target(status));
-        for camera in status["cameras"].as_array().into_iter().flatten() {
+        for camera in items(&status["cameras"]) {
             let source = match status["target"].is_object() {
                 true => "moved by the target".to_owned(),
                 false => format!("from {}", said(&camera["threshold_source"])),
@@ -253,7 +252,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
     Ok(Ended::Well)
 }
 
-/// What a node holds and where that stood when it told; else why it holds nothing any more.
+/// The target of a node with its last reported status; else why it has none any more.
 fn target(status: &Value) -> String {
     let held = &status["target"];
     let said = |value: &Value| value.as_str().unwrap_or_default().replace('_', " ");
@@ -281,7 +280,7 @@ pub(super) async fn energy(
     arguments: EnergyArguments,
 ) -> Result<Ended, Failure> {
     let from = now_ms() - (arguments.since * 1e3) as i64;
-    // Sums over whole days are at hand; nobody asks for a week by the minute.
+    // The hub keeps sums of whole days, which are enough for a long time.
     let from = match arguments.since >= WHOLE_DAYS_FROM {
         true => from.div_euclid(DAY_MS) * DAY_MS,
         false => from,
@@ -296,10 +295,7 @@ pub(super) async fn energy(
 
 /// One line for each group and quality; the quality is never summed over.
 fn sums(answer: &Value) -> String {
-    let groups = answer["groups"]
-        .as_array()
-        .map(Vec::as_slice)
-        .unwrap_or_default();
+    let groups = items(&answer["groups"]);
     if groups.is_empty() {
         return "no clips in that time\n".to_owned();
     }
@@ -330,7 +326,7 @@ fn sums(answer: &Value) -> String {
                 .filter(|name| !name.is_empty())
                 .unwrap_or("all")
                 .to_owned(),
-            group["quality"].as_str().unwrap_or("?").to_owned(),
+            text_of(&group["quality"]),
             group["clips"].to_string(),
             joules(number("joules")),
             joules(number("joules") / number("clips").max(1.0)),
@@ -413,10 +409,7 @@ fn overview(page: &Value, known: u64, nodes: Option<&[Value]>) -> String {
         text += &(cut(&format!("values: {}", values.join(", ")), WIDTH) + "\n");
     }
     text.push('\n');
-    let shown = page["nodes"]
-        .as_array()
-        .map(Vec::as_slice)
-        .unwrap_or_default();
+    let shown = items(&page["nodes"]);
     let unwell = shown.iter().take_while(|node| node["state"] != "online");
     let unwell = unwell.count();
     text + &table(if unwell > 0 { &shown[..unwell] } else { shown })

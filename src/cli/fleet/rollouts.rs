@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::{Table, WIDTH, cut, wrapped};
-use super::units::{ago, figure, seconds, span, threshold};
+use super::units::{counts, figure, items, seconds, span, text_of, threshold, when};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -53,15 +53,19 @@ pub(super) enum Command {
 }
 
 const START_EXAMPLES: &str = "\
-Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05), joules<=+5% (of a clip), edp,
-latency_p99, degraded, detector_errors. The change is that of the stage's nodes beyond that of the nodes
-not asked yet, over the same hours; with fewer than eight on either side a gate is not measured. A gate
-with ? at its end holds only where the metric is reported. Measured and estimated energy are two figures.
+Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05),
+joules<=+5% (of a clip), edp, latency_p99, degraded, recall, precision. The
+change is that of the stage's nodes beyond that of the nodes not asked yet, over
+the same hours; with fewer than eight on either side a gate is not measured. A
+gate with ? at its end holds only where the metric is reported. Measured and
+estimated energy are two figures.
 
 Examples:
   albireo fleet rollout start 5e-4 --select all
-  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% --soak 8h \\
-      --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why 'quieter streets'";
+  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% \\
+      --soak 8h \\
+      --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why
+      'quieter streets'";
 
 /// Arguments of `albireo fleet rollout start`.
 #[derive(Debug, clap::Args)]
@@ -108,7 +112,7 @@ pub(super) struct StartArguments {
     /// Draws the order of the nodes.
     #[arg(long)]
     seed: Option<u64>,
-    /// Why; stands in the history.
+    /// Why; kept in the history.
     #[arg(long, default_value = "")]
     why: String,
     /// Look until it is done, held or back.
@@ -188,7 +192,7 @@ async fn start(context: &Context, arguments: StartArguments) -> Result<Ended, Fa
     }
     context.print(&rollout, |rollout| {
         let mut text = headline(rollout) + "\n";
-        for left in rollout["left_out"].as_array().into_iter().flatten() {
+        for left in items(&rollout["left_out"]) {
             let line = format!(
                 "  without {}: {}",
                 left["node"].as_str().unwrap_or("?"),
@@ -202,21 +206,21 @@ async fn start(context: &Context, arguments: StartArguments) -> Result<Ended, Fa
 }
 
 async fn follow(context: &Context, id: u64) -> Result<Ended, Failure> {
-    let mut told = 0;
+    let mut printed = 0;
     loop {
         let rollout = context
             .client
             .get(&format!("/api/v1/rollouts/{id}"), &[])
             .await?;
         let record = rollout["record"].as_array().cloned().unwrap_or_default();
-        for entry in record.iter().skip(told) {
+        for entry in record.iter().skip(printed) {
             if context.json {
                 println!("{entry}");
             } else {
-                print!("{}", entry_text(entry));
+                print!("{}", entry_text(entry, begun_ms(&rollout)));
             }
         }
-        told = record.len().max(told);
+        printed = record.len().max(printed);
         let phase = rollout["phase"].as_str().unwrap_or_default();
         if matches!(phase, "done" | "returned" | "stopped" | "held") {
             if !context.json {
@@ -226,6 +230,10 @@ async fn follow(context: &Context, id: u64) -> Result<Ended, Failure> {
         }
         tokio::time::sleep(LOOK).await;
     }
+}
+
+fn begun_ms(rollout: &Value) -> i64 {
+    rollout["begun_ms"].as_i64().unwrap_or(0)
 }
 
 fn judge(rollout: &Value) -> Ended {
@@ -264,11 +272,8 @@ fn list(rollouts: &Value) -> String {
     let mut table = Table::new(&[
         ">id", ">to", "state", ">stage", ">nodes", "begun", "who", "why",
     ]);
-    for rollout in rollouts["rollouts"].as_array().into_iter().flatten() {
-        let stages = rollout["stages"]
-            .as_array()
-            .map(Vec::as_slice)
-            .unwrap_or_default();
+    for rollout in items(&rollouts["rollouts"]) {
+        let stages = items(&rollout["stages"]);
         let nodes: u64 = stages
             .iter()
             .filter_map(|stage| stage["nodes"].as_u64())
@@ -279,12 +284,9 @@ fn list(rollouts: &Value) -> String {
             state(rollout),
             format!("{}/{}", rollout["stage"], stages.len()),
             nodes.to_string(),
-            format!("{} ago", ago(rollout["begun_ms"].as_i64().unwrap_or(0))),
-            rollout["who"].as_str().unwrap_or("?").to_owned(),
-            rollout["plan"]["why"]
-                .as_str()
-                .unwrap_or_default()
-                .to_owned(),
+            when(&rollout["begun_ms"]),
+            text_of(&rollout["who"]),
+            text_of(&rollout["plan"]["why"]),
         ]);
     }
     table.to_string()
@@ -315,20 +317,12 @@ fn whole(rollout: &Value) -> String {
         join(&plan["gates"]),
         plan["on_failure"].as_str().unwrap_or("?")
     );
-    for (i, stage) in rollout["stages"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .enumerate()
-    {
-        let counts = stage["counts"].as_object().into_iter().flatten();
-        let counts: Vec<String> = counts
-            .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
-            .collect();
+    for (i, stage) in items(&rollout["stages"]).iter().enumerate() {
+        let counts = counts(stage);
         let counts = if counts.is_empty() {
             "not begun".to_owned()
         } else {
-            counts.join(", ")
+            counts
         };
         let _ = writeln!(
             text,
@@ -337,13 +331,14 @@ fn whole(rollout: &Value) -> String {
             stage["nodes"]
         );
     }
-    for entry in rollout["record"].as_array().into_iter().flatten() {
-        text += &entry_text(entry);
+    for entry in items(&rollout["record"]) {
+        text += &entry_text(entry, begun_ms(rollout));
     }
     text
 }
 
-fn entry_text(entry: &Value) -> String {
+/// An entry of a rollout's record, with its time since the rollout began.
+fn entry_text(entry: &Value, begun_ms: i64) -> String {
     let who = entry["who"]
         .as_str()
         .map(|who| format!(" by {who}"))
@@ -353,17 +348,17 @@ fn entry_text(entry: &Value) -> String {
         text => format!(": {text}"),
     };
     let line = format!(
-        "{:>9} ago  stage {}  {}{who}{said}",
-        ago(entry["at_ms"].as_i64().unwrap_or(0)),
+        "{:>10}  stage {}  {}{who}{said}",
+        format!(
+            "+{}",
+            span((entry["at_ms"].as_i64().unwrap_or(begun_ms) - begun_ms) / 1000)
+        ),
         entry["stage"],
         entry["what"].as_str().unwrap_or("?"),
     );
     // Why a stage failed is what it is all about: it is not cut.
     let mut text = wrapped(&line, 15);
-    let gates = entry["gates"]
-        .as_array()
-        .map(Vec::as_slice)
-        .unwrap_or_default();
+    let gates = items(&entry["gates"]);
     if gates.is_empty() {
         return text;
     }

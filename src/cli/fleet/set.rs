@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::Table;
-use super::units::{ago, seconds, setting, target};
+use super::units::{counts, items, seconds, setting, target, text_of, when};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 
@@ -38,7 +38,7 @@ struct Order {
     /// Only say who would change.
     #[arg(long)]
     dry_run: bool,
-    /// Why; stands in the history.
+    /// Why; kept in the history.
     #[arg(long, default_value = "")]
     why: String,
     /// How long to wait for the nodes: 10s, 5m.
@@ -152,13 +152,13 @@ pub(super) async fn changes(
             .await?;
         context.print(&change, |change| {
             let mut table = Table::new(&["node", "outcome", ">from", "when", "detail"]);
-            for node in change["nodes"].as_array().into_iter().flatten() {
+            for node in items(&change["nodes"]) {
                 table.row([
-                    node["node"].as_str().unwrap_or("?").to_owned(),
+                    text_of(&node["node"]),
                     node["outcome"].as_str().unwrap_or("?").replace('_', " "),
                     setting(&node["from"]),
-                    format!("{} ago", ago(node["at_ms"].as_i64().unwrap_or(0))),
-                    node["detail"].as_str().unwrap_or_default().to_owned(),
+                    when(&node["at_ms"]),
+                    text_of(&node["detail"]),
                 ]);
             }
             format!("{}\n{table}", list(&json!({ "changes": [change] })))
@@ -174,19 +174,16 @@ pub(super) async fn changes(
 
 fn list(changes: &Value) -> String {
     let mut table = Table::new(&[">revision", "when", "who", "by", ">to", "outcome", "why"]);
-    for change in changes["changes"].as_array().into_iter().flatten() {
-        let counts = change["counts"].as_object().into_iter().flatten();
-        let counts: Vec<String> = counts
-            .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
-            .collect();
+    for change in items(&changes["changes"]) {
+        let counts = counts(change);
         table.row([
             change["revision"].to_string(),
-            format!("{} ago", ago(change["at_ms"].as_i64().unwrap_or(0))),
-            change["who"].as_str().unwrap_or("?").to_owned(),
-            change["origin"].as_str().unwrap_or("?").to_owned(),
+            when(&change["at_ms"]),
+            text_of(&change["who"]),
+            text_of(&change["origin"]),
             setting(&change["to"]),
-            counts.join(", "),
-            change["why"].as_str().unwrap_or_default().to_owned(),
+            counts,
+            text_of(&change["why"]),
         ]);
     }
     table.to_string()
@@ -202,12 +199,12 @@ pub(super) async fn drift(context: &Context) -> Result<Ended, Failure> {
         let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back", "why"]);
         for node in nodes {
             table.row([
-                node["node"].as_str().unwrap_or("?").to_owned(),
-                format!("{} ago", ago(node["since_ms"].as_i64().unwrap_or(0))),
+                text_of(&node["node"]),
+                when(&node["since_ms"]),
                 setting(&node["desired"]),
                 setting(&node["in_force"]),
                 node["set_back"].to_string(),
-                node["why"].as_str().unwrap_or_default().to_owned(),
+                text_of(&node["why"]),
             ]);
         }
         table.to_string()

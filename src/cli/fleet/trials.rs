@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::Table;
-use super::units::{ago, figure, seconds, threshold};
+use super::units::{counts, figure, items, seconds, text_of, threshold, when};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 
@@ -45,7 +45,7 @@ pub(super) struct StartArguments {
     /// Fewest clips of a node in the result.
     #[arg(long, value_name = "N")]
     fewest_clips: Option<u64>,
-    /// Why; stands in the history.
+    /// Why; kept in the history.
     #[arg(long, default_value = "")]
     why: String,
 }
@@ -96,36 +96,33 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
 }
 
 fn values(trial: &Value) -> String {
-    let values = trial["plan"]["values"].as_array().into_iter().flatten();
+    let values = items(&trial["plan"]["values"]).iter();
     values.map(threshold).collect::<Vec<_>>().join(", ")
 }
 
 fn list(trials: &Value) -> String {
     let mut table = Table::new(&[">id", "values", "state", "begun", "who", "why"]);
-    for trial in trials["trials"].as_array().into_iter().flatten() {
+    for trial in items(&trials["trials"]) {
         table.row([
             trial["id"].to_string(),
             values(trial),
-            trial["phase"].as_str().unwrap_or("?").to_owned(),
-            format!("{} ago", ago(trial["begun_ms"].as_i64().unwrap_or(0))),
-            trial["who"].as_str().unwrap_or("?").to_owned(),
-            trial["plan"]["why"].as_str().unwrap_or_default().to_owned(),
+            text_of(&trial["phase"]),
+            when(&trial["begun_ms"]),
+            text_of(&trial["who"]),
+            text_of(&trial["plan"]["why"]),
         ]);
     }
     table.to_string()
 }
 
 fn whole(trial: &Value) -> String {
-    let counts = trial["counts"].as_object().into_iter().flatten();
-    let counts: Vec<String> = counts
-        .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
-        .collect();
+    let counts = counts(trial);
     let mut text = format!(
         "trial {} of {}: {}; {}; seed {}\n",
         trial["id"],
         values(trial),
         trial["phase"].as_str().unwrap_or("?"),
-        counts.join(", "),
+        counts,
         trial["seed"],
     );
     let result = &trial["result"];
@@ -164,10 +161,7 @@ fn whole(trial: &Value) -> String {
             ),
         }
     };
-    let arms = result["values"]
-        .as_array()
-        .map(Vec::as_slice)
-        .unwrap_or_default();
+    let arms = items(&result["values"]);
     let figures = [
         "joules_measured",
         "joules_estimated",
@@ -179,11 +173,7 @@ fn whole(trial: &Value) -> String {
     ];
     for name in figures {
         for arm in arms {
-            let of = arm["figures"]
-                .as_array()
-                .into_iter()
-                .flatten()
-                .find(|f| f["figure"] == name);
+            let of = items(&arm["figures"]).iter().find(|f| f["figure"] == name);
             let Some(found) = of else { continue };
             table.row([
                 name.to_owned(),

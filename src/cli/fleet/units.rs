@@ -31,6 +31,30 @@ pub(super) fn ago(at_ms: i64) -> String {
     span((now_ms() - at_ms).max(0) / 1000)
 }
 
+/// How long ago a time of an answer is, milliseconds since the Unix epoch.
+pub(super) fn when(at_ms: &serde_json::Value) -> String {
+    format!("{} ago", ago(at_ms.as_i64().unwrap_or(0)))
+}
+
+/// A text of an answer; empty where it has none.
+pub(super) fn text_of(value: &serde_json::Value) -> String {
+    value.as_str().unwrap_or_default().to_owned()
+}
+
+/// A list of an answer; empty where it has none.
+pub(super) fn items(list: &serde_json::Value) -> &[serde_json::Value] {
+    list.as_array().map(Vec::as_slice).unwrap_or_default()
+}
+
+/// How many nodes have which outcome: `3 applied, 1 timed out`.
+pub(super) fn counts(of: &serde_json::Value) -> String {
+    let counts = of["counts"].as_object().into_iter().flatten();
+    let counts: Vec<String> = counts
+        .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
+        .collect();
+    counts.join(", ")
+}
+
 /// A number of seconds in its largest unit.
 pub(super) fn span(seconds: i64) -> String {
     match seconds {

@@ -77,7 +77,7 @@ impl FrameSender {
     pub async fn declare(session: &Session, key: &str, pacing: Pacing) -> anyhow::Result<Self> {
         let refused = |error| anyhow!("cannot publish on `{key}`: {error}");
         let (changed, receivers) = watch::channel(None);
-        // Once somebody was there, it is known that there is nobody now.
+        // The first report of "no subscriber" is unreliable; it counts only after a subscriber was there.
         let note = move |status: MatchingStatus| {
             changed.send_if_modified(|known| {
                 let now = (status.matching() || known.is_some()).then_some(status.matching());
@@ -123,7 +123,7 @@ impl FrameSender {
         })
     }
 
-    /// Begins a new stream: nobody knows what was missed since the last frame.
+    /// Begins a new stream: frames may have been missed since the last one.
     ///
     /// # Errors
     /// When the session is closed.
@@ -133,7 +133,7 @@ impl FrameSender {
         Ok(())
     }
 
-    /// Whether somebody takes what is sent; `None` as long as nobody has.
+    /// Whether a node takes the frames; `None` until one has.
     pub(crate) fn receivers(&self) -> watch::Receiver<Option<bool>> {
         self.receivers.clone()
     }
@@ -141,7 +141,7 @@ impl FrameSender {
     /// Waits until somebody takes what is sent.
     ///
     /// # Errors
-    /// When nobody does within `patience`.
+    /// When no node takes frames within `patience`.
     pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
         let mut receivers = self.receivers();
         let taken = receivers.wait_for(|taken| *taken == Some(true));
@@ -153,7 +153,7 @@ impl FrameSender {
             .await
             .with_context(|| {
                 format!(
-                    "nobody took frames on `{}` within {} s: is the node running, and {question}?",
+                    "no node took frames on `{}` within {} s: is the node running, and {question}?",
                     self.key,
                     patience.as_secs()
                 )
@@ -224,13 +224,13 @@ impl FrameSender {
             while let Ok(reply) = replies.recv_async().await {
                 if let Ok(sample) = reply.result() {
                     let answer: FrameAnswer = read(&sample.payload().to_bytes())
-                        .context("what the node answered to a frame")?;
+                        .context("the node's answer to a frame")?;
                     return Ok(answer.refused.map_or(SentFrame::Gone, SentFrame::Refused));
                 }
             }
             if Instant::now() >= until {
                 bail!(
-                    "nobody took a frame on `{}` within {} s: is the node running, and has its camera delivery = \
+                    "no node took a frame on `{}` within {} s: is the node running, and has its camera delivery = \
                      \"every\"?",
                     self.key,
                     TURN.as_secs()

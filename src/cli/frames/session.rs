@@ -7,7 +7,7 @@ use std::time::Duration;
 use zenoh::Config;
 use zenoh::session::Session;
 
-/// Where a node listens unless it is told otherwise.
+/// Where a node listens by default.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// How long, in microseconds, a waiting put may find no room at all before Zenoh gives

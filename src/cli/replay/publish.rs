@@ -42,7 +42,7 @@ pub enum ClipIds {
 pub struct PublishOptions {
     /// How fast.
     pub rate: Rate,
-    /// Begin again at the end, for ever.
+    /// Begin again at the end, forever.
     pub repeat: bool,
     /// Stop after this many frames.
     pub frames: Option<u64>,
@@ -116,7 +116,7 @@ struct Prepared {
 /// Frames made ahead of their time, so that a slow frame does not delay the next.
 const AHEAD: usize = 4;
 
-/// Runs the source on a thread of its own.
+/// Runs the source on its own thread.
 fn prepare(
     mut source: Box<dyn FrameSource>,
     repeat: bool,
@@ -233,7 +233,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
         Rate::PerSecond(rate) => rate,
         Rate::Source | Rate::Unpaced => source.rate(),
     };
-    // Of a source that tells its own rate nobody has checked it.
+    // A rate that the source reports itself is not checked yet.
     let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
         .filter(|period| *period <= LONGEST_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
@@ -312,7 +312,7 @@ fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
         .unwrap_or(0)
 }
 
-/// The size, which only raw pictures need to be told.
+/// The size, which only raw pictures need.
 fn raw_size(picture: &EncodedPicture) -> FrameAttachment {
     let raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
     FrameAttachment {

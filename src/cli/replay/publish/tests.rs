@@ -116,7 +116,7 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
 
 #[tokio::test(start_paused = true)]
 async fn what_was_missed_is_not_made_up_for_in_a_burst() {
-    // Frame 2 takes 450 ms at ten frames a second.
+    // Frame 2 takes 450 ms at ten frames per second.
     let slow = |number| Duration::from_millis(if number == 2 { 450 } else { 0 });
     let (frames, sent) = played(6, PublishOptions::default(), slow).await;
     let when: Vec<u128> = frames
