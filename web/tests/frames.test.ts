@@ -29,7 +29,7 @@ group("why the detector ran", () => {
     const degraded = frame(1, "P", { degraded: true, cause: "new_object", tau_max: 5e-4, threshold: U });
     expect(skipped(degraded)).toBe(false);
     expect(skipped(frame(1, "P"))).toBe(true);
-    expect(why(degraded)).toContain("could not be had: a new object");
+    expect(why(degraded)).toContain("not available: a new object");
     expect(describe(degraded, 1)).toContain("P, degraded");
   });
 });

@@ -9,7 +9,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Who answers here, and what can be asked
+         * Service, version and list of routes
          * @description `curl http://127.0.0.1:8090/api/v1`
          */
         get: {
@@ -87,7 +87,7 @@ export interface paths {
         };
         /**
          * The history of changes
-         * @description Who ordered which value or target for whom, why, and what became of it.
+         * @description A change: author, nodes, setting, reason and outcome.
          */
         get: {
             parameters: {
@@ -201,7 +201,7 @@ export interface paths {
                     until_ms?: number;
                     /** @description `next` of the page before. */
                     cursor?: number;
-                    /** @description At most so many, 100 by default, 1000 at most. */
+                    /** @description Maximum number, up to 1000; 100 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -269,7 +269,7 @@ export interface paths {
                     until_ms?: number;
                     /** @description `next` of the page before. */
                     cursor?: number;
-                    /** @description At most so many, 100 by default, 1000 at most. */
+                    /** @description Maximum number, up to 1000; 100 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -320,9 +320,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * One archive (tar) of what helps to find a fault
+         * Diagnostics as one tar archive
          * @description Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
-         *     changes, the last lines of the log. What cannot be had (a database that is away) is named in its place.
+         *     changes, the last lines of the log. What is missing (a database that is away) is named instead.
          *     `curl -O -J http://127.0.0.1:8090/api/v1/diag`
          */
         get: {
@@ -360,8 +360,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Nodes that have something else than what is desired
-         * @description They had taken it, and it was changed at the node since: another value, another target, or none any more.
+         * Nodes whose setting differs from the desired one
+         * @description They took it, and it was changed at the node since: another value, another target, or none any more.
          */
         get: {
             parameters: {
@@ -414,7 +414,7 @@ export interface paths {
                     node?: string;
                     /** @description `group`, or `joules`: the groups with the most energy first. A group has a line for each quality. */
                     sort?: components["schemas"]["Sort"];
-                    /** @description At most so many groups, 1000 by default, 10000 at most. */
+                    /** @description Maximum number of groups, up to 10000; 1000 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -467,7 +467,7 @@ export interface paths {
         /**
          * What happens in the fleet, as server-sent events
          * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
-         *     missed than is told again, so look anew at how things stand.
+         *     missed, so read the present state again.
          *     `curl -N http://127.0.0.1:8090/api/v1/events`
          */
         get: {
@@ -631,7 +631,7 @@ export interface paths {
         put?: never;
         post?: never;
         /**
-         * Forget a node that is gone
+         * Forget a node
          * @description It leaves the lists, and what is desired of it is dropped; its clips, sums and history stay. A node that is online or degraded, or takes
          *     part in a rollout or trial, is not forgotten. One that comes back is a new node.
          *
@@ -759,7 +759,7 @@ export interface paths {
         };
         /**
          * The counters of one node's cameras, once a second, as server-sent events
-         * @description The node sends them only while this is read, and for half a minute after. Event `counters`, one a camera and second.
+         * @description The node sends them only while this is read, and for half a minute after. Event `counters`, one per camera and second.
          *     `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
          */
         get: {
@@ -1012,7 +1012,7 @@ export interface paths {
                     node?: string;
                     /** @description `next` of the page before. */
                     cursor?: number;
-                    /** @description At most so many, 20 by default, 100 at most. */
+                    /** @description Maximum number, up to 100; 20 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -1064,8 +1064,8 @@ export interface paths {
         };
         get?: never;
         /**
-         * Sets a target on selected nodes, in the place of a threshold
-         * @description It holds at a node when the node **reports** it; where it stands is in the node's status. A threshold that is ordered
+         * Sets a target on selected nodes instead of a threshold
+         * @description It holds at a node when the node **reports** it; how far it is met is in the node's status. A threshold that is ordered
          *     or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
          */
@@ -1525,8 +1525,8 @@ export interface components {
             reports: components["schemas"]["StoredSetAside"][];
         };
         /**
-         * @description What an audit has found, with intervals at 95 % that include the missed frames. All is against the detector and not
-         *     against the truth: a policy that keeps showing an object which the detector misses loses precision here although it may
+         * @description The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
+         *     truth: a policy that keeps showing an object which the detector misses loses precision here although it may
          *     be right.
          */
         AuditFigures: {
@@ -1559,7 +1559,7 @@ export interface components {
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Boxes that had been shown on them.
+             * @description Boxes that were shown on them.
              */
             shown: number;
         };
@@ -1638,7 +1638,7 @@ export interface components {
             origin: string;
             /**
              * Format: int64
-             * @description Its number, which nodes tell as the revision of what they have.
+             * @description Its number, which nodes report as the revision of their setting.
              */
             revision: number;
             /** @description Who was selected; empty where a rollout or trial chose. */
@@ -1673,7 +1673,7 @@ export interface components {
          * @enum {string}
          */
         Command: "pause" | "resume" | "next" | "return" | "stop";
-        /** @description The counters of a camera, once a second. */
+        /** @description The counters of a camera, once per second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
@@ -1741,7 +1741,7 @@ export interface components {
              */
             silent: number;
         };
-        /** @description What a node can be told to hold. A node has one, so that each kind replaces the other. */
+        /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
             /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
             threshold: components["schemas"]["Threshold"];
@@ -1758,7 +1758,7 @@ export interface components {
              */
             watts: number;
         };
-        /** @description A node that has not what is desired of it, although it had taken it. */
+        /** @description A node that took what is desired of it and has something else now. */
         Drift: {
             /** @description What is desired: a threshold or a target. */
             desired: components["schemas"]["DesiredSetting"];
@@ -1815,7 +1815,7 @@ export interface components {
             stopped: number;
             /**
              * Format: int64
-             * @description Of another stream than the camera's present one: another publisher, or a number far off.
+             * @description From another stream than the camera's current one: another publisher, or a number far off.
              * @default 0
              */
             stray: number;
@@ -1956,8 +1956,8 @@ export interface components {
          * @description One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
          * @enum {string}
          */
-        Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors" | "recall" | "precision";
-        /** @description How many frames had each state. */
+        Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "recall" | "precision";
+        /** @description Number of frames in each state. */
         FrameStates: {
             /**
              * Format: int64
@@ -2040,7 +2040,7 @@ export interface components {
                 [key: string]: string;
             };
         };
-        /** @description Who answers here, and what can be asked. */
+        /** @description Service, version and list of routes. */
         Index: {
             /** @description The interface described in full. */
             openapi: string;
@@ -2127,7 +2127,7 @@ export interface components {
             asked: components["schemas"]["MemberTarget"];
             /** @description When it was asked. */
             asked_ms: components["schemas"]["i64"];
-            /** @description The value it had at the beginning. */
+            /** @description Its value at the beginning. */
             before: components["schemas"]["Threshold"];
             /** @description Its stage or group, from 0. */
             group: number;
@@ -2193,22 +2193,22 @@ export interface components {
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
-            /** @description Why it holds nothing any more, in words, where it did since its start. */
+            /** @description Why it has no target any more, in words, if it had one since its start. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
-        /** @description The target in a node's status: as much of it as does not move by itself. */
+        /** @description The target in a node's status, without the figures that change all the time. */
         NodeTarget: {
             /**
              * Format: double
-             * @description What was measured of it when the status was made.
+             * @description The measured value when the status was created.
              */
             actual?: number | null;
             /** @description Who set it. */
             source: components["schemas"]["SettingSource"];
             status?: components["schemas"]["TargetStatus"] | null;
-            /** @description What is to be held. */
+            /** @description The target. */
             target: components["schemas"]["Target"];
         };
         /** @description A node as it is shown. */
@@ -2260,7 +2260,7 @@ export interface components {
             nodes: components["schemas"]["OutcomeLine"][];
             /**
              * Format: int64
-             * @description Revision of the order: `/api/v1/changes/{revision}` tells how it went on. Absent in a dry run, and when nobody was to change.
+             * @description Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
              */
             revision?: number | null;
         };
@@ -2378,7 +2378,7 @@ export interface components {
         PresenceState: "online" | "degraded" | "silent" | "offline";
         /** @description What went wrong with a request, and what would do. */
         Problem: {
-            /** @description What is allowed in the place of what was sent: methods, names, media types. */
+            /** @description What is allowed instead of what was sent: methods, names, media types. */
             allowed?: string[];
             /** @description What was wrong with this request. */
             detail: string;
@@ -2427,7 +2427,7 @@ export interface components {
             refused: number;
             /**
              * Format: int64
-             * @description How often the running count began anew: the node's state was made anew, went back in time or was copied.
+             * @description How often the running count began again: the node's state was made new, went back in time or was copied.
              */
             resets: number;
             /**
@@ -2485,8 +2485,7 @@ export interface components {
              *       "skip_rate>=-0.05",
              *       "joules<=+5%?",
              *       "latency_p99<=+10%",
-             *       "degraded<=+0.01",
-             *       "detector_errors<=+0.01?"
+             *       "degraded<=+0.01"
              *     ]
              */
             gates: string[];
@@ -2654,7 +2653,7 @@ export interface components {
             count?: number | null;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
+             * @description Frames answered from prediction because the detector was not available.
              */
             degraded: number;
             /**
@@ -2833,9 +2832,9 @@ export interface components {
              */
             joules_per_day: number;
         };
-        /** @description Where the target of a node stands. */
+        /** @description The target of a node and its state. */
         TargetReport: {
-            /** @description Why there is none, in words, where there was one. */
+            /** @description Why there is none any more, in words. */
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
             /** @description Who set it, or switched it off. */
@@ -2851,7 +2850,7 @@ export interface components {
             /** @description The same in words. */
             why?: string | null;
         };
-        /** @description What selected nodes are to hold in the place of their knobs' numbers. */
+        /** @description The target that selected nodes are to hold. */
         TargetRequest: {
             /** @description Only say who would change. */
             dry_run?: boolean;
@@ -2863,10 +2862,10 @@ export interface components {
              * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
              */
             wait_s?: number | null;
-            /** @description Why; stands in the history. */
+            /** @description Why; kept in the history. */
             why?: string;
         };
-        /** @description Where a target stands. */
+        /** @description The state of a target. */
         TargetState: {
             /**
              * Format: double
@@ -2883,7 +2882,7 @@ export interface components {
              * @description The knob's value in force.
              */
             knob: number;
-            /** @description Why it stands there. */
+            /** @description Why it has that value. */
             status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
@@ -2897,13 +2896,13 @@ export interface components {
             unmet_s: number;
         };
         /**
-         * @description Why the knob stands where it stands.
+         * @description Why the knob has its value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /**
          * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-         *     under expected-loss. So nobody takes one policy's value for another's.
+         *     under expected-loss. So one policy's value cannot be mistaken for another's.
          */
         Threshold: {
             /** @description The threshold's name. */
@@ -2914,7 +2913,7 @@ export interface components {
              */
             value: number;
         };
-        /** @description A value for selected nodes. The value stands beside these fields under the policy's name for it: `"u": 5e-4`. */
+        /** @description A value for selected nodes. The value is beside these fields under the policy's name for it: `"u": 5e-4`. */
         ThresholdRequest: {
             /** @description Only say who would change. */
             dry_run?: boolean;
@@ -2925,7 +2924,7 @@ export interface components {
              * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
              */
             wait_s?: number | null;
-            /** @description Why; stands in the history. */
+            /** @description Why; kept in the history. */
             why?: string;
         };
         /** @description What a node's clips of today used. Measured and estimated energy are never added. */
@@ -2942,7 +2941,7 @@ export interface components {
             measured_joules: number;
             /**
              * Format: double
-             * @description Share of the detector's boxes on audited skipped frames that had been shown, 0 to 1; absent without such a box.
+             * @description Share of the detector's boxes on audited skipped frames that were shown, 0 to 1; absent without such a box.
              */
             recall?: number | null;
             /**

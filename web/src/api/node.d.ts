@@ -9,7 +9,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Who answers here, and what can be asked
+         * Service, version and list of routes
          * @description `curl http://127.0.0.1:8080/api/v1`
          */
         get: {
@@ -124,7 +124,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Where a camera stands: policy, threshold, frame states, what to try
+         * State of a camera: policy, threshold, frame states, suggestions
          * @description `curl http://127.0.0.1:8080/api/v1/cameras/front`
          */
         get: {
@@ -197,7 +197,7 @@ export interface paths {
                         "application/json": components["schemas"]["DetectionsMessage"];
                     };
                 };
-                /** @description There is no such camera, or it has had no frame yet. */
+                /** @description There is no such camera, or no frame has come from it yet. */
                 404: {
                     headers: {
                         [name: string]: unknown;
@@ -326,13 +326,13 @@ export interface paths {
         };
         /**
          * A camera's last minutes frame by frame, and its last hour in pieces
-         * @description The node keeps the newest 8192 frames and 360 pieces of ten seconds in memory, whoever looks.
+         * @description The node always keeps the newest 8192 frames and 360 pieces of ten seconds in memory.
          *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description At most so many of the last frames, 0 to 8192; 3000 by default. */
+                    /** @description Maximum number of frames, 0 to 8192; 3000 by default. */
                     frames?: number;
                 };
                 header?: never;
@@ -478,7 +478,7 @@ export interface paths {
         };
         /**
          * Changes a camera's threshold
-         * @description It holds from the camera's next frame.
+         * @description Applies from the camera's next frame.
          *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
          */
         put: {
@@ -586,7 +586,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * One archive (tar) of what helps to find a fault
+         * Diagnostics as one tar archive
          * @description Versions, the configuration with its secrets masked, readiness with reasons, cameras, frame-state counters, metrics, the
          *     last clips, and the last lines of the log. `curl -O -J http://127.0.0.1:8080/api/v1/diag`
          */
@@ -635,7 +635,7 @@ export interface paths {
         /**
          * What happens on the node, as server-sent events
          * @description First how things stand (counters, thresholds, detector), then each change. A reader that is too slow
-         *     loses events and is told how many by the event `lagged`.
+         *     loses events; the event `lagged` has their number.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
          */
         get: {
@@ -746,7 +746,7 @@ export interface paths {
                 query?: {
                     /** @description Only lines after that number. */
                     after?: number;
-                    /** @description At most so many, the newest, 1 to 1000; 200 by default. */
+                    /** @description Maximum number of lines, the newest ones, 1 to 1000; 200 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -866,7 +866,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The target and where it stands
+         * The target and its state
          * @description `curl http://127.0.0.1:8080/api/v1/target`
          */
         get: {
@@ -889,7 +889,7 @@ export interface paths {
             };
         };
         /**
-         * Sets a target in the place of a threshold
+         * Sets a target instead of a threshold
          * @description One of `recall` (against the detector, the lower end of its interval), `skip_rate`, `detector_ms_per_s`, `watts`,
          *     `joules_per_day`, or null for none. A controller then moves the knob of all cameras together, inside its range; setting
          *     the threshold by hand switches it off.
@@ -965,7 +965,7 @@ export interface paths {
         };
         /**
          * Changes the threshold of all cameras, or of none
-         * @description It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
+         * @description Applies from each camera's next frame. The threshold has the policy's name for it: `u`, or `lambda` under
          *     expected-loss.
          *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
          */
@@ -1162,8 +1162,8 @@ export interface components {
             value: number;
         };
         /**
-         * @description What an audit has found, with intervals at 95 % that include the missed frames. All is against the detector and not
-         *     against the truth: a policy that keeps showing an object which the detector misses loses precision here although it may
+         * @description The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
+         *     truth: a policy that keeps showing an object which the detector misses loses precision here although it may
          *     be right.
          */
         AuditFigures: {
@@ -1196,7 +1196,7 @@ export interface components {
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Boxes that had been shown on them.
+             * @description Boxes that were shown on them.
              */
             shown: number;
         };
@@ -1230,8 +1230,8 @@ export interface components {
             rate: number;
         };
         /**
-         * @description The audit's part of a clip report: what became known of skipped frames between the report before and this one. A
-         *     frame at the end of a clip may be in the next one's.
+         * @description The audit's part of a clip report: results for skipped frames since the previous report. A frame at the end of a clip
+         *     may be counted in the next report.
          */
         AuditReport: {
             /**
@@ -1299,7 +1299,7 @@ export interface components {
             shown_paired: number;
         };
         /**
-         * @description Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes a frame, the
+         * @description Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes per frame, the
          *     one that audits the larger share of its frames weighs more.
          */
         AuditSums: {
@@ -1323,7 +1323,7 @@ export interface components {
             missed: number;
             /**
              * Format: int64
-             * @description Boxes that had been shown on those, at least one a frame: what the missed frames weigh in an interval.
+             * @description Boxes that were shown on those, at least one per frame: what the missed frames weigh in an interval.
              * @default 0
              */
             missed_boxes: number;
@@ -1335,7 +1335,7 @@ export interface components {
             paired: number;
             /**
              * Format: int64
-             * @description Boxes that had been shown on them.
+             * @description Boxes that were shown on them.
              * @default 0
              */
             shown: number;
@@ -1352,8 +1352,8 @@ export interface components {
             squares: components["schemas"]["AuditSquares"];
         };
         /**
-         * @description The state of the board during a clip, as far as the board tells: the same clip costs differently in
-         *     each.
+         * @description The state of the board during a clip, as far as the board reports it: the energy of a clip depends on
+         *     it.
          */
         BoardState: {
             /**
@@ -1386,7 +1386,7 @@ export interface components {
              */
             power_mode: string | null;
             /**
-             * @description Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+             * @description Whether heat, current or power throttled the clocks at any time; absent if the board does not report it.
              * @default null
              */
             throttled: boolean | null;
@@ -1419,11 +1419,11 @@ export interface components {
          * @enum {string}
          */
         CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
-        /** @description Where one camera stands. */
+        /** @description State of one camera. */
         CameraDetail: components["schemas"]["CameraEntry"] & {
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
+             * @description Frames answered from prediction because the detector was not available.
              */
             degraded_frames: number;
             /** @description Frames not processed, by kind. */
@@ -1437,7 +1437,7 @@ export interface components {
              * @description Share of frames that skipped the detector: state E or P and not degraded.
              */
             skip_rate: number;
-            /** @description How many frames had each state; they add up to `frames`. */
+            /** @description Number of frames in each state; they add up to `frames`. */
             states: components["schemas"]["FrameStates"];
             threshold?: components["schemas"]["Threshold"] | null;
             /** @description The program's version. */
@@ -1453,7 +1453,7 @@ export interface components {
              * @description Clips ended since the node started.
              */
             clips: number;
-            /** @description Why no frames come, where that is so. */
+            /** @description Why no frames arrive, if none do. */
             fault?: string | null;
             /**
              * Format: int64
@@ -1476,7 +1476,7 @@ export interface components {
             source?: string | null;
             /**
              * Format: double
-             * @description What the published code would want in the place of `u` in pictures of this size; absent where that is the same
+             * @description The equivalent of `u` in the published code, in pictures of this size; absent where that is the same
              *     number, before the first frame, and under other policies.
              */
             u_as_published?: number | null;
@@ -1486,7 +1486,7 @@ export interface components {
              */
             width?: number | null;
         };
-        /** @description What became of a camera's frames lately. */
+        /** @description Recent frames of a camera. */
         CameraHistory: {
             /** @description Camera. */
             camera: string;
@@ -1519,7 +1519,7 @@ export interface components {
             calls: number;
             /**
              * Format: int32
-             * @description Of these, answered from prediction because the detector could not be had.
+             * @description Of these, answered from prediction because the detector was not available.
              */
             degraded: number;
             /**
@@ -1548,7 +1548,7 @@ export interface components {
          * @enum {string}
          */
         CameraState: "live" | "stale" | "never_seen";
-        /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
+        /** @description Frames of a camera since the node started. The five states add up to `frames`. */
         CameraStates: {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
@@ -1559,7 +1559,7 @@ export interface components {
             camera: string;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
+             * @description Frames answered from prediction because the detector was not available.
              */
             degraded_frames: number;
             /** @description Frames not processed, by kind. */
@@ -1579,7 +1579,7 @@ export interface components {
              * @description Share of frames that skipped the detector: state E or P and not degraded.
              */
             skip_rate: number;
-            /** @description How many had each state. */
+            /** @description Number of frames in each state. */
             states: components["schemas"]["FrameStates"];
             /**
              * Format: double
@@ -1617,9 +1617,9 @@ export interface components {
         /**
          * @description Energy of one clip.
          *
-         *     Joules are those of the time that samples cover, and `coverage` says how much of the clip that is. They are
-         *     never stretched to the rest, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip
-         *     used: such joules must not be compared with others or set against the clip's duration, and `edp` is absent.
+         *     Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
+         *     extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
+         *     compare such joules with others or divide them by the clip's duration. `edp` is then absent.
          */
         ClipEnergy: {
             /**
@@ -1656,15 +1656,15 @@ export interface components {
             samples: number;
             /**
              * Format: double
-             * @description Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, no
-             *     longer than the one detector had nothing to do, times the watts that a running detector adds on this machine.
-             *     Absent while it is not known what it adds.
+             * @description Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, at
+             *     most the detector's idle time, times the watts that a running detector adds on this machine. Absent until these
+             *     watts are known.
              */
             saved_joules_estimated?: number | null;
             /** @description Where it comes from: `rapl`, `estimate`, … */
             source: string;
             /**
-             * @description How `joules` of the total domain came about: `input_rail` or `sum_of_rails`, or the estimate's
+             * @description How `joules` of the total domain is computed: `input_rail`, `sum_of_rails`, or the estimate's
              *     formula in words.
              */
             total_from: string;
@@ -1763,7 +1763,7 @@ export interface components {
              */
             next?: string | null;
         };
-        /** @description Says that there is something to pull. */
+        /** @description Notifies a node that its desired setting has changed. */
         ConfigChanged: {
             /**
              * Format: int64
@@ -1776,7 +1776,7 @@ export interface components {
              */
             v: number;
         };
-        /** @description The counters of a camera, once a second. */
+        /** @description The counters of a camera, once per second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
@@ -1821,7 +1821,7 @@ export interface components {
             /** @description Power now by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
-        /** @description What is desired of a node. */
+        /** @description The answer with a node's desired setting. */
         Desired: {
             /**
              * Format: int64
@@ -1838,19 +1838,19 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description How much longer somebody watches the node, seconds: until then it sends counters once a second. Absent when nobody
-             *     does.
+             * @description How much longer the node is watched, seconds: until then it sends counters once per second. Absent if it is not
+             *     watched.
              */
             watched_for_s?: number | null;
         };
-        /** @description What a node can be told to hold. A node has one, so that each kind replaces the other. */
+        /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
             /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
             threshold: components["schemas"]["Threshold"];
         } | {
             target: components["schemas"]["Target"] | null;
         };
-        /** @description What was found in one frame. */
+        /** @description The state and boxes of one frame. */
         DetectionsMessage: {
             /** @description What is in view. */
             boxes: components["schemas"]["BoxMessage"][];
@@ -1977,7 +1977,7 @@ export interface components {
             stopped: number;
             /**
              * Format: int64
-             * @description Of another stream than the camera's present one: another publisher, or a number far off.
+             * @description From another stream than the camera's current one: another publisher, or a number far off.
              * @default 0
              */
             stray: number;
@@ -2037,8 +2037,8 @@ export interface components {
             saved_joules_estimated?: number | null;
         };
         /**
-         * @description What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
-         *     `delivery = "every"` sends its next frame then. A query that ends without an answer was not taken.
+         * @description The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
+         *     `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
          */
         FrameAnswer: {
             /** @description Why the frame will not be processed; absent when it will be. */
@@ -2095,7 +2095,7 @@ export interface components {
          * @enum {string}
          */
         FrameState: "E" | "P" | "E+I" | "I" | "AI";
-        /** @description How many frames had each state. */
+        /** @description Number of frames in each state. */
         FrameStates: {
             /**
              * Format: int64
@@ -2151,7 +2151,7 @@ export interface components {
             /** @description Whether it works as it should. */
             state: components["schemas"]["HealthState"];
         };
-        /** @description Who answers here, and what can be asked. */
+        /** @description Service, version and list of routes. */
         Index: {
             /** @description Names of the cameras. */
             cameras: string[];
@@ -2263,9 +2263,9 @@ export interface components {
              * @description Its number since the start, from 1.
              */
             number: number;
-            /** @description Part of the program that says it. */
+            /** @description Part of the program that wrote it. */
             target: string;
-            /** @description What it says, with what it says of it and where. */
+            /** @description Spans, message and fields. */
             text: string;
         };
         /** @description A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss. */
@@ -2305,7 +2305,7 @@ export interface components {
             cameras: components["schemas"]["CameraStates"][];
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had, all cameras together.
+             * @description Frames answered from prediction because the detector was not available, all cameras together.
              */
             degraded_frames: number;
             /**
@@ -2320,7 +2320,7 @@ export interface components {
              * @description Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
              */
             skip_rate: number;
-            /** @description How many had each state, all cameras together. */
+            /** @description Number of frames in each state, all cameras together. */
             states: components["schemas"]["FrameStates"];
             /**
              * Format: double
@@ -2352,22 +2352,22 @@ export interface components {
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
-            /** @description Why it holds nothing any more, in words, where it did since its start. */
+            /** @description Why it has no target any more, in words, if it had one since its start. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
-        /** @description The target in a node's status: as much of it as does not move by itself. */
+        /** @description The target in a node's status, without the figures that change all the time. */
         NodeTarget: {
             /**
              * Format: double
-             * @description What was measured of it when the status was made.
+             * @description The measured value when the status was created.
              */
             actual?: number | null;
             /** @description Who set it. */
             source: components["schemas"]["SettingSource"];
             status?: components["schemas"]["TargetStatus"] | null;
-            /** @description What is to be held. */
+            /** @description The target. */
             target: components["schemas"]["Target"];
         };
         /** @description [`Readiness`] as a problem document. */
@@ -2410,7 +2410,7 @@ export interface components {
             boxes: number[];
             /** @description Why the detector was called; null where it was not. */
             cause: (components["schemas"]["CallCause"] | null)[];
-            /** @description Whether the detector was needed and could not be had. */
+            /** @description Whether the detector was needed but not available. */
             degraded: boolean[];
             /** @description Milliseconds of the detector; null where it did not run. */
             detector_ms: (number | null)[];
@@ -2479,7 +2479,7 @@ export interface components {
         };
         /** @description What went wrong with a request, and what would do. */
         Problem: {
-            /** @description What is allowed in the place of what was sent: methods, names, media types. */
+            /** @description What is allowed instead of what was sent: methods, names, media types. */
             allowed?: string[];
             /** @description What was wrong with this request. */
             detail: string;
@@ -2494,7 +2494,7 @@ export interface components {
             /** @description Always `about:blank`: the title is that of the status. */
             type: string;
         };
-        /** @description A node asks what is desired. */
+        /** @description A node's request for its desired setting. */
         PullRequest: {
             /**
              * Format: int64
@@ -2588,8 +2588,8 @@ export interface components {
             v: number;
         };
         /**
-         * @description Reports of one node, the oldest first. On the wire it is JSON compressed with Zstandard against an example batch,
-         *     `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
+         * @description Reports of one node, the oldest first. On the wire: a byte with the dictionary's number, then JSON compressed with
+         *     Zstandard and that dictionary (`crates/wire/src/report/dictionary-1.json`).
          */
         ReportBatch: {
             /** @description Node; the same in each of the reports. */
@@ -2626,7 +2626,7 @@ export interface components {
             avoided_calls: number;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
+             * @description Frames answered from prediction because the detector was not available.
              */
             degraded_frames: number;
             energy?: components["schemas"]["EnergyUsed"] | null;
@@ -2646,7 +2646,7 @@ export interface components {
          * @enum {string}
          */
         SettingSource: "configuration" | "local" | "hub";
-        /** @description The boxes of one frame for whoever keeps them: drawn between two detector calls where the second came in time. */
+        /** @description The boxes of one frame for recordings: interpolated between two detector calls if the second came in time. */
         SettledMessage: {
             /** @description What is in view. */
             boxes: components["schemas"]["BoxMessage"][];
@@ -2711,8 +2711,8 @@ export interface components {
             values: components["schemas"]["ValueEstimate"][];
         };
         /**
-         * @description A heartbeat with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
-         *     changed, a [`Heartbeat`] goes out instead.
+         * @description A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,
+         *     the node sends a [`Heartbeat`] instead.
          */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
@@ -2725,7 +2725,7 @@ export interface components {
             revision: number;
             /**
              * Format: int32
-             * @description A random number of this run of the process: tells two runs, and two nodes of one name, from each other.
+             * @description A random number of this run of the process: it distinguishes two runs, and two nodes with the same name.
              */
             run: number;
             /**
@@ -2798,9 +2798,9 @@ export interface components {
              */
             v?: number;
         };
-        /** @description Where the target of a node stands. */
+        /** @description The target of a node and its state. */
         TargetReport: {
-            /** @description Why there is none, in words, where there was one. */
+            /** @description Why there is none any more, in words. */
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
             /** @description Who set it, or switched it off. */
@@ -2816,7 +2816,7 @@ export interface components {
             /** @description The same in words. */
             why?: string | null;
         };
-        /** @description Where a target stands. */
+        /** @description The state of a target. */
         TargetState: {
             /**
              * Format: double
@@ -2833,7 +2833,7 @@ export interface components {
              * @description The knob's value in force.
              */
             knob: number;
-            /** @description Why it stands there. */
+            /** @description Why it has that value. */
             status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
@@ -2847,13 +2847,13 @@ export interface components {
             unmet_s: number;
         };
         /**
-         * @description Why the knob stands where it stands.
+         * @description Why the knob has its value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /**
          * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-         *     under expected-loss. So nobody takes one policy's value for another's.
+         *     under expected-loss. So one policy's value cannot be mistaken for another's.
          */
         Threshold: {
             /** @description The threshold's name. */
@@ -2868,7 +2868,7 @@ export interface components {
         ThresholdChange: {
             /**
              * Format: int64
-             * @description First frame it held for.
+             * @description First frame that it applies to.
              */
             seq: number;
             /** @description The new value. */

@@ -1,4 +1,4 @@
-// The history of changes, nodes that have drifted, and reports that were set aside.
+// The history of changes, nodes that have drifted, and rejected reports.
 
 import { useState } from "preact/hooks";
 import { json } from "../shared/api";
@@ -28,7 +28,7 @@ export function Changes() {
   return (
     <>
       {drift.value && drift.value.length > 0 && (
-        <Section id="drift" title="Nodes that were changed at the node" wide aside={<span class="quiet">{plural(drift.value.length, "node")}</span>}>
+        <Section id="drift" title="Nodes with local changes" wide aside={<span class="quiet">{plural(drift.value.length, "node")}</span>}>
           <ul class="events">
             {drift.value.slice(0, 100).map((one) => (
               <li key={one.node}>
@@ -43,7 +43,7 @@ export function Changes() {
       )}
       <Section id="changes" title="Changes" wide>
         <Fault text={found.fault || fault} />
-        {found.value && changes.length === 0 && <p class="message quiet">None was ordered yet.</p>}
+        {found.value && changes.length === 0 && <p class="message quiet">No changes yet.</p>}
         {changes.length > 0 && (
           <div class="scroll" tabIndex={0} role="group" aria-label="table of changes">
             <table>
@@ -113,7 +113,7 @@ export function Aside() {
   const reports = found.value?.reports ?? [];
   return (
     <Section id="aside" title="Reports that could not be read" wide>
-      <p class="message quiet">They were acknowledged, so that they do not hold up those behind them, and are kept here with their cause.</p>
+      <p class="message quiet">They were acknowledged, so that they do not block later reports, and are kept here with the reason.</p>
       <Fault text={found.fault} />
       {found.value && reports.length === 0 && <p class="message good">None.</p>}
       {reports.map((report) => (

@@ -1,4 +1,4 @@
-// The fleet as a table: as many elements as fit on the screen, filled anew while it is scrolled.
+// The fleet as a table: as many elements as fit on the screen, refilled while scrolling.
 
 import { signal } from "@preact/signals";
 import type { JSX } from "preact";
@@ -78,7 +78,7 @@ export function Fleet() {
   const last = Math.min(first + slots, Math.max(rows.total, 1)) - 1;
   useEffect(() => rows.want(first, last), [rows, first, last]);
 
-  // Rows are read anew when something happened to one that is seen, and every three seconds for their ages.
+  // Rows are read again when a visible one has changed, and every three seconds for their ages.
   const news = changed.value;
   useEffect(() => {
     if (lost.value === undefined) rows.refresh();
@@ -94,7 +94,7 @@ export function Fleet() {
   for (let index = first; index <= last && index < rows.total; index += 1) shown.push(index);
   const sort = (id: string) => refine({ sort: id, down: filter.sort === id && !filter.down ? "true" : undefined });
   const picked = selected.value;
-  // A row that is as it was is the very element that was drawn, and nothing of it is looked at again.
+  // An unchanged row reuses its element, so it is not compared again.
   const drawn = useRef(new Map<number, { index: number; node: NodeView | undefined; picked: boolean; element: JSX.Element }>());
   const row = (index: number) => {
     const [node, slot] = [rows.at(index), index % slots];
@@ -218,7 +218,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       <span role="cell" class="c-skip" title="Share of today's frames that skipped the detector">
         {percent(node.today.skip_rate)}
       </span>
-      <span role="cell" class="c-recall" title="Share of the detector's boxes on audited skipped frames of today that had been shown">
+      <span role="cell" class="c-recall" title="Share of the detector's boxes on audited skipped frames of today that were shown">
         {percent(node.today.recall)}
       </span>
       <span role="cell" class="c-provider">
@@ -351,7 +351,7 @@ function Happened() {
 
 function detail(value: unknown): string {
   if (typeof value !== "object" || value === null) return value === undefined || value === null ? "" : String(value);
-  // In words where there are some; the rest is on the node's own page.
+  // In words if there are any; the rest is on the node's own page.
   if ("reason" in value && typeof value.reason === "string") return value.reason;
   return Object.entries(value)
     .filter(([, entry]) => entry !== null && entry !== "")

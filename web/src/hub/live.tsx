@@ -58,10 +58,10 @@ export function Live({ node }: { node: string }) {
       id="live"
       title="Now"
       wide
-      aside={<span class="quiet">once a second, and only while this page is open</span>}
+      aside={<span class="quiet">once per second, only while this page is open</span>}
     >
       <Fault text={fault} />
-      {cameras.size === 0 && !fault && <p class="message quiet">Waiting for the node to hear that it is watched.</p>}
+      {cameras.size === 0 && !fault && <p class="message quiet">Waiting for the node to send live data.</p>}
       <Held report={[...cameras.values()][0]?.at(-1)?.target} />
       <div class="live">
         {[...cameras].map(([camera, samples]) => (

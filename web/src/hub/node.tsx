@@ -1,4 +1,4 @@
-// One node of the fleet: how it is, what it costs, its clips and changes.
+// One node of the fleet: its health, its energy, its clips and changes.
 
 import { answer } from "../shared/api";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
@@ -37,7 +37,7 @@ export function Node({ name }: { name: string }) {
   const energy = useLoaded<Energy>(`/api/v1/energy?by=knob&node=${at}&since_ms=${since}`, 30_000);
   const clips = useLoaded<{ clips: StoredClip[] }>(`/api/v1/clips?node=${at}&limit=30`, 10_000);
   const changes = useLoaded<{ changes: ChangeView[] }>(`/api/v1/changes?node=${at}&limit=10`, 10_000);
-  // What is set here is set for this node.
+  // Settings on this page apply to this node.
   useEffect(() => {
     selected.value = new Set([name]);
     return () => {
@@ -92,7 +92,7 @@ export function Node({ name }: { name: string }) {
             {status?.target && (
               <p class="message" id="held">
                 Holds <b>{heldText(status.target.target)}</b>
-                {typeof status.target.actual === "number" && <>, <b>{small(status.target.actual)}</b> when it told</>}:{" "}
+                {typeof status.target.actual === "number" && <>, <b>{small(status.target.actual)}</b> at its last report</>}:{" "}
                 {status.target.status ? TARGET_STATUS[status.target.status] : "it begins"}; set by {setBy(status.target.source)}.
               </p>
             )}
@@ -172,7 +172,7 @@ export function Node({ name }: { name: string }) {
           <dd class={is?.reports?.set_aside ? "bad" : ""}>{count(is?.reports?.set_aside ?? 0)}</dd>
           <dt>refused: too old</dt>
           <dd class={is?.reports?.refused ? "bad" : ""}>{count(is?.reports?.refused ?? 0)}</dd>
-          <dt>count began again</dt>
+          <dt>count restarted</dt>
           <dd>{count(is?.reports?.resets ?? 0)}</dd>
           <dt>first, last</dt>
           <dd>{is?.reports ? `${dateTime(is.reports.first_ms)}, ${dateTime(is.reports.last_ms)}` : "–"}</dd>
@@ -180,7 +180,7 @@ export function Node({ name }: { name: string }) {
       </Section>
       <Section id="node-changes" title="Changes" wide>
         <Fault text={changes.fault} />
-        {changes.value?.changes.length === 0 && <p class="message quiet">None was ordered by this hub.</p>}
+        {changes.value?.changes.length === 0 && <p class="message quiet">No changes by this hub.</p>}
         <ul class="events">
           {(changes.value?.changes ?? []).map((change) => (
             <li key={change.revision}>

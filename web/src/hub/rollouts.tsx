@@ -69,7 +69,7 @@ function Stages({ rollout }: { rollout: RolloutView }) {
 const VERDICTS: Record<string, Mood> = { passed: "good", failed: "bad", undecided: "wait", not_measured: "none" };
 const FIGURES: Record<string, string> = {
   skip_rate: "skip rate", joules_measured: "energy, measured", joules_estimated: "energy, ≈ estimated", edp_measured: "EDP, measured",
-  edp_estimated: "EDP, ≈ estimated", latency_p99: "latency p99", degraded: "degraded frames", detector_errors: "detector errors",
+  edp_estimated: "EDP, ≈ estimated", latency_p99: "latency p99", degraded: "degraded frames",
 };
 
 export function figureWords(figure: string | null | undefined): string {
@@ -175,11 +175,11 @@ export function Rollout({ id }: { id: string }) {
           </div>
           {forbidden && <p class="message wait">{forbidden}</p>}
           <Fault text={fault} />
-          <h3>Gates{judged ? `, as judged ${dateTime(judged.at_ms)} in stage ${judged.stage}` : ""}</h3>
-          {judged?.gates ? <Gates gates={judged.gates} /> : <p class="message quiet">Not judged yet: {rollout.plan.gates?.join(", ")}</p>}
+          <h3>Gates{judged ? `, as evaluated ${dateTime(judged.at_ms)} in stage ${judged.stage}` : ""}</h3>
+          {judged?.gates ? <Gates gates={judged.gates} /> : <p class="message quiet">Not evaluated yet: {rollout.plan.gates?.join(", ")}</p>}
           <h3>{rollout.phase === "returned" ? "Nodes that did not take part" : "Nodes without the value"}</h3>
           {others.length === 0 ? (
-            <p class="message quiet">None of those that were asked.</p>
+            <p class="message quiet">None of the selected nodes.</p>
           ) : (
             <ul class="events">
               {others.slice(0, 100).map((member) => (
@@ -212,7 +212,7 @@ export function Rollouts() {
     <>
       <Section id="rollouts" title="Rollouts" wide>
         <Fault text={found.fault} />
-        {found.value && rollouts.length === 0 && <p class="message quiet">None yet. One is begun below.</p>}
+        {found.value && rollouts.length === 0 && <p class="message quiet">None yet. Start one below.</p>}
         {rollouts.map((rollout) => (
           <article class="card" key={rollout.id}>
             <p class="message">
@@ -266,7 +266,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
     }
   };
   return (
-    <Section id="begin" title="Begin a rollout" wide>
+    <Section id="begin" title="Start a rollout" wide>
       <form onSubmit={begin}>
         <div class="fields">
           <Field label="for which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
@@ -283,7 +283,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
           <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
         </div>
         <div class="row">
-          <button disabled={forbidden !== undefined}>Begin{value !== undefined ? ` with u = ${small(value)}` : ""}</button>
+          <button disabled={forbidden !== undefined}>Start{value !== undefined ? ` with u = ${small(value)}` : ""}</button>
         </div>
         {forbidden && <p class="message wait">{forbidden}</p>}
         <Fault text={fault} />

@@ -1,4 +1,4 @@
-// Where the page is: in the address after #, so that every view has a link and the browser's back works.
+// The current view, stored in the address after #, so that every view has a link and the browser's back button works.
 
 import { signal } from "@preact/signals";
 

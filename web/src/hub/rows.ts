@@ -1,4 +1,4 @@
-// Rows of the fleet's table: only those near what is seen are held, whatever the fleet's size.
+// Rows of the fleet's table: only those near the visible part are kept, whatever the fleet's size.
 
 import { json } from "../shared/api";
 import { href } from "./route";

@@ -1,4 +1,4 @@
-// What the page knows of the fleet as a whole.
+// The page's state of the whole fleet.
 
 import { signal } from "@preact/signals";
 import { every, follow, json } from "../shared/api";

@@ -90,7 +90,7 @@ export function Summary() {
           <Figure
             label="recall against the detector today"
             note={
-              <span title="Share of the detector's boxes on audited skipped frames that had been shown. Against the detector, not against the truth.">
+              <span title="Share of the detector's boxes on audited skipped frames that were shown. Against the detector, not the truth.">
                 {percent(audit.recall.low)} to {percent(audit.recall.high)}; precision {percent(audit.precision?.rate)}; not the truth
               </span>
             }

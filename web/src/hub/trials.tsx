@@ -106,7 +106,7 @@ export function Trial({ id }: { id: string }) {
               </table>
             </div>
           ) : (
-            <p class="message quiet">The result comes when it is over.</p>
+            <p class="message quiet">The result appears when it is over.</p>
           )}
         </>
       )}
@@ -121,7 +121,7 @@ export function Trials() {
     <>
       <Section id="trials" title="Trials" wide>
         <Fault text={found.fault} />
-        {found.value && trials.length === 0 && <p class="message quiet">None yet. One is begun below.</p>}
+        {found.value && trials.length === 0 && <p class="message quiet">None yet. Start one below.</p>}
         {trials.map((trial) => (
           <article class="card" key={trial.id}>
             <p class="message">
@@ -166,7 +166,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
   };
   const shown = terms(fields.values).map(parsed).filter((value): value is number => value !== undefined);
   return (
-    <Section id="begin" title="Begin a trial" wide>
+    <Section id="begin" title="Start a trial" wide>
       <form onSubmit={begin}>
         <div class="fields">
           <Field label="on which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
@@ -175,7 +175,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
           <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
         </div>
         <div class="row">
-          <button disabled={forbidden !== undefined}>Begin{shown.length > 1 ? `: ${shown.map((value) => small(value)).join(" against ")}` : ""}</button>
+          <button disabled={forbidden !== undefined}>Start{shown.length > 1 ? `: ${shown.map((value) => small(value)).join(" against ")}` : ""}</button>
         </div>
         {forbidden && <p class="message wait">{forbidden}</p>}
         <Fault text={fault} />

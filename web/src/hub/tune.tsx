@@ -73,7 +73,7 @@ export function Tune() {
   const [why, setWhy] = useState("");
   const [fault, setFault] = useState("");
   const picked = [...selected.value].sort();
-  // What is written counts; else the boxes; else the filter of the table.
+  // The typed selector counts; otherwise the checked boxes; otherwise the table's filter.
   const filtered = route.value.query.get("select") ?? "";
   const chosen = terms(select).length ? terms(select) : picked.length ? picked : terms(filtered);
   const forbidden = whyNot();

@@ -51,7 +51,7 @@ type Entry = CameraEntry & { readAt: number };
 
 /** How a camera is, in a pill; and how long ago its last picture came. */
 function stateOf(camera: Entry): { word: CameraWord; age: number | undefined; pill: ComponentChildren } {
-  // What was read a while ago has aged since; frames counted since make it young again.
+  // The age read earlier has grown since; newly counted frames reset it.
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
   const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
@@ -147,7 +147,7 @@ function Thumbnail({ camera, frames }: { camera: string; frames: number }) {
         if (current) URL.revokeObjectURL(current);
         current = next;
       } catch {
-        // The tile says how the camera is.
+        // The tile shows the camera's state.
       }
     };
     void show();

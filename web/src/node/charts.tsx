@@ -1,4 +1,4 @@
-// How uncertainty, power, detector time and rates went.
+// Charts of uncertainty, power, detector time and rates.
 
 import { useMemo } from "preact/hooks";
 import type uPlot from "uplot";
@@ -41,7 +41,7 @@ export function Uncertainty() {
     const limits: Column = shownFrames.map((frame) => ("seq" in frame && frame.threshold?.value) || null);
     return [shownFrames.map((frame) => frame.at), taus, limits];
   }, [shownFrames]);
-  // Another policy's knob is no bound on uncertainty.
+  // Another policy's threshold is not a limit on uncertainty.
   const comparable = name === "u";
   const shown = comparable ? data : ([data[0], data[1]] as uPlot.AlignedData);
   return (
@@ -136,7 +136,7 @@ export function DetectorTime() {
       median.push(slot.detector_p50_ms ?? null);
       tail.push(slot.detector_p99_ms ?? null);
     }
-    // Behind the node's pieces, those that this page makes of the frames it hears.
+    // After the node's pieces, those that this page computes from the frames it receives.
     const begin = before.length ? before.at(-1)!.at_ms / 1000 + SLOT_S : 0;
     const pieces = new Map<number, number[]>();
     for (const frame of log.last(6000)) {
@@ -198,7 +198,7 @@ export function Rates() {
     const begin = list[0]?.at ?? Infinity;
     before.forEach((slot, index) => {
       const from = slot.at_ms / 1000;
-      // A piece that is not over yet when the page is opened is shown by what the page sees itself.
+      // A piece that is not over when the page opens is shown from the frames that the page receives.
       if (from + SLOT_S > begin || (begin === Infinity && index === before.length - 1)) return;
       // A gap in time is a gap in the line.
       if (times.length && from - times.at(-1)! > 2 * SLOT_S) {

@@ -36,7 +36,7 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "duration", head: "length", key: (clip) => clip.duration_s, cell: (clip) => duration(clip.duration_s), unit: "s" },
     {
       id: "energy", head: "energy", key: (clip) => clip.energy.joules ?? undefined, unit: "J",
-      // Joules of a part of the time are told as such.
+      // Joules of only a part of the time are marked.
       cell: (clip) => joules(clip.energy.joules) + (clip.energy.coverage < 0.999 ? ` in ${percent(clip.energy.coverage)} of the time` : ""),
     },
     { id: "edp", head: "EDP", key: (clip) => clip.energy.edp ?? undefined, cell: (clip) => edp(clip.energy.edp), unit: "J·ms/frame" },
@@ -60,7 +60,7 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
 export function Clips() {
   const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
   const all = columns(knob.value?.name ?? "u", cameras.value.length > 1);
-  // What no clip tells is no column.
+  // A figure that no clip has gets no column.
   const shown = all.filter((column) => !["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
   const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);
   const download = () => {

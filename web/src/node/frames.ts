@@ -4,8 +4,8 @@ import { small } from "../shared/format";
 import type { CallCause, CameraHistory, Detections, FrameState } from "./types";
 
 /**
- * A frame with when this page heard of it, seconds since the Unix epoch: a camera's own clock may be any. Of one that was
- * answered before the page was opened the node tells how many boxes it had, and not which.
+ * A frame with the time when this page received it, seconds since the Unix epoch, because camera clocks are not trusted.
+ * For a frame answered before the page was opened, the node reports only the number of boxes.
  */
 export type Seen = Detections & { at: number; pastBoxes?: number };
 
@@ -66,9 +66,9 @@ export const CAUSES: Record<CallCause, CauseWords> = {
 
 /** Why the detector was called on a frame, as its node says; empty when it was not. */
 export function why(frame: Detections): string {
-  // A node of an older version says nothing of it.
+  // A node of an older version does not report it.
   const cause = frame.cause ? (CAUSES[frame.cause]?.meaning ?? frame.cause) : words(frame.state).ran ? "the policy asked for it" : "";
-  if (frame.degraded) return `the detector was needed and could not be had${cause ? `: ${cause}` : ""}`;
+  if (frame.degraded) return `the detector was needed but not available${cause ? `: ${cause}` : ""}`;
   if (!cause) return "";
   const limit = frame.threshold?.name === "u" ? frame.threshold.value : undefined;
   const tau = frame.tau_max;
@@ -139,7 +139,7 @@ export class FrameLog {
   push(frame: Seen): void {
     this.#frames.push(frame);
     this.#bySeq.set(frame.seq, frame);
-    // In pieces: taking one from the front each time would move all the others each time.
+    // In blocks: removing one from the front each time would move all the others.
     const over = this.#frames.length - this.most;
     if (over > Math.max(64, this.most / 10)) {
       for (const old of this.#frames.splice(0, over)) {

@@ -1,4 +1,4 @@
-// The head of the page: which node, how it is, what runs the detector, what was saved.
+// The head of the page: the node's name and health, the detector's provider, and the energy saved.
 
 import { useComputed } from "@preact/signals";
 import { count, duration, joules, percent, plural, small, watts } from "../shared/format";
@@ -136,7 +136,7 @@ export function Saving() {
   const whole = now?.since_start;
   const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
   const audit = counters.value.get(opened.value ?? "")?.audit;
-  // A node that began today has no other day to tell from.
+  // A node that started today has no other day to show.
   const today = now && whole && now.today.since_ms > whole.since_ms ? now.today : undefined;
   const energy = whole?.energy;
   return (

@@ -1,4 +1,4 @@
-// Health part by part, frames that were not processed, and what waits for a hub.
+// Health by part, frames that were not processed, and reports that wait for a hub.
 
 import { count, plural } from "../shared/format";
 import { Section } from "../shared/parts";

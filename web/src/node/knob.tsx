@@ -1,4 +1,4 @@
-// The knob: on a logarithmic scale over its useful range, in force from the next frame on.
+// The threshold slider: on a logarithmic scale over its useful range, in force from the next frame on.
 
 import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
@@ -49,7 +49,7 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
     if (camera === undefined || name !== "u") return;
     const stop = new AbortController();
     void every(ESTIMATE_MS, stop.signal, async () => {
-      // Nothing is recorded of a camera without frames: the node would refuse.
+      // A camera without frames has no recording: the node would refuse.
       if (!counters.value.get(camera)?.frames) return;
       setFound(await json<SkipEstimates>(`/api/v1/cameras/${encodeURIComponent(camera)}/skip-estimate`, { signal: stop.signal }));
     });

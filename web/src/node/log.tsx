@@ -1,4 +1,4 @@
-// The last lines of the node's log, and everything for who looks for a fault as one file.
+// The last lines of the node's log, and the diagnostics as one file.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { every, json } from "../shared/api";
@@ -34,7 +34,7 @@ export function Log({ name }: { name: string | undefined }) {
     void every(EVERY_MS, stop.signal, async () => {
       const found = await json<{ lines: LogLine[] }>(`/api/v1/log?after=${last}&limit=${MOST}`, { signal: stop.signal });
       if (found.lines.length === 0) {
-        // Nothing new, or a node that began anew: its numbers begin anew too.
+        // Nothing new, or the node restarted: its numbers start again too.
         const newest = (await json<{ lines: LogLine[] }>("/api/v1/log?limit=1", { signal: stop.signal })).lines.at(-1);
         if (newest && newest.number < last) last = 0;
         return;
@@ -64,7 +64,7 @@ export function Log({ name }: { name: string | undefined }) {
               <span class="quiet">level</span>{" "}
               <select value={least} onChange={(event) => setLeast(event.currentTarget.value)}>
                 <option value="all">all</option>
-                <option value="INFO">info and graver</option>
+                <option value="INFO">info and above</option>
                 <option value="WARN">warnings and errors</option>
                 <option value="ERROR">errors</option>
               </select>
@@ -91,7 +91,7 @@ export function Log({ name }: { name: string | undefined }) {
             atEnd.current = scrollHeight - scrollTop - clientHeight < 30;
           }}
         >
-          {kept.length === 0 && <p class="quiet">No line of this level.</p>}
+          {kept.length === 0 && <p class="quiet">No lines at this level.</p>}
           {kept.map((line) => (
             <p key={line.number}>
               <time class="quiet">{dateTime(line.at_ms)}</time> <b class={MOODS[line.level] ?? "quiet"}>{line.level}</b>{" "}

@@ -1,4 +1,4 @@
-// The picture with its boxes: the JPEG untouched, boxes over it by source; held, and stepped through.
+// The picture with its boxes: the unchanged JPEG, boxes over it by source; can be paused and stepped through.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { pause, Refused } from "../shared/api";
@@ -46,14 +46,14 @@ export function Picture() {
   const show = async (seq: number, file: Blob | undefined) => {
     const bitmap = file && (await createImageBitmap(file));
     const asked = pointed.value;
-    // Somebody pointed elsewhere while it was decoded.
+    // The user selected another frame while it was decoded.
     if (asked !== undefined && asked !== seq) return bitmap?.close();
     shown.current?.bitmap.close();
     shown.current = bitmap ? { seq, bitmap } : undefined;
     paint(log.bySeq(seq), shown.current);
   };
 
-  // New pictures, while nobody holds one.
+  // New pictures, unless one is paused.
   useEffect(() => {
     if (!camera) return;
     const stop = new AbortController();
@@ -87,7 +87,7 @@ export function Picture() {
           if (pointed.value === undefined) await show(got.seq, got.file);
           const rest = LEAST_MS - (performance.now() - began);
           if (rest > 0) await pause(rest, stop.signal);
-          // Nothing new: the next frame is awaited, for a while.
+          // Nothing new: wait a while for the next frame.
           if (log.at(log.length - 1)?.seq === got.seq) await Promise.race([came(), pause(2000, stop.signal)]);
         } catch (error) {
           await pause(error instanceof Refused ? 2000 : 1000, stop.signal);
@@ -98,7 +98,7 @@ export function Picture() {
     return () => stop.abort();
   }, [camera]);
 
-  // The frame that is pointed at.
+  // The selected frame.
   const seq = pointed.value;
   useEffect(() => {
     if (seq === undefined) return;
@@ -108,7 +108,7 @@ export function Picture() {
   const step = (by: number) => {
     const from = pointed.value ?? shown.current?.seq;
     if (from === undefined) return;
-    // Among the frames that a picture is kept of; further back by the ribbon.
+    // Among the frames with a stored picture; the ribbon reaches further back.
     const places = kept.current.map((picture) => picture.seq);
     const at = places.indexOf(from);
     const next = at >= 0 ? places[at + by] : log.at(log.indexOf(from) + by)?.seq;
@@ -170,7 +170,7 @@ export function Picture() {
 
 function draw(canvas: HTMLCanvasElement, frame: Seen | undefined, bitmap: ImageBitmap | undefined): void {
   const context = canvas.getContext("2d")!;
-  // Of a frame of the past the node tells no size.
+  // The node's history has no picture sizes.
   const width = bitmap?.width ?? (frame?.width || canvas.width);
   const height = bitmap?.height ?? (frame?.height || canvas.height);
   if (canvas.width !== width || canvas.height !== height) {

@@ -1,4 +1,4 @@
-// The ribbon: one pixel a frame, the newest at the right end of the lowest row.
+// The ribbon: one pixel per frame, the newest at the right end of the lowest row.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { plural } from "../shared/format";
@@ -74,7 +74,7 @@ export function Ribbon() {
   return (
     <Section
       id="ribbon"
-      title="What became of every frame"
+      title="What happened to every frame"
       wide
       aside={<span class="quiet">{drawn ? `${plural(drawn, "frame")} over ${Math.round(span)} s, newest last` : "no frame yet"}</span>}
     >
@@ -83,7 +83,7 @@ export function Ribbon() {
         ref={canvas}
         tabIndex={0}
         role="slider"
-        aria-label="Frames, oldest to newest. Arrow keys point at a frame, Escape lets go."
+        aria-label="Frames, oldest to newest. Arrow keys select a frame, Escape clears the selection."
         aria-valuemin={0}
         aria-valuemax={Math.max(0, log.length - 1)}
         aria-valuenow={named ? log.indexOf(named.seq) : Math.max(0, log.length - 1)}
@@ -139,12 +139,12 @@ function draw(canvas: HTMLCanvasElement, width: number, marked: number | undefin
     const { x, row } = placeOf(index, width, log.length)!;
     const top = row * (HEIGHT + GAP);
     if (frame.degraded) {
-      // Like nothing else: full height, in pieces.
+      // Distinct from the others: full height, in pieces.
       context.fillStyle = bad;
       for (let y = 0; y < HEIGHT; y += 4) context.fillRect(x, top + y, 1, 2);
       continue;
     }
-    // Frames that ran the detector stand taller, so that the pattern does not hang on colour alone.
+    // Frames that ran the detector are taller, so that the pattern does not depend on colour alone.
     const tall = words(frame.state).ran ? HEIGHT : HEIGHT / 2;
     context.fillStyle = colours.get(frame.state)!;
     context.fillRect(x, top + HEIGHT - tall, 1, tall);

@@ -27,7 +27,7 @@ export function States() {
     >
       <div class="bars">
         {[...STATES, ...(degraded ? [DEGRADED] : [])].map(({ state, name, meaning, colour }) => {
-          // A degraded frame is a predicted one that should have had the detector.
+          // A degraded frame is a predicted one that needed the detector.
           const number = state === "–" ? degraded : (message?.states[state] ?? 0) - (state === "P" ? degraded : 0);
           const share = total ? number / total : 0;
           return (

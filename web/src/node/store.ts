@@ -1,4 +1,4 @@
-// What the page knows of the node: filled from its event streams and a few looks, read by the components.
+// The page's state of the node: filled from its event streams and a few requests, read by the components.
 
 import { computed, signal } from "@preact/signals";
 import { answer, caller, every, follow, json } from "../shared/api";
@@ -99,7 +99,7 @@ function takeCounters(message: Counters): void {
   samples.set(message.camera, list);
   const at = message.t_ns / 1e9;
   const before = list.at(-1);
-  // The node began anew.
+  // The node restarted.
   if (before && message.frames < before.frames) list.length = 0;
   if (before && message.frames > before.frames) {
     const known = gaps.get(message.camera);
@@ -170,7 +170,7 @@ async function lookAtNode(): Promise<void> {
   const before = overview.value?.uptime_s ?? 0;
   const now = await json<Overview>("/api/v1/node");
   if (now.uptime_s < before) {
-    // Another run: its frames are others.
+    // Another run of the node: its frames are different ones.
     log.clear();
     pointed.value = undefined;
     samples.clear();
@@ -193,7 +193,7 @@ function onEvent(name: string, data: unknown): void {
     case "clip": return takeClip(data as ClipReport);
     case "detector":
       detector.value = data as DetectorEvent;
-      // Health follows the detector; who looks shall not wait for the next turn.
+      // Health follows the detector: show it without waiting for the next poll.
       void lookAtNode().catch(() => {});
       return;
     case "lagged":
@@ -239,7 +239,7 @@ export function watchFrames(camera: string, signal: AbortSignal): void {
       dirty = true;
       for (const listener of frameListeners) listener(data as Frame);
     },
-    // Once: what came after is known, and a node that began anew has no past.
+    // Once: later frames are known, and a restarted node has no history.
     onOpen: () => {
       if (hour.value.length === 0) void lookAtPast(camera, signal).catch(() => {});
     },

@@ -1,4 +1,4 @@
-// A target in the place of the knob's number: what is held, where it stands, and why.
+// A target instead of a fixed threshold: its value, the measured value, and its status.
 
 import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
@@ -20,7 +20,7 @@ export function TargetPanel() {
     void every(LOOK_MS, stop.signal, async () => setReport(await json<TargetReport>("/api/v1/target", { signal: stop.signal })));
     return () => stop.abort();
   }, []);
-  // A controller turns these and no other.
+  // The only thresholds that a controller moves.
   if (!report || !["u", "lambda"].includes(knob.value?.name ?? "")) return null;
   const set = async (target: Record<string, number> | null) => {
     try {

@@ -41,7 +41,7 @@ async function refusal(response: Response): Promise<Refused> {
       detail = problem.detail;
     }
   } catch {
-    // Something between here and the service answered: its status line has to do.
+    // A proxy answered: only its status line is useful.
   }
   if (response.status === 401) void askWho();
   return new Refused(response.status, detail);
@@ -179,7 +179,7 @@ export async function every(ms: number, signal: AbortSignal, work: () => Promise
       try {
         await work();
       } catch {
-        // Whoever shows the figure shows its age too.
+        // Components that show the figure show its age too.
       }
     }
     await pause(ms, signal);

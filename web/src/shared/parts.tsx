@@ -105,7 +105,7 @@ export function whyNot(): string | undefined {
 export function CopyButton({ text }: { text: string }) {
   const [done, setDone] = useState(false);
   const copy = async () => {
-    // Only there on pages of this machine and over TLS.
+    // Available only on pages of this machine and over TLS.
     await navigator.clipboard?.writeText(text);
     setDone(true);
     setTimeout(() => setDone(false), 1500);

@@ -1,4 +1,4 @@
-// How a page begins.
+// Starts a page.
 
 import type { Signal } from "@preact/signals";
 import { render } from "preact";

@@ -25,7 +25,7 @@ export function sorted<T>(rows: readonly T[], column: Column<T>, down: boolean):
 
 function field(value: number | string | undefined): string {
   let text = value === undefined ? "" : String(value);
-  // A spreadsheet would take it for a formula.
+  // A spreadsheet would treat it as a formula.
   if (typeof value === "string" && /^[=+\-@\t\r]/.test(text)) text = `'${text}`;
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }

@@ -1,4 +1,4 @@
-// Targets: what is held in the place of a knob's number.
+// Targets instead of a fixed threshold.
 
 import { small } from "./format";
 

@@ -160,7 +160,7 @@ token = "a-token-that-may-look"
     await page.getByLabel(/for which nodes/).fill("sim-00010*");
     await page.getByLabel("u", { exact: true }).fill("3.5e-4");
     await page.getByLabel(/stages/).fill("2, 100%");
-    await page.getByRole("button", { name: /^Begin/ }).click();
+    await page.getByRole("button", { name: /^Start/ }).click();
     await page.getByRole("heading", { name: /Rollout \d+/ }).waitFor();
     await until("the first stage's nodes", async () => /2 in force/.test(await page.textContent(".stages")));
     await accessible(page, "a rollout");
