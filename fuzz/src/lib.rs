@@ -1,0 +1,289 @@
+//! Feeds foreign input to every parser. A function here must return, whatever the bytes: a panic, an overflow, memory without
+//! bound or a value that does not survive being written and read again is a fault. Each says whether the bytes were valid, so
+//! that a corpus whose inputs are all refused is noticed.
+
+use albireo_core::geometry::PictureSize;
+use albireo_hub::config::HubConfig;
+use albireo_hub::tuning::rollout::RolloutPlan;
+use albireo_hub::tuning::selector::Selector;
+use albireo_node::config::NodeConfig;
+use albireo_node::input::{PayloadFormat, RawSample, read_frame};
+use albireo_power::TegrastatsLine;
+use albireo_service::config::{Configuration, examine_text};
+use albireo_vision::detector::Metadata;
+use albireo_vision::picture::{
+    FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
+};
+use albireo_wire::{
+    BatchCompression, ConfigChanged, Desired, FleetKeys, Heartbeat, NodeKeys, NodeStatus,
+    PullRequest, ReportAnswer, ReportBatch, StatusMessage, TargetMessage, ThresholdChange,
+    ThresholdMessage, read, stream_of_token,
+};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::fmt::Debug;
+use std::io::BufRead;
+use tokio::time::Instant;
+use zenoh::key_expr::KeyExpr;
+
+/// A target: its name, which is that of its corpus, and what it does with some bytes.
+pub type Target = (&'static str, fn(&[u8]) -> bool);
+
+/// Every target.
+pub const TARGETS: [Target; 13] = [
+    ("attachment", attachment),
+    ("desired", desired),
+    ("frame", frame),
+    ("hub_toml", hub_toml),
+    ("model_metadata", model_metadata),
+    ("names", names),
+    ("node_toml", node_toml),
+    ("picture_stream", picture_stream),
+    ("report_batch", report_batch),
+    ("rollout", rollout),
+    ("ros2", ros2),
+    ("status", status),
+    ("tegrastats", tegrastats),
+];
+
+/// Small, so that an input is quick.
+fn limits() -> FrameLimits {
+    FrameLimits {
+        max_payload_bytes: 1 << 20,
+        ..FrameLimits::default()
+    }
+}
+
+fn sample(
+    payload: &[u8],
+    encoding: &str,
+    attachment: Option<&[u8]>,
+    format: PayloadFormat,
+) -> bool {
+    let raw = RawSample {
+        payload: payload.to_vec().into(),
+        encoding,
+        attachment,
+        timestamp_ns: None,
+        arrival: 0,
+        received: Instant::now(),
+    };
+    let Ok(frame) = read_frame(raw, format, &limits()) else {
+        return false;
+    };
+    // A header can promise more pixels than an input of some kilobytes is worth.
+    if frame.picture.size.pixels() > 1 << 20 {
+        return false;
+    }
+    let mut into = Picture::black(PictureSize::new(1, 1));
+    let target = Some(PictureSize::new(64, 64));
+    [PixelLayout::Rgb8, PixelLayout::Gray8]
+        .map(|layout| decode(&frame.picture, &limits(), layout, target, &mut into).is_ok())
+        .contains(&true)
+}
+
+/// A frame's payload: the first byte chooses the encoding that the sample names.
+pub fn frame(data: &[u8]) -> bool {
+    const ENCODINGS: [&str; 7] = [
+        "",
+        "image/jpeg",
+        "image/png",
+        "image/raw;rgb8",
+        "image/raw;gray8",
+        "image/raw;nv12",
+        "image/webp",
+    ];
+    let Some((first, payload)) = data.split_first() else {
+        return false;
+    };
+    let encoding = ENCODINGS[usize::from(*first) % ENCODINGS.len()];
+    let size = br#"{"v":1,"width":16,"height":16}"#;
+    sample(payload, encoding, Some(size), PayloadFormat::Encoding)
+}
+
+/// The attachment of a frame that is good by itself: 2 by 2 pixels.
+pub fn attachment(data: &[u8]) -> bool {
+    let raw = "image/raw;rgb8";
+    sample(&[7; 12], raw, Some(data), PayloadFormat::Encoding)
+}
+
+/// A ROS 2 message, as either of the two types.
+pub fn ros2(data: &[u8]) -> bool {
+    let formats = [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image];
+    (formats.map(|format| sample(data, "", None, format))).contains(&true)
+}
+
+/// What a camera's program writes: parts of a multipart stream, PNG or PPM files, one after the other.
+pub fn picture_stream(data: &[u8]) -> bool {
+    fn drain<T, E>(data: &[u8], mut next: impl FnMut(&mut &[u8]) -> Result<Option<T>, E>) -> bool {
+        let mut stream = data;
+        loop {
+            let before = stream.len();
+            match next(&mut stream) {
+                Ok(Some(_)) => assert!(stream.len() < before, "nothing was read"),
+                ended => return ended.is_ok() && before < data.len(),
+            }
+        }
+    }
+    fn as_buffered<'a, 'b>(stream: &'a mut &'b [u8]) -> &'a mut (impl BufRead + use<'b>) {
+        stream
+    }
+    [
+        drain(data, |stream| read_part(as_buffered(stream), 1 << 16)),
+        drain(data, |stream| read_png(as_buffered(stream), 1 << 16)),
+        drain(data, |stream| read_ppm(as_buffered(stream), &limits())),
+    ]
+    .contains(&true)
+}
+
+/// Reads JSON; where that works, what is written of it must be read as the same.
+fn json<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> bool {
+    let Ok(first) = serde_json::from_slice::<T>(data) else {
+        return false;
+    };
+    let written = serde_json::to_vec(&first).expect("it can be written");
+    let second: T = serde_json::from_slice(&written).expect("what was written can be read");
+    assert_eq!(first, second);
+    true
+}
+
+/// As [`json`], of a message with its version.
+fn message<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> bool {
+    read::<T>(data).is_ok() && json::<T>(data)
+}
+
+/// A node's reports.
+pub fn report_batch(data: &[u8]) -> bool {
+    message::<ReportAnswer>(data);
+    // Fuzzing rarely finds its way through the compression, so the JSON within is an input too.
+    let read = serde_json::from_slice(data).map_err(drop);
+    let Ok(mut batch) = read.or_else(|()| ReportBatch::from_payload(data)) else {
+        return false;
+    };
+    for compression in [BatchCompression::Best, BatchCompression::Quick] {
+        if let Ok(payload) = batch.to_payload(compression) {
+            let again = ReportBatch::from_payload(&payload).expect("it can be read");
+            assert_eq!(again, batch);
+        }
+    }
+    for report in &mut batch.reports {
+        report.round();
+    }
+    true
+}
+
+/// What a node says of itself.
+pub fn status(data: &[u8]) -> bool {
+    let valid = [message::<StatusMessage>(data), json::<NodeStatus>(data)].contains(&true);
+    let Ok(beat) = Heartbeat::read(data) else {
+        return valid;
+    };
+    assert!(Heartbeat::is_one(data));
+    let written = beat.to_payload().expect("a heartbeat can be written");
+    assert_eq!(Heartbeat::read(&written).expect("it can be read"), beat);
+    true
+}
+
+/// What a hub or a person sets at a node.
+pub fn desired(data: &[u8]) -> bool {
+    [
+        message::<Desired>(data),
+        message::<ConfigChanged>(data),
+        message::<PullRequest>(data),
+        json::<ThresholdMessage>(data),
+        json::<ThresholdChange>(data),
+        json::<TargetMessage>(data),
+    ]
+    .contains(&true)
+}
+
+fn toml<C: Configuration>(data: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(data) else {
+        return false;
+    };
+    let (config, findings) = examine_text::<C>(text);
+    assert!(config.is_some() || !findings.is_empty());
+    findings.is_empty()
+}
+
+/// A node's configuration file.
+pub fn node_toml(data: &[u8]) -> bool {
+    toml::<NodeConfig>(data)
+}
+
+/// A hub's configuration file.
+pub fn hub_toml(data: &[u8]) -> bool {
+    toml::<HubConfig>(data)
+}
+
+/// The metadata of a model: class names and size as exporters write them.
+pub fn model_metadata(data: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(data).into_owned();
+    let entry = |key: &str| (key.to_owned(), text.clone());
+    let metadata = Metadata::new(["names", "imgsz", "args"].map(entry));
+    let _ = (metadata.image_size(), metadata.is_end_to_end());
+    let Ok(Some(names)) = metadata.class_names() else {
+        return false;
+    };
+    assert!(!names.is_empty());
+    if names.iter().all(|name| !name.contains(char::is_control)) {
+        let written = serde_json::to_string(&names).expect("names can be written");
+        let again = Metadata::new([("names".to_owned(), written)]);
+        assert_eq!(again.class_names(), Ok(Some(names)));
+    }
+    true
+}
+
+/// A line of `tegrastats`.
+pub fn tegrastats(data: &[u8]) -> bool {
+    TegrastatsLine::parse(&String::from_utf8_lossy(data))
+        .inspect(|line| drop(line.condition()))
+        .is_some()
+}
+
+/// Names in Zenoh keys: one that is taken is one chunk of a key that Zenoh takes, without a wildcard, and comes out again.
+pub fn names(data: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(data);
+    let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));
+    let _ = stream_of_token(&text);
+    let _ = FleetKeys::node_of(&text);
+    let (Ok(fleet), Ok(keys)) = (FleetKeys::new(prefix, node), NodeKeys::new(prefix, node)) else {
+        return false;
+    };
+    let status = fleet.status();
+    let key = KeyExpr::new(status.as_str()).expect("Zenoh takes the key");
+    assert!(!key.is_wild(), "{key}");
+    assert_eq!(FleetKeys::node_of(&status), Some(node));
+    if let Ok(camera) = keys.camera(node) {
+        let key = KeyExpr::new(camera.frame()).expect("Zenoh takes the key");
+        assert!(!key.is_wild(), "{key}");
+        let chunks = prefix.split('/').count() + 3;
+        assert_eq!(key.split('/').count(), chunks, "{key}");
+    }
+    true
+}
+
+/// A rollout as a person asks for it, and a selection of nodes.
+pub fn rollout(data: &[u8]) -> bool {
+    if let Ok(selector) = Selector::new(&[String::from_utf8_lossy(data)]) {
+        selector.selects(
+            "car-7",
+            &BTreeMap::from([("region".into(), "north".into())]),
+        );
+    }
+    let Ok(plan) = serde_json::from_slice::<RolloutPlan>(data) else {
+        return false;
+    };
+    if plan.check().is_err() {
+        return false;
+    }
+    let written = serde_json::to_vec(&plan).expect("a plan can be written");
+    let again: RolloutPlan = serde_json::from_slice(&written).expect("it can be read");
+    assert_eq!(plan, again);
+    for all in [1, 7, 100_000] {
+        let asked: usize = plan.new_in_stages(all).iter().sum();
+        assert!(asked <= all, "{asked} of {all} nodes");
+    }
+    true
+}
