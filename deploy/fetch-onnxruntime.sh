@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Fetches the ONNX Runtime library from its wheel on PyPI, the one place it can be had from without a
-# download site of its own, and puts it with its licences into $1 (default .cache/onnxruntime).
-# Does nothing when the library is already there. Needs Python 3 with pip; the wheel is checked against
-# the SHA-256 pinned below.
+# Fetches the ONNX Runtime library from its wheel on PyPI, so that no other download site is needed, and
+# puts it with its licences into $1 (default .cache/onnxruntime). Does nothing if the library is already
+# there. Needs Python 3 with pip; the wheel is checked against the SHA-256 pinned below.
 set -euo pipefail
 
 version=1.31.1

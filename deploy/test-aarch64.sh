@@ -27,8 +27,8 @@ cat > "$folder/node.toml" <<- NODE
 	name = "front"
 	delivery = "every"
 NODE
-# ONNX Runtime asks the system which processor this is, and falls over an answer about another machine's: qemu-user passes on what the
-# host says. So it sees a Cortex-A72 (a Raspberry Pi 4) in a name space of its own.
+# ONNX Runtime asks the system for the processor, and crashes on another architecture's answer: qemu-user passes on the
+# host's. A separate mount namespace shows it a Cortex-A72 (a Raspberry Pi 4).
 for core in 0 1; do
     printf 'processor\t: %s\nFeatures\t: fp asimd evtstrm crc32 cpuid\nCPU implementer\t: 0x41\nCPU architecture: 8\n' $core
     printf 'CPU variant\t: 0x0\nCPU part\t: 0xd08\nCPU revision\t: 3\n\n'

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Installs the packages of `make dist` in a Debian of its own, booted with its own systemd, and walks what an operator
-# does: install, ask, change, upgrade, remove, purge; for node, hub and router.
+# Installs the packages of `make dist` in a fresh Debian, booted with its own systemd, and repeats an operator's steps:
+# install, query, change, upgrade, remove, purge; for node, hub and router.
 #
 #   sudo deploy/test-packages.sh          # needs debootstrap, systemd-container, curl; some 400 MB in the temporary folder
 #
-# shellcheck disable=SC2016 # what stands in single quotes is for the shell inside
+# shellcheck disable=SC2016 # text in single quotes is for the shell inside
 # SUITE: another Debian than bookworm. BASE: a folder that keeps the bare system for the next time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -68,7 +68,7 @@ for package in "${packages[@]}"; do
 done
 echo board-7 >"$root/etc/hostname"
 
-# A network of its own, with nothing but loopback: the ports are not those of this machine.
+# A separate network with only loopback, so that its ports are not this machine's.
 systemd-nspawn --quiet --boot --register=no --keep-unit --private-network --link-journal=no --directory "$root" \
     >"$work/console" 2>&1 </dev/null &
 container=$!
@@ -105,7 +105,7 @@ get() { inside curl --silent --show-error --fail "$@"; }
 
 step "node: installed, it runs under the machine's name"
 install "/packages/$(basename "${packages[0]}")"
-check "the service is active, said so itself, and the watchdog watches" inside systemctl is-active --quiet albireo-node
+check "the service is active, has notified systemd, and the watchdog is on" inside systemctl is-active --quiet albireo-node
 check "it answers that it is ready" holds get http://127.0.0.1:8080/readyz
 check "its name is the machine's" inside sh -c 'curl -s http://127.0.0.1:8080/readyz | grep -q board-7'
 check "a token of its own was made, which only the service reads" inside sh -c \
@@ -124,7 +124,7 @@ check "the token's owner can" get -X PUT http://127.0.0.1:8080/api/v1/threshold 
 inside sh -c 'echo "# a line of the operator" >>/etc/albireo/node.toml'
 before=$(pid_of albireo-node)
 install "/upgrades/$(basename "${packages[0]%_*}" | sed 's/$/+next/')_$architecture.deb"
-check "it runs anew" sh -c "[ '$before' != '$(pid_of albireo-node)' ] && [ '$(pid_of albireo-node)' != 0 ]"
+check "it was restarted" sh -c "[ '$before' != '$(pid_of albireo-node)' ] && [ '$(pid_of albireo-node)' != 0 ]"
 check "it answers that it is ready" holds get http://127.0.0.1:8080/readyz
 check "the operator's configuration is kept" inside grep -q 'a line of the operator' /etc/albireo/node.toml
 check "the token is kept" sh -c "[ '$token' = '$(inside cat /etc/albireo/node-token)' ]"
