@@ -60,8 +60,8 @@ fn frames(criterion: &mut Criterion) {
     let mut settings = ExpectedLossSettings::default();
     let new = |settings| ExpectedLoss::new(settings, trigger).expect("the settings can be used");
     detector_frames(criterion, ExpectedLoss::NAME, &new(settings));
-    settings.life.longest_blindness = 300;
-    settings.call.longest_pause = 300;
+    settings.longest_blindness = 300;
+    settings.longest_pause = 300;
     predicted_frames(criterion, ExpectedLoss::NAME, &new(settings), 100.0);
 }
 

@@ -4,8 +4,8 @@
 #   benches/fleet.sh NODES SESSIONS SECONDS [ARGUMENTS OF albireo simulate …]
 #
 # ALBIREO: the program (target/release/albireo). ALBIREO_PYTHON: a Python with eclipse-zenoh, for the router (make python).
-# DATABASE: postgres://… in place of a new SQLite file. API=1: ask the hub's interface meanwhile, and tell its delays.
-# SET_U=5e-4: set it on all nodes after half of the time. RESTART=1: kill the router then, start it anew, and tell how
+# DATABASE: postgres://… in place of a new SQLite file. API=1: ask the hub's interface meanwhile, and report its delays.
+# SET_U=5e-4: set it on all nodes after half of the time. RESTART=1: kill the router then, start it again, and report how
 # long it takes until all nodes are online. TLS=1: mutual TLS, with certificates made for the run (needs openssl).
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,4 +1,4 @@
-"""How long a hub's interface takes to answer: benches/fleet_api.py HUB SECONDS. One request after the other, ten a second."""
+"""How long a hub's interface takes to answer: benches/fleet_api.py HUB SECONDS. One request after the other, ten per second."""
 
 import sys
 import time

@@ -3,12 +3,12 @@
 //!
 //! ```text
 //! cargo bench --bench memory                                   # 1, 2, 4 and 8 cameras, 30 s each
-//! cargo bench --bench memory -- --cameras 4 --minutes 60       # an hour, told every minute
+//! cargo bench --bench memory -- --cameras 4 --minutes 60       # an hour, printed every minute
 //! cargo bench --bench memory -- --program OTHER --program target/release/albireo
 //! cargo bench --bench memory -- --model MODEL.onnx --head yolox
 //! ```
 //!
-//! Every camera sends JPEG pictures of 1280x720 at 30 frames a second, in clips of 40 s, and the detector looks at each
+//! Every camera sends JPEG pictures of 1280x720 at 30 frames per second, in clips of 40 s, and the detector looks at each
 //! (`vanilla`), which is when most is held; with `--skip 30` at one of thirty, which is a node's quieter day. Several programs
 //! take turns within one run.
 
@@ -38,7 +38,7 @@ struct Arguments {
     time: Duration,
     model: PathBuf,
     head: String,
-    /// The detector looks at one of so many frames.
+    /// The detector runs on one of this many frames.
     skip: u64,
 }
 
@@ -118,7 +118,7 @@ impl Resident {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
             let kilobytes =
                 line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-            kilobytes.expect("the system tells memory") * 1024.0 / 1e6
+            kilobytes.expect("the system reports its memory") * 1024.0 / 1e6
         };
         Self {
             all: of("VmRSS:"),

@@ -7,8 +7,8 @@
 //! cargo bench --bench predicted_frame [-- ROUNDS]
 //! ```
 //!
-//! Tells from the put to the answer's arrival (median and 99 %) at 30 frames a second, and the processor time of the
-//! answering process for a frame at 1,000 a second.
+//! Prints the time from the put to the answer's arrival (median and 99 %) at 30 frames per second, and the processor time of the
+//! answering process for a frame at 1,000 per second.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 

@@ -1,12 +1,12 @@
-//! Frames of 1920x1080 from a sender on the node's machine at 30 a second: raw pixels in shared memory, raw pixels as
+//! Frames of 1920x1080 from a sender on the node's machine at 30 per second: raw pixels in shared memory, raw pixels as
 //! bytes over TCP, and a JPEG file of some 36 kB, in turns within one run. Nearly every frame is a `P` frame, whose pixels
-//! nobody needs.
+//! no one needs.
 //!
 //! ```text
 //! cargo bench --bench shared_memory [-- ROUNDS]
 //! ```
 //!
-//! Tells per frame: how long the sender takes to place the picture's bytes where they travel from; from there on, and with
+//! Prints per frame: how long the sender takes to place the picture's bytes where they travel from; from there on, and with
 //! that, to the detections' arrival here (median and 99 %); processor time of node and sender. A camera that writes its
 //! pictures into shared memory has nothing to place.
 
@@ -111,7 +111,7 @@ fn processor_time(pid: &str) -> Duration {
     Duration::from_millis(ticks * 10)
 }
 
-/// What one turn came to, in milliseconds a frame.
+/// What one turn came to, in milliseconds per frame.
 struct Turn {
     placings: Vec<f64>,
     /// From the put of what is placed.
@@ -262,7 +262,7 @@ async fn main() {
     let node = node(folder.path(), port);
     let (raw, jpeg) = (Arc::new(raw()), Arc::new(jpeg()));
     println!(
-        "1920x1080 at {RATE} frames/s, {rounds} rounds of {FRAMES} frames; milliseconds a frame; JPEG of {} kB",
+        "1920x1080 at {RATE} frames/s, {rounds} rounds of {FRAMES} frames; milliseconds per frame; JPEG of {} kB",
         jpeg.bytes.len() / 1000
     );
     println!(

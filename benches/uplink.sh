@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What a real node sends over its uplink, in bytes a camera and day: a hub and a node, each a process, the synthetic dashcam at
+# What a real node sends over its uplink, in bytes per camera and day: a hub and a node, each a process, the synthetic dashcam at
 # 10 frames/s, clips of 40 s, TCP's payload by ss (so what TLS and IP add is not in it).
 #
 #   benches/uplink.sh MINUTES [SETTINGS OF THE NODE, ALBIREO_…=… …]
@@ -56,5 +56,5 @@ while [ $SECONDS -lt $until ]; do
     sleep 2
     awk -v bytes=$(($(sent) - bytes)) -v reports=$(($(stored) - reports)) -v began="$began" -v now="$(now)" 'BEGIN {
         seconds = now - began
-        printf "%.0f s, %d reports: %d bytes sent; %.3f MB a day\n", seconds, reports, bytes, bytes / seconds * 86400 / 1e6 }'
+        printf "%.0f s, %d reports: %d bytes sent; %.3f MB per day\n", seconds, reports, bytes, bytes / seconds * 86400 / 1e6 }'
 done

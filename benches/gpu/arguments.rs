@@ -98,7 +98,7 @@ pub(crate) fn name_of(path: &Path) -> String {
     name.to_string_lossy().into_owned()
 }
 
-/// What an error says of a model, with the file's name in the place of where it lies on this machine.
+/// What an error says of a model, with the file's name instead of its path on this machine.
 pub(crate) fn without_folder(said: impl std::fmt::Display, model: &Path) -> String {
     said.to_string()
         .replace(&model.display().to_string(), &name_of(model))

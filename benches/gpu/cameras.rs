@@ -1,4 +1,4 @@
-//! Cameras that one detector carries at 30 frames a second, policy by policy, with the energy of each.
+//! Cameras that one detector carries at 30 frames per second, policy by policy, with the energy of each.
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::card::{Card, Energy};
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 const POLICIES: [&str; 3] = ["vanilla", "albireo", "expected-loss"];
 
 /// What is carried: so large a part of the frames is answered, so few are answered without the detector that was needed, and
-/// 99 % of the answers come within so many milliseconds: three frames.
+/// 99 % of the answers come within this many milliseconds: three frames.
 const ANSWERED: f64 = 0.99;
 const DEGRADED: f64 = 0.01;
 const LATEST_MS: f64 = 100.0;
@@ -38,7 +38,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// Why so many are not carried.
+    /// Why this many are not carried.
     fn why_not(&self) -> Option<String> {
         if self.sent < ANSWERED {
             return Some(format!(
@@ -94,7 +94,7 @@ pub(crate) async fn write(
             }
         }
     }
-    page.heading("Cameras at 30 frames a second");
+    page.heading("Cameras at 30 frames per second");
     page.text(format!(
         "JPEG pictures of {} from one Zenoh session to one node; each trial {} s after one that does not count. Carried: {:.0} % of \
          the frames answered, at most {:.0} % without the detector that was needed, 99 % of the answers within {LATEST_MS:.0} ms of \
@@ -123,7 +123,7 @@ pub(crate) async fn write(
             "policy",
             "cameras carried",
             "provider used",
-            "pictures a run, at most",
+            "pictures per run, at most",
             "skipped",
             "put to answer, median ms",
             "99 %",
@@ -174,7 +174,7 @@ fn row(model: &Path, policy: &str, best: Option<&(Trial, usize)>, limit: &str) -
     row
 }
 
-/// The largest number of cameras that is carried, with the pictures a run, and what ended it.
+/// The largest number of cameras that is carried, with the pictures per run, and what ended it.
 async fn most(
     arguments: &Arguments,
     detector: &DetectorConfig,

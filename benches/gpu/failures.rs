@@ -83,7 +83,7 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
          the process) cannot be brought about here without harm to others. What the node does then is tested with the words \
          that ONNX Runtime's source writes, at the seam where sessions are built \
          (`crates/node/src/detector/task/tests/gpu.rs`): the frame is answered from prediction, a new session is tried with \
-         growing pauses, and when it fails in the same way the detector is told as lost and the service manager's watchdog is \
+         growing pauses, and when it fails in the same way the detector is reported as lost and the service manager's watchdog is \
          not fed any more, for only a new process gets a new CUDA context.",
     );
     Ok(())

@@ -16,7 +16,7 @@ use zenoh::Session;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-/// Frames a second of every camera.
+/// Frames per second of every camera.
 pub(crate) const RATE: f64 = 30.0;
 
 const NODE: &str = "gpu";
@@ -148,7 +148,7 @@ impl Node {
         let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
         clock.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut put = Vec::new();
-        // There and back, so that nothing jumps where the pictures begin anew; no two cameras see the same.
+        // There and back, so that nothing jumps where the pictures begin again; no two cameras see the same.
         let there_and_back = 2 * (pictures.len() - 1).max(1);
         while (put.len() as u64) < frames && !until() {
             clock.tick().await;

@@ -1,4 +1,4 @@
-//! Milliseconds a frame by stage, and frames a second with several cameras in one run.
+//! Milliseconds per frame by stage, and frames per second with several cameras in one run.
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::page::{NONE, Page, median, ms};
@@ -55,10 +55,10 @@ pub(crate) async fn write(
         row.push(refusals.into_iter().next().unwrap_or_default());
         batches.push(row);
     }
-    page.heading("Milliseconds a frame, by stage");
+    page.heading("Milliseconds per frame, by stage");
     page.text(
         "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
-         device, the kernels, the output copied back; how much of it is copying is told below, under *Copies alone*. Decoding and \
+         device, the kernels, the output copied back; the share of copying is given below, under *Copies alone*. Decoding and \
          letterbox are always the processor's. *Loading* includes the first runs.",
     );
     page.table(
@@ -78,7 +78,7 @@ pub(crate) async fn write(
     page.heading("Several cameras in one run");
     page.text(
         "As many cameras as the batch is large, each asking for its next picture when it has its answer \
-         (`detector.batch_size`). In each cell the milliseconds of the model a picture, the frames a second of all cameras, \
+         (`detector.batch_size`). In each cell the milliseconds of the model a picture, the frames per second of all cameras, \
          and the pictures that really shared a run.",
     );
     page.table(

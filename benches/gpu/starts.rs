@@ -42,7 +42,7 @@ pub(crate) async fn write(
     }
     page.heading("From start to first detection");
     page.text(format!(
-        "A node in a new process, a camera that sends at 30 frames a second all the while: seconds from the process's start until \
+        "A node in a new process, a camera that sends at 30 frames per second all the while: seconds from the process's start until \
          its first detections arrive. *Cold*: CUDA's cache of kernels (`CUDA_CACHE_PATH`) and TensorRT's of engines \
          (`detector.gpu.engine_cache`) are empty folders; *warm*: the same folders again, the median of {WARM}. The CPU provider \
          has no such cache, and the system's cache of files is never emptied.",

@@ -3,7 +3,7 @@
     variants.py FOLDER MODEL...
 
 writes FOLDER/NAME.open.onnx (float32, any number of pictures in a run) and FOLDER/NAME.half.onnx (float16, the same), and prints
-the paths of what it wrote, one a line. What could not be made is said on the error output, and the rest is made all the same.
+the paths of what it wrote, one per line. What could not be made is said on the error output, and the rest is made all the same.
 """
 
 import pathlib

@@ -44,7 +44,7 @@ impl Arguments {
     }
 }
 
-/// The machine's load of the last minute, where it tells.
+/// The machine's load of the last minute, where it reports it.
 pub(crate) fn load_average() -> Option<String> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next().map(ToOwned::to_owned)

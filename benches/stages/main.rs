@@ -129,7 +129,7 @@ async fn measure(
     detector.stop().await;
 
     println!(
-        "\n{}: head {head}, input {}, {}, threads: {};\ndecoded to {}; {:.1} objects a frame",
+        "\n{}: head {head}, input {}, {}, threads: {};\ndecoded to {}; {:.1} objects per frame",
         name_of(model)?,
         path.network.input_format().size,
         detector.provider().as_str(),

@@ -1,4 +1,4 @@
-//! The same path in Python, in a process of its own that runs a round when told to.
+//! The same path in Python, in a separate process that runs a round on request.
 
 use super::samples::{Samples, Stage};
 use anyhow::{Context, bail};
@@ -9,7 +9,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 const SCRIPT: &str = "benches/stages/python_path.py";
 
-/// One round of the script, milliseconds a frame.
+/// One round of the script, milliseconds per frame.
 #[derive(Deserialize)]
 struct Round {
     decode: Vec<f64>,

@@ -37,13 +37,13 @@ impl Stage {
         }
     }
 
-    /// Whether it is neither the model nor the decoding, which is told apart.
+    /// Whether it is neither the model nor the decoding, which is shown separately.
     const fn is_ours(self) -> bool {
         !matches!(self, Self::Decode | Self::Model)
     }
 }
 
-/// Milliseconds of every frame, one list a stage.
+/// Milliseconds of every frame, one list per stage.
 #[derive(Default)]
 pub(crate) struct Samples {
     stages: [Vec<f64>; Stage::ALL.len()],

@@ -5,7 +5,7 @@
 //! cargo run --release --locked --manifest-path benches/decoders/Cargo.toml [-- FILE.jpg …]
 //! ```
 //!
-//! Without files: pictures of a scene of boxes at three sizes. Tells the median and the 95 % of the milliseconds a
+//! Without files: pictures of a scene of boxes at three sizes. Prints the median and the 95 % of the milliseconds a
 //! picture takes, and the median beside that of `zune-jpeg` in colour.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]

@@ -383,7 +383,7 @@ fn difference(expected: &[Vec<f32>], found: &[Vec<f32>]) -> f64 {
     largest
 }
 
-/// Milliseconds of copies of so many bytes.
+/// Milliseconds to copy this many bytes.
 fn copy(
     host: &Allocator,
     device: &Allocator,

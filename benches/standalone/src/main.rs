@@ -25,8 +25,8 @@ const FRAMES: usize = 100;
 /// Rounds of each contestant; they take turns, so that a slow minute is slow for all of them alike.
 const ROUNDS: usize = 101;
 
-/// What glibc's allocator is told: it keeps what it has. By default it gives memory back to the system and fetches it
-/// anew within a frame, which costs those that allocate for every frame more than their own work does.
+/// How glibc's allocator is set: it keeps the memory it has. By default it gives memory back to the system and fetches it
+/// again within a frame, which costs those that allocate for every frame more than their own work does.
 const TUNABLES: (&str, &str) = (
     "GLIBC_TUNABLES",
     "glibc.malloc.trim_threshold=1073741824:glibc.malloc.mmap_threshold=1073741824:glibc.malloc.top_pad=67108864",
