@@ -1,4 +1,4 @@
-//! Live cameras: opened by the node itself or by `albireo publish`, gone and back again, with passwords that nobody sees.
+//! Live cameras: opened by the node itself or by `albireo publish`, lost and reconnected, with hidden passwords.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -135,7 +135,7 @@ fn command_line(process: u32) -> String {
     String::from_utf8_lossy(&line).replace('\0', " ")
 }
 
-/// Every form in which the password could be told.
+/// Every form in which the password could leak.
 fn assert_hidden(text: &str) {
     for form in [PASSWORD, "hid%2Fden", "den@7", "den%407"] {
         assert!(!text.contains(form), "the password is told: {text}");
@@ -164,7 +164,7 @@ async fn wait_until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_node_s_own_camera_goes_away_and_comes_back_and_its_password_is_never_told() {
+async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
     let login = [USER, PASSWORD];
     let camera = RtspCamera::start("h264", &login).await;
     let port = camera.port;
@@ -226,7 +226,7 @@ async fn a_node_s_own_camera_goes_away_and_comes_back_and_its_password_is_never_
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn a_published_camera_goes_away_and_comes_back_with_a_numbering_of_its_own() {
+async fn a_published_camera_reconnects_with_a_new_numbering() {
     let login = [USER, PASSWORD];
     let camera = RtspCamera::start("h264", &login).await;
     let port = camera.port;
@@ -258,7 +258,7 @@ async fn a_published_camera_goes_away_and_comes_back_with_a_numbering_of_its_own
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn a_wrong_password_is_said_without_the_password() {
+async fn a_wrong_password_is_reported_without_the_password() {
     let camera = RtspCamera::start("h264", &[USER, "another"]).await;
     let source = format!(
         "rtsp://{USER}:${{GATE_PASSWORD}}@127.0.0.1:{}/stream",
@@ -274,10 +274,10 @@ async fn a_wrong_password_is_said_without_the_password() {
         .stderr(Stdio::piped());
     let log = until_said(&mut command, "401 Unauthorized").await;
     assert_hidden(&log);
-    assert!(log.contains("nobody listens"), "{log}");
+    assert!(log.contains("no node subscribes"), "{log}");
 }
 
-/// Runs a command until it has said `part`; what it said.
+/// Runs a command until its output contains `part`; returns the output.
 async fn until_said(command: &mut Command, part: &str) -> String {
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();

@@ -1,4 +1,4 @@
-//! `albireo check --online`: what a configuration names is tried as a node would use it.
+//! `albireo check --online` tries everything that a configuration names, as a node would use it.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -6,7 +6,7 @@ use crate::support::fleet::{HubProcess, settings, sqlite};
 use crate::support::{albireo, free_port};
 use std::process::Output;
 
-/// The shipped configuration with an uplink; what was said, and on which way.
+/// Checks the shipped configuration with an uplink; returns the output.
 async fn check_online(uplink: &str, more: &[(&str, &str)]) -> (Output, String) {
     let output = albireo()
         .args(["check", "--online", "config/node.toml"])
@@ -23,7 +23,7 @@ async fn check_online(uplink: &str, more: &[(&str, &str)]) -> (Output, String) {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn check_online_tells_the_provider_that_runs_and_that_the_hub_takes_reports() {
+async fn check_online_reports_the_running_provider_and_that_the_hub_accepts_reports() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&settings);
@@ -38,7 +38,7 @@ async fn check_online_tells_the_provider_that_runs_and_that_the_hub_takes_report
     // A hub of another fleet is none of this node's.
     let (output, said) = check_online(&zenoh, &[("ALBIREO_NODE__PREFIX", "another")]).await;
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("but nobody takes reports"), "{said}");
+    assert!(said.contains("but no hub takes reports"), "{said}");
     hub.kill().await;
 }
 

@@ -28,7 +28,7 @@ fn check_accepts_the_shipped_configuration() {
 }
 
 #[test]
-fn check_looks_at_the_machine_unless_told_not_to() {
+fn check_examines_the_machine_unless_file_only_is_given() {
     let missing = [
         ("ALBIREO_DETECTOR__MODEL", "/nowhere/model.onnx"),
         ("ALBIREO_NODE__STATE_DIR", "Cargo.toml"),
@@ -49,14 +49,14 @@ fn check_looks_at_the_machine_unless_told_not_to() {
 }
 
 #[test]
-fn cameras_that_would_hear_each_other_or_the_node_are_refused() {
+fn cameras_that_would_receive_each_others_messages_are_refused() {
     let cameras = "[{name=\"a\",key=\"x/y\"},{name=\"b\",key=\"x/y\"},{name=\"c\",key=\"albireo/node/a/detections\"}]";
     let output = albireo(&CHECK, &[("ALBIREO_CAMERA", cameras)]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stderr);
     for part in [
-        "camera[1].key: `x/y` is the key of camera `a` too",
-        "camera[2].key: `albireo/node/a/detections` is what this node writes",
+        "camera.b.key: `x/y` is the key of camera `a` too",
+        "camera.c.key: `albireo/node/a/detections` is what this node writes",
     ] {
         assert!(said.contains(part), "{part} in {said}");
     }
@@ -102,7 +102,7 @@ fn check_names_file_key_and_reason_and_exits_1() {
     for part in [
         file.to_str().unwrap(),
         "clip.window_s: must be above 0",
-        "camera[0].max_rate: must be above 0",
+        "camera.a.max_rate: must be above 0",
     ] {
         assert!(said.contains(part), "{said}");
     }
@@ -166,9 +166,9 @@ fn every_subcommand_has_help_with_examples() {
     let help = text(&albireo(&["--help"], &[]).stdout);
     let commands: Vec<_> = help
         .lines()
-        .skip_while(|line| *line != "Start:")
+        .skip_while(|line| *line != "Commands:")
         .take_while(|line| *line != "Options:")
-        // Headings stand at the left; what is said of a command goes on further to the right.
+        // The text of a command that takes a second line is indented further.
         .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")

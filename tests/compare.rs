@@ -1,5 +1,5 @@
 //! `albireo compare`, as a user runs it: the node's own code with YOLOX-Nano, a clip of a few
-//! seconds, and what is told of it.
+//! seconds, and its report.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -257,7 +257,8 @@ async fn a_policy_that_skips_nothing_is_told_what_to_try() {
 #[tokio::test]
 async fn what_cannot_be_compared_is_refused_with_what_to_do() {
     for (arguments, expected) in [
-        (&["--policy", "vanila"][..], "the policies are `albireo`"),
+        (&["--policy", "vanila"][..], "did you mean `vanilla`?"),
+        (&["--policy", "nobody"], "the policies are `albireo`"),
         (&["--policy", "albireo:1e-3"], "--u: none of the policies"),
         (
             &["--clip", "no/such/drive.mp4"],

@@ -1,4 +1,4 @@
-//! Clip reports on their way to a hub, with a small stand-in for it: a real queryable on a session of its own that
+//! Clip reports on their way to a hub, with a small stand-in for it: a real queryable on its own session that
 //! commits to a file before it answers.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]

@@ -98,7 +98,7 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
         "{rest:?}"
     );
     assert_is_a_table(&rest);
-    // ONNX Runtime leaves a file of its own there.
+    // ONNX Runtime leaves its own file there.
     let left: Vec<_> = std::fs::read_dir(temporary.path())
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())

@@ -1,5 +1,5 @@
-//! A fleet that keeps strangers out: a router and a hub as processes, certificates and rules made by the program, and
-//! everybody who should not get in.
+//! Access control of a fleet: a router and a hub as processes, certificates and rules made by the program, and every
+//! kind of intruder.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -202,7 +202,7 @@ async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<S
     zenoh::open(config).await
 }
 
-/// Sends a report until it is acknowledged; false when nobody answers in `limit`.
+/// Sends a report until it is acknowledged; false without an answer within `limit`.
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
     let until = Instant::now() + limit;
     loop {

@@ -1,4 +1,4 @@
-//! What is shipped beside the programs: manual pages, completions, packages, containers, proxies.
+//! The files shipped beside the programs: manual pages, completions, packages, containers, proxies.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -95,6 +95,40 @@ fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
             "{}: no set -e",
             script.display()
         );
+    }
+}
+
+#[test]
+fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
+    let run = |tag: &str| {
+        std::process::Command::new("bash")
+            .args(["deploy/release-version.sh", tag])
+            .current_dir(root())
+            .output()
+            .unwrap()
+    };
+    let notes = run(concat!("v", env!("CARGO_PKG_VERSION")));
+    assert!(notes.status.success(), "{notes:?}");
+    assert!(!notes.stdout.is_empty(), "the changelog says nothing");
+    let refused = run("v0.0.1");
+    assert!(!refused.status.success());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("the tag has 0.0.1"));
+}
+
+#[test]
+fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
+    for file in ["ci", "release"] {
+        let text = text(&format!(".github/workflows/{file}.yml"));
+        let uses: Vec<_> = (text.lines())
+            .filter_map(|line| line.trim().trim_start_matches("- ").strip_prefix("uses: "))
+            .collect();
+        assert!(!uses.is_empty(), "{file}");
+        for action in uses {
+            let hash = action.split_once('@').unwrap().1.split(' ').next().unwrap();
+            let is_hash = hash.len() == 40 && hash.bytes().all(|b| b.is_ascii_hexdigit());
+            assert!(is_hash, "{file}: {action}");
+        }
+        assert!(text.contains("\npermissions:"), "{file}: all permissions");
     }
 }
 
@@ -210,6 +244,19 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
         assert!(token.exists(), "{package}: a removal keeps it");
         runs_in(package, "postrm", "purge", folder.path());
         assert!(!token.exists() && !name.exists(), "{package}");
+    }
+}
+
+#[test]
+fn every_image_is_built_with_every_member_of_the_workspace() {
+    let manifest: toml::Value = toml::from_str(&text("Cargo.toml")).unwrap();
+    for image in ["Dockerfile", "Dockerfile.l4t"] {
+        let steps = text(&format!("deploy/docker/{image}"));
+        for member in manifest["workspace"]["members"].as_array().unwrap() {
+            let folder = member.as_str().unwrap().split('/').next().unwrap();
+            let copied = format!("\nCOPY {folder} {folder}\n");
+            assert!(steps.contains(&copied), "{image}: {folder}");
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! The systemd units: clean, closed as far as promised, and fed by the real programs.
+//! The systemd units: valid, as restricted as promised, and working with the real programs.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -18,7 +18,7 @@ fn unit(name: &str) -> String {
     std::fs::read_to_string(units().join(name)).unwrap()
 }
 
-/// The units with the program that was built in the place of the installed one, and their drop-ins, in a folder.
+/// The units with the program that was built instead of the installed one, and their drop-ins, in a folder.
 fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
     let program = env!("CARGO_BIN_EXE_albireo");
     let mut files = Vec::new();
@@ -174,7 +174,7 @@ impl Manager {
             .count()
     }
 
-    /// Hears until there are so many.
+    /// Receives until the message has arrived this many times.
     async fn until(&mut self, message: &str, times: usize) {
         while self.count(message) < times {
             self.hear().await;
@@ -206,7 +206,7 @@ async fn ends_well(mut child: Child, manager: &mut Manager) {
 
 #[cfg(feature = "hub")]
 #[tokio::test]
-async fn a_hub_tells_that_it_is_ready_once_feeds_its_watchdog_and_tells_that_it_stops() {
+async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) =
         crate::support::fleet::settings(&crate::support::fleet::sqlite(folder.path()));
@@ -237,7 +237,7 @@ async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_f
 
 #[cfg(feature = "hub")]
 #[tokio::test]
-async fn a_router_tells_that_it_is_ready_and_feeds_its_watchdog() {
+async fn a_router_notifies_ready_and_feeds_its_watchdog() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("router.json5");
     let listen = format!(
@@ -292,7 +292,7 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
     let folder = tempfile::tempdir().unwrap();
-    // A pipe that nobody writes: whoever loads it waits for ever.
+    // A pipe without a writer: loading it never ends.
     let model = folder.path().join("detector.onnx");
     let made = Command::new("mkfifo").arg(&model).status().unwrap();
     assert!(made.success());

@@ -1,5 +1,5 @@
-//! What Prometheus and Grafana are told to look at: every alert is played, and every metric that a rule or a dashboard
-//! names is one that node, hub or router really gives.
+//! Prometheus rules and Grafana dashboards: every alert is played, and node, hub or router really exports every metric
+//! that a rule or a dashboard names.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -25,7 +25,7 @@ fn text(path: &str) -> String {
 
 /// The metrics that an expression names: words that are no function, label or keyword.
 fn metrics_of(expression: &str) -> BTreeSet<String> {
-    // What stands in quotes and braces are labels.
+    // Text in quotes and braces is labels.
     let mut plain = String::new();
     let (mut quoted, mut depth) = (false, 0_u32);
     for c in expression.chars() {

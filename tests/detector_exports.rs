@@ -224,7 +224,7 @@ async fn a_hostile_or_unsupported_file_is_refused_with_what_is_wrong() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_whose_classes_nobody_names_is_refused() {
+async fn a_model_without_class_names_is_refused() {
     let error = refusal(config("yolo_float16.onnx")).await;
     assert!(
         error.starts_with("detector.class_names") && error.contains("2 classes"),

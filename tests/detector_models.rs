@@ -1,4 +1,4 @@
-//! Real models on real frames: what their README says comes out must come out.
+//! Real models on real frames find what their README says.
 
 #![allow(clippy::expect_used)]
 

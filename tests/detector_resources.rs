@@ -1,4 +1,4 @@
-//! Models that want more than there is: memory, or time.
+//! Models that need more memory or time than there is.
 
 #![allow(clippy::panic, clippy::unwrap_used)]
 

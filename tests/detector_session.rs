@@ -1,5 +1,5 @@
-//! ONNX Runtime itself, on models of a few hundred bytes: what fits runs, what does not is refused at the
-//! start with an error that helps.
+//! ONNX Runtime itself, on models of a few hundred bytes: a model that fits runs, any other is refused at the
+//! start with a helpful error.
 
 #![allow(clippy::panic)]
 
@@ -157,7 +157,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     })
     .await
     .unwrap();
-    // What is told is what runs, not what was asked for.
+    // The status shows the provider that runs, not the requested one.
     assert_eq!(detector.provider(), Cpu);
     assert_eq!(
         *detector.status().borrow(),

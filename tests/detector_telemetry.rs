@@ -1,4 +1,4 @@
-//! ONNX Runtime keeps nothing of what is run, and so can send nothing.
+//! ONNX Runtime records no runs, and so can send nothing.
 
 use std::path::Path;
 use std::process::Command;

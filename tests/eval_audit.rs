@@ -8,7 +8,7 @@ use albireo_eval::against_detector::{ComparedFrame, against_detector, total};
 use albireo_eval::data::recorded;
 use albireo_eval::run::Settings;
 
-/// The sums of the frames that are drawn with `seed`; every recording is a camera with a draw of its own. Drawn frames with
+/// The sums of the frames that are drawn with `seed`; every recording is a camera with its own draw. Drawn frames with
 /// `crowded` detected boxes or more are missed.
 fn sample(cameras: &[Vec<ComparedFrame>], share: f64, seed: u64, crowded: u64) -> AuditSums {
     let mut sums = AuditSums::default();

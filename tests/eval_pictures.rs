@@ -1,5 +1,5 @@
-//! Evaluation on pictures: what is stored of a run gives the same decisions again, and both are those of a
-//! policy that asks detector and screen itself, frame by frame, as in the node.
+//! Evaluation on pictures: the stored results of a run give the same decisions again, and both equal those of a
+//! policy that calls detector and screen itself, frame by frame, as in the node.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod bad_input;

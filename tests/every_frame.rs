@@ -1,4 +1,4 @@
-//! Cameras of which no frame is to be missed (`delivery = "every"`): their senders are held back, and nobody else is.
+//! Cameras that must not lose a frame (`delivery = "every"`): only their own senders are slowed down.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -125,7 +125,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         }
         senders.push(send_each(&bench.session, tape, &picture));
     }
-    // The tapes have numbers below this one, so that answers can be told apart.
+    // The tapes have numbers below this one, so that answers can be distinguished.
     for seq in LIVE..LIVE + 3 {
         put(&bench.session, CAMERA, seq, &picture).await;
         assert_eq!(bench.answer().await.seq, seq);

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Prints the cargo options that every command of the development uses, so that none compiles a dependency anew that another
-# has compiled: the workspace, the optional features that can be built here, and those that the tests' dependencies add.
-# What is missing is told on the error output.
+# Prints the cargo options that every development command uses, so that none recompiles a dependency that another has
+# compiled: the workspace, the optional features that can be built here, and those that the tests' dependencies add.
+# Reports missing tools on the error output.
 needed=(cmake)
 [ "$(uname -m)" = x86_64 ] && needed+=(nasm)
 missing=()

@@ -1,5 +1,5 @@
-//! A small fleet of real processes: nodes with a detector, a router, a hub, a database server; and what becomes of the
-//! reports when they are killed.
+//! A small fleet of real processes (nodes with a detector, a router, a hub, a database server): no report is lost or
+//! stored twice when they are killed.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -240,7 +240,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
         .declare_subscriber("albireo/car-1/*/counters")
         .await
         .unwrap();
-    // Nobody watches: no picture can be had, and three looks of the uplink's thread have sent no counters.
+    // The node is not watched: it serves no picture, and three polls of the uplink's thread have sent no counters.
     let nothing = listener.get("albireo/car-1/front/picture").await.unwrap();
     assert!(nothing.recv_async().await.is_err());
     let silence = tokio::time::timeout(Duration::from_secs(3), counters.recv_async()).await;
@@ -318,7 +318,7 @@ impl Fleet {
         }
     }
 
-    /// The number of the newest clip in the database, once the hub tells.
+    /// The number of the newest clip in the database, once the hub answers.
     async fn newest(&self) -> i64 {
         let hub = self.hub.as_ref().unwrap();
         let page = hub

@@ -1,4 +1,4 @@
-//! A target ordered by `albireo fleet` at a hub, held by a real node, switched off by hand, and refused in words.
+//! A target set by `albireo fleet` at a hub, held by a real node, switched off by hand, and refused with a reason.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -68,7 +68,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     assert_eq!(report["target"], json!({"skip_rate": 0.5}), "{report}");
     assert_eq!(report["source"], "hub");
 
-    // It is measured, and the hub is told where it stands.
+    // It is measured, and its state is reported to the hub.
     until(&mut car, |report| report["state"]["actual"].is_f64()).await;
     hub.until("/api/v1/nodes/car-1", |node| {
         node["status"]["target"]["actual"].is_f64()

@@ -1,4 +1,4 @@
-//! Every payload format of a camera is read, and what cannot be read is told apart by kind.
+//! Every payload format of a camera is read, and unreadable payloads are counted by kind.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -262,7 +262,7 @@ fn an_attachment_that_cannot_be_read_is_refused_without_a_number() {
 }
 
 #[test]
-fn what_is_too_large_is_told_by_its_header_alone() {
+fn an_oversized_picture_is_recognised_by_its_header_alone() {
     let (jpeg, png) = picture_files();
     let payload = FrameLimits {
         max_payload_bytes: 5000,

@@ -1,4 +1,4 @@
-//! With profile `reference`, the policies decide as the published code did, frame by frame.
+//! With profile `reference`, the policies decide as the published code does, frame by frame.
 //!
 //! The traces are those of the shared data, over its recorded detections; excerpts are in
 //! `fixtures/golden`.

@@ -1,4 +1,4 @@
-//! The hub as a process when its disk misbehaves: nothing is acknowledged that is not on the disk, and nothing is lost.
+//! The hub as a process when its disk fails: it acknowledges only what is on the disk, and loses nothing.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -50,7 +50,7 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
  {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
-    // A file that may not grow is a disk without room that needs no disk of its own. The limit is a soft one, so that it
+    // A file that may not grow acts like a full disk, without a separate disk. The limit is soft, so that it
     // can be lifted while the hub runs.
     let mut command = Command::new("sh");
     command

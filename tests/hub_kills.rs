@@ -1,4 +1,4 @@
-//! The hub as a process, killed in the middle of ingest: reports made = rows in its database, none twice.
+//! The hub as a process, killed in the middle of ingest: every report is one row in its database.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

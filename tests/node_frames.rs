@@ -44,7 +44,7 @@ pub(crate) fn configuration() -> NodeConfig {
     config
 }
 
-/// A running node and a camera of its own session.
+/// A running node and a camera with its own session.
 pub(crate) struct Bench {
     pub(crate) board: Arc<Board>,
     pub(crate) shutdown: CancellationToken,
@@ -60,7 +60,7 @@ impl Bench {
         Self::start_prepared(config, PreparedNode::new(config).unwrap()).await
     }
 
-    /// As [`start`](Self::start), with a node that was prepared in a way of its own.
+    /// As [`start`](Self::start), with a specially prepared node.
     pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let bench = Self::start_unmatched(config, prepared).await;
         both_ways(&bench.session, "node", CAMERA).await;

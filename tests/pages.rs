@@ -1,5 +1,5 @@
-//! The pages that people look at: what they are built on is current, and they are small. In a browser, against the
-//! program itself, `make browser` tests them.
+//! The web pages: their types are current, and they are small. `make browser` tests them in a browser against the
+//! program itself.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,7 +10,7 @@ fn web() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("web")
 }
 
-/// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` writes it anew; then
+/// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` overwrites it; then
 /// `npm run types` in `web` makes the types.
 #[cfg(feature = "hub")]
 fn current(service: &str, document: &impl serde::Serialize) {
@@ -35,7 +35,7 @@ fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
     current("hub", &albireo_hub::http::openapi());
 }
 
-/// Runs a command in `web` and shows what it said when it fails.
+/// Runs a command in `web` and shows its output if it fails.
 fn run(program: &str, arguments: &[&str]) {
     let output = Command::new(program)
         .args(arguments)

@@ -1,5 +1,5 @@
-//! A node with a board's power monitor (a tree of files laid out as sysfs has it): where its watts and
-//! joules are told, and what happens to frames when the monitor hangs.
+//! A node with a board's power monitor (a copy of the sysfs tree): where its watts and joules are
+//! reported, and what happens to frames when the monitor hangs.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -99,7 +99,7 @@ fn watts(message: &Value, domain: &str) -> f64 {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
-async fn measured_watts_are_told_by_zenoh_by_events_by_metrics_and_in_the_clip_report() {
+async fn measured_watts_are_reported_by_zenoh_events_metrics_and_the_clip_report() {
     let folder = tempfile::tempdir().unwrap();
     let node = Node::start(&settings(&board(folder.path()))).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
@@ -237,7 +237,7 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
     next(&mut client, "/counters", |m| !m["watts"][0].is_null()).await;
 
-    // Reading a pipe that nobody writes to never ends.
+    // Reading a pipe without a writer never ends.
     let pipe = folder.path().join("pipe");
     let made = std::process::Command::new("mkfifo")
         .arg(&pipe)

@@ -1,6 +1,6 @@
 //! The published per-clip results, recomputed from their inputs by the code that makes clip reports.
 //!
-//! What is expected is told by the README of the shared data; the means are over 200 clips.
+//! The expected values are in the README of the shared data; the means are over 200 clips.
 
 #![allow(clippy::unwrap_used)]
 

@@ -178,7 +178,7 @@ async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_there_is_an_error_that_says_so() {
+async fn a_missing_subscriber_is_an_error_that_says_so() {
     let folder = pictures(1);
     let (_session, endpoint) = listening_peer().await;
     let more = ["--connect", &endpoint, "--wait-for-subscriber=1"];
@@ -187,13 +187,13 @@ async fn nobody_there_is_an_error_that_says_so() {
         .unwrap_err();
     let text = format!("{error:#}");
     assert!(
-        text.contains("nobody took frames on `albireo/node/front/frame`"),
+        text.contains("no node took frames on `albireo/node/front/frame`"),
         "{text}"
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_that_went_to_nobody_are_an_error_that_says_so() {
+async fn frames_without_a_subscriber_are_an_error_that_says_so() {
     let folder = pictures(3);
     let (session, endpoint) = listening_peer().await;
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
@@ -203,7 +203,7 @@ async fn frames_that_went_to_nobody_are_an_error_that_says_so() {
         .unwrap_err();
     let text = format!("{error:#}");
     assert!(
-        text.contains("nobody listened on `albireo/node/frnt/frame`"),
+        text.contains("no node subscribed to `albireo/node/frnt/frame`"),
         "{text}"
     );
     let more = ["--connect", &endpoint, "--rate", "max"];

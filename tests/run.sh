@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Runs every test that can be run here and closes with one line that counts them: "N passed, N failed, N skipped".
+# Runs every test that can run here and ends with one line that counts them: "N passed, N failed, N skipped".
 #
-# A test that wants more than the clone and Rust is marked #[ignore = "needs A and B"]. First all the others are run, with
-# nothing of that to be had, as in a fresh clone; then the marked ones whose needs are met. What is left is skipped.
+# A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all others run, without
+# any of these needs, as in a fresh clone; then the marked ones whose needs are met. The rest is skipped.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -54,8 +54,8 @@ done
 
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT
-# Runs the tests as told and shows their output, which goes to the file $1. A process that a failed test left behind holds
-# that file open and nothing else, so that the end of the tests is the end of the run.
+# Runs the given tests, writes their output to the file $1 and shows it. A process that a failed test left behind holds
+# only that file open, so that the run ends when the tests end.
 run() {
     local output=$1 tests
     shift

@@ -1,5 +1,5 @@
-//! What the workspace is built like: which crate may use which, what the method depends on, that every dependency is
-//! used, and that the pages which describe the code name what is there.
+//! The structure of the workspace: which crate may use which, the dependencies of the method, that every dependency is
+//! used, and that the files which pages name exist.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,6 +10,10 @@ use std::process::Command;
 
 /// The crates that each crate of the workspace may use, tests aside.
 const MAY_USE: &[(&str, &[&str])] = &[
+    (
+        "fuzz",
+        &["core", "hub", "node", "power", "service", "vision", "wire"],
+    ),
     ("core", &[]),
     ("wire", &["core"]),
     ("service", &["wire"]),
@@ -55,6 +59,7 @@ const METHOD: &[&str] = &[
     "serde_core",
     "serde_derive",
     "serde_json",
+    "strsim",
     "zmij",
     // Errors.
     "thiserror",
@@ -298,7 +303,7 @@ fn every_dependency_is_used() {
                 .map(|file| std::fs::read_to_string(file).unwrap())
                 .collect()
         };
-        let code = read(&["src"]);
+        let code = read(&["src", "fuzz_targets"]);
         let tests = read(&["src", "tests", "benches"]);
         assert!(!code.is_empty(), "{}: no sources", member.name);
         for dependency in &member.dependencies {
@@ -324,7 +329,7 @@ fn every_dependency_is_used() {
     assert!(unused.is_empty(), "unused dependencies: {unused:#?}");
 }
 
-/// Paths that a page names: the targets of its links, and what stands in backticks and begins with a folder of the
+/// Paths that a page names: the targets of its links, and text in backticks that begins with a folder of the
 /// project.
 fn paths(page: &str) -> BTreeSet<String> {
     let folders = [

@@ -1,4 +1,4 @@
-//! A node whose parts fail or hang: what dies is seen and started anew, and stopping takes no longer than configured.
+//! A node whose parts fail or hang: failures are detected, failed parts restart, and stopping takes no longer than configured.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
 
-/// `inner` with a bug: it panics on the frame after so many.
+/// `inner` with a bug: it panics after this many frames.
 fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
     let before = move || good = good.checked_sub(1).expect("a bug in a policy");
     Box::new(Before { inner, before })
@@ -22,7 +22,7 @@ fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_camera_loop_that_panics_is_counted_said_and_started_anew_and_no_frame_vanishes() {
+async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let config = configuration();
     let policy: PolicyConfig = config.policy.clone();
     let prepared = PreparedNode::new(&config)
@@ -99,7 +99,7 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
             .map(|(_, counts)| counts.failures)
             .sum()
     };
-    // What a loop failed on is counted with the task; everything else under a kind of its own.
+    // The frame that a loop failed on is counted with the task; every other frame has its own kind.
     until(&bench.board, "all frames are accounted for", |board| {
         camera.snapshot().dropped.stopped + failures(board) >= 40
     })
@@ -197,7 +197,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let endpoint = [node.zenoh.clone()];
     let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
     let session = session.unwrap();
-    // The detector computes for ever on the first; the ring holds two more, and one more pushes one out: by then the
+    // The detector computes forever on the first; the ring holds two more, and one more pushes one out: by then the
     // camera's loop waits for the detector.
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
     let stuck = async {

@@ -30,7 +30,7 @@ def main() -> None:
         if str(sample.key_expr).endswith("/frame"):
             return
         message = json.loads(sample.payload.to_bytes())
-        # What the history brings may come before everything stands.
+        # The history may arrive before everything is subscribed.
         ready.wait()
         with write:
             print(json.dumps({"key": str(sample.key_expr), "message": message}), flush=True)

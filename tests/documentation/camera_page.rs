@@ -1,4 +1,4 @@
-//! The page about cameras: its configuration and its commands, with cameras that really send in the place of those in it.
+//! The page about cameras: its configuration and its commands, with cameras that really send instead of those in it.
 
 use super::{blocks, page, run_line, shell, workshop};
 use crate::support::live_camera::RtspCamera;

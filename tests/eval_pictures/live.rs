@@ -6,7 +6,7 @@ use albireo_core::detection::Detection;
 use albireo_core::policy::{
     Evidence, EvidenceSource, FrameHead, FrameState, Need, Outcome, Policy, decide,
 };
-use albireo_eval::data::classes::{Meaning, from_name};
+use albireo_eval::data::classes::from_name;
 use albireo_eval::footage::{FrameSource, PictureFolder};
 use albireo_eval::pictures::{PicturedClip, run_pictured};
 use albireo_eval::run::Settings;
@@ -53,13 +53,11 @@ impl Node {
     fn evaluated(&self, found: &[Detection]) -> Vec<Detection> {
         let evaluated = found.iter().filter_map(|detection| {
             let name = &self.detector.class_names()[usize::from(detection.class.0)];
-            match from_name(name) {
-                Meaning::Class(class) => Some(Detection {
-                    class,
-                    ..*detection
-                }),
-                _ => None,
-            }
+            let class = from_name(name).ok()?;
+            Some(Detection {
+                class,
+                ..*detection
+            })
         });
         evaluated.collect()
     }

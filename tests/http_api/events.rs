@@ -68,7 +68,7 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
         let response = node.put(path, r#"{"u": 5e-4}"#).await;
         assert!(response.status().is_success());
     }
-    // The change of the other camera alone is not told.
+    // A change of only the other camera is not sent.
     let told = events.expect("threshold").await;
     let threshold = json!({"name": "u", "value": 5e-4});
     assert_eq!(told, json!({"camera": "rear", "threshold": threshold}));

@@ -280,7 +280,7 @@ async fn the_page_needs_nothing_from_elsewhere() {
 }
 
 #[tokio::test]
-async fn one_camera_tells_policy_threshold_and_its_newest_detections() {
+async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
     let node = Served::start().await;
     let missing = problem(node.get("/api/v1/cameras/front/detections").await, 404).await;
     let detail = missing["detail"].as_str().unwrap();

@@ -1,4 +1,4 @@
-//! What a node tells of its past: for a page that is opened now, and for whoever looks for a fault.
+//! A node's history: for a page that is opened later, and for diagnosis.
 
 use super::served::{Frames, KNOB, Served, board, clip, frame, problem};
 use albireo_core::policy::FrameState;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 #[tokio::test]
-async fn the_last_frames_are_told_with_state_and_cause_the_newest_last() {
+async fn the_last_frames_are_listed_with_state_and_cause_the_newest_last() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     let states = [FrameState::EI, FrameState::I, FrameState::P, FrameState::E];
@@ -137,7 +137,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
 }
 
 #[tokio::test]
-async fn the_hour_of_power_is_told_by_domain() {
+async fn the_hour_of_power_is_reported_by_domain() {
     let node = Served::start().await;
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     node.board.set_power(PowerSnapshot {
@@ -147,7 +147,7 @@ async fn the_hour_of_power_is_told_by_domain() {
         covered_s: BTreeMap::from([("total".to_owned(), 3.0), ("cpu".to_owned(), 3.0)]),
         ..PowerSnapshot::default()
     });
-    // A piece is told when it is over.
+    // A piece is reported when it is over.
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     tokio::time::pause();
     tokio::time::advance(Duration::from_secs(11)).await;
@@ -163,7 +163,7 @@ async fn the_hour_of_power_is_told_by_domain() {
 }
 
 #[tokio::test]
-async fn what_was_saved_is_told_since_the_start_and_today() {
+async fn savings_are_reported_since_the_start_and_today() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {

@@ -70,7 +70,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     );
 }
 
-/// A pipe in the place of the file stalls who writes it until somebody reads.
+/// A pipe instead of the file stalls who writes it until somebody reads.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls() {
     let directory = tempfile::tempdir().unwrap();

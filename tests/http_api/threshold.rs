@@ -152,7 +152,7 @@ async fn a_change_for_all_reaches_every_camera_and_its_loop() {
 }
 
 #[tokio::test]
-async fn a_camera_that_is_not_there_is_told_with_those_that_are() {
+async fn an_unknown_camera_is_refused_with_the_names_of_the_known_ones() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/roof/threshold";
     for response in [node.get(path).await, node.put(path, r#"{"u": 5e-4}"#).await] {
@@ -174,7 +174,7 @@ async fn a_policy_without_a_threshold_says_so() {
 }
 
 #[tokio::test]
-async fn a_change_that_is_kept_is_said_to_survive() {
+async fn a_stored_change_is_reported_as_durable() {
     let directory = tempfile::tempdir().unwrap();
     let node = Served::kept_in(directory.path()).await;
     let response = node.put("/api/v1/threshold", r#"{"u": 7e-4}"#).await;

@@ -33,7 +33,7 @@ pub(crate) fn from_environment(name: &str, default: u64) -> u64 {
 /// A hub's settings, as environment variables of its process.
 pub(crate) type Settings = Vec<(&'static str, String)>;
 
-/// Settings of a hub with addresses of its own: where it takes reports, and the settings.
+/// Settings of a hub with its own addresses: where it takes reports, and the settings.
 pub(crate) fn settings(database: &str) -> (String, Settings) {
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());
     let settings = vec![
@@ -70,7 +70,7 @@ impl HubProcess {
         Self::start_as(command, settings)
     }
 
-    /// Starts a hub by a command of its own: under another program.
+    /// Starts a hub with the given command: under another program.
     pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
         let listen = settings
             .iter()
@@ -103,7 +103,7 @@ impl HubProcess {
             .expect("the hub is killed with SIGKILL");
     }
 
-    /// What a path answers; null while nobody answers.
+    /// The answer to a path; null without an answer.
     pub(crate) async fn get(&self, path: &str) -> Value {
         match reqwest::get(format!("{}{path}", self.http)).await {
             Ok(response) => response.json().await.unwrap_or(Value::Null),
@@ -227,7 +227,7 @@ pub(crate) fn now_ns() -> u64 {
     u64::try_from(now.as_nanos()).expect("a clock before 2554")
 }
 
-/// Sends the reports of those numbers; nothing when nobody answers.
+/// Sends the reports with those numbers; `None` without an answer.
 pub(crate) async fn send(
     session: &zenoh::Session,
     node: &str,
@@ -268,7 +268,7 @@ pub(crate) async fn send(
     None
 }
 
-/// An id of its own for each node, time and number.
+/// A different id for each node, time and number.
 fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
     let mut random = [0; 10];
     random[..2].copy_from_slice(&node.bytes().map(u16::from).sum::<u16>().to_be_bytes());

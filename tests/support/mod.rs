@@ -105,7 +105,7 @@ pub(crate) struct Node {
 }
 
 impl Node {
-    /// Starts a node with `settings` (TOML) added to addresses of its own, and waits until it is ready.
+    /// Starts a node with `settings` (TOML) added to its own addresses, and waits until it is ready.
     pub(crate) async fn start(settings: &str) -> Self {
         Self::start_in(tempfile::tempdir().expect("a temporary folder"), settings).await
     }
@@ -269,7 +269,7 @@ pub(crate) struct Client {
 }
 
 impl Client {
-    /// Subscribes to `key` at `endpoint` and waits until the subscription stands.
+    /// Subscribes to `key` at `endpoint` and waits until the subscription is active.
     pub(crate) async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
         let python = std::env::var("ALBIREO_PYTHON").unwrap_or_else(|_| {
             concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into()
@@ -323,7 +323,7 @@ impl Client {
         Some((key, entry["message"].take()))
     }
 
-    /// Ends the client and gives what it still had to say.
+    /// Ends the client and returns its remaining output.
     pub(crate) async fn finish(mut self) -> Vec<(String, Value)> {
         drop(self.stdin.take());
         let mut rest = Vec::new();

@@ -2,9 +2,9 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A port nobody listens on at this moment.
+/// A port that is free at this moment.
 pub(crate) fn free_port() -> u16 {
-    // Each port is given once, and below those of outgoing connections: nobody takes it before its listener does.
+    // Each port is given once, below the range of outgoing connections, so that none is taken before its listener starts.
     static GIVEN: AtomicU32 = AtomicU32::new(0);
     let start = std::process::id().wrapping_mul(250);
     let ports = std::iter::repeat_with(|| {
