@@ -13,10 +13,10 @@ WHEEL_ENVIRONMENT := $(CACHE)/wheel/.ready
 WHEEL_SOURCES := $(wildcard Cargo.toml crates/core/Cargo.toml crates/python/*.* crates/python/src/*) \
 	$(shell find crates/core/src crates/python/python -type f ! -name '*.pyc')
 DEMO_SECONDS ?=
-# Python's ONNX Runtime as ours keeps and sends nothing of what is run.
+# Python's ONNX Runtime, like ours, must not collect telemetry.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test web browser lint soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
+.PHONY: help demo test web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -37,11 +37,22 @@ lint: ## formatting and clippy of every combination of features that is shipped,
 	CARGO_TARGET_DIR=target/python cargo clippy --locked --manifest-path crates/python/Cargo.toml -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps -p albireo-core
 
-soak: onnxruntime python ## half an hour of a node under faults beside a hub, by hand (MINUTES=N for another length)
+deny: ## licences, sources and bans of all dependencies (ADVISORIES=1: known vulnerabilities too)
+	@cargo deny --version >/dev/null 2>&1 || cargo install --locked cargo-deny
+	cargo deny --locked check licenses bans sources $(if $(ADVISORIES),advisories)
+
+fuzz: ## every parser under coverage-guided fuzzing, 20 minutes each (MINUTES=N); needs nightly Rust and cargo-fuzz
+	@bash fuzz/run.sh
+
+simulate: ## delivery simulated from seeds, optimised: crashes, losses, copied and restored state (SEEDS=10000; SEED=7 prints one run)
+	ALBIREO_WITHOUT_PAGES=1 ALBIREO_SEEDS=$(or $(SEEDS),10000) ALBIREO_SEED=$(SEED) cargo test --locked --profile bench -p albireo-node --lib \
+		delivery::tests::no_seed -- --nocapture
+
+soak: onnxruntime python ## run a node and a hub under faults for half an hour, by hand (MINUTES=N for another length)
 	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" $(CACHE)/python/bin/python tests/soak.py --minutes $(or $(MINUTES),30)
 
-bench: onnxruntime web ## the benches, optimised (takes a while the first time)
+bench: onnxruntime web ## run the benches, optimised (slow the first time)
 	cargo bench --locked
 
 bench-peers: ## the decision core beside other trackers, the JPEG decoder beside others
@@ -64,8 +75,8 @@ parity: onnxruntime $(WHEEL) $(VENDORS_ENVIRONMENT) ## compare with the vendors'
 	$(VENDORS)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
 	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(abspath $(CACHE))/vendors/config" $(VENDORS)/python tests/parity/python_results.py
 
-# Installed without their dependencies: those of Norfair exclude those of trackers, BoxMOT's have an older OpenCV, TrackEval's
-# are for its data sets only.
+# Installed without their dependencies: Norfair's conflict with those of trackers, BoxMOT's pin an older OpenCV, and TrackEval's
+# serve only its data sets.
 $(VENDORS_ENVIRONMENT): tests/parity/requirements.txt
 	python3 -m venv $(CACHE)/vendors
 	$(VENDORS)/pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
@@ -75,7 +86,7 @@ $(VENDORS_ENVIRONMENT): tests/parity/requirements.txt
 board: ## the node for a small board: without hub, simulator, evaluation and renderer
 	cargo build --locked --no-default-features
 
-web: ## the pages that people look at, with Node.js and npm; without them everything works but the pages
+web: ## build the web pages with Node.js and npm; the rest works without them
 	@bash web/build.sh
 
 browser: onnxruntime web ## the pages in Debian's Chromium against the program, by hand (on a busy machine a step may be too slow)
@@ -85,7 +96,7 @@ browser: onnxruntime web ## the pages in Debian's Chromium against the program, 
 release: web ## the optimised program in target/release/albireo
 	cargo build --locked --release
 
-dist: web ## what is given away, in target/dist: programs, packages, licences, checksums (TARGET=… for another machine)
+dist: web ## the release, in target/dist: programs, packages, licences, checksums (TARGET=… for another machine)
 	bash deploy/dist.sh
 
 onnxruntime: $(ONNXRUNTIME) ## the ONNX Runtime library, from its Python wheel
@@ -93,7 +104,7 @@ $(ONNXRUNTIME): deploy/fetch-onnxruntime.sh
 	bash deploy/fetch-onnxruntime.sh $(CACHE)/onnxruntime
 	@touch $@
 
-python: $(PYTHON_ENVIRONMENT) ## the Python environment of the tests' independent clients
+python: $(PYTHON_ENVIRONMENT) ## the Python environment for the tests' independent clients
 $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	python3 -m venv $(CACHE)/python
 	$(CACHE)/python/bin/python -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
@@ -109,7 +120,7 @@ $(WHEEL_ENVIRONMENT): $(addprefix crates/python/tests/,requirements.txt environm
 	bash crates/python/tests/environment.sh $(CACHE)/wheel
 	@touch $@
 
-debian: ## Debian packages the tests use, installed when missing and when allowed
+debian: ## install the Debian packages that the tests use, if missing and allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
 		strace:strace gst-launch-1.0:gstreamer1.0-tools :gstreamer1.0-plugins-base :gstreamer1.0-plugins-good \
 		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi \
