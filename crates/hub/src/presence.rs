@@ -12,8 +12,8 @@ mod tests;
 mod today;
 
 pub use fleet::{Fleet, FleetTallies, NodeView};
-pub use listen::ListenCounters;
-pub(crate) use listen::{ListenSetup, Notifier, listen};
+pub use listen::{ListenCounters, Notifier};
+pub(crate) use listen::{ListenSetup, listen};
 pub use news::News;
 pub(crate) use settings::NodeSettings;
 pub use state::{Limits, PresenceInput, PresenceState, Token, judge};

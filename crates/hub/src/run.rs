@@ -5,9 +5,8 @@ use crate::error::HubError;
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{self, Replies, WriterSetup};
-use crate::presence::{ListenSetup, Used, day_of, listen};
+use crate::presence::{Fleet, ListenSetup, Used, day_of, listen};
 use crate::readiness::Readiness;
-use crate::store::tables::NodeRow;
 use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
@@ -136,7 +135,7 @@ async fn parts(
     let readiness = &view.readiness;
     // A database may go away again at any moment, also between two questions of the start.
     let (store, nodes, used) = loop {
-        match remembered(config).await {
+        match remembered(config, &view.fleet).await {
             Ok(opened) => break opened,
             Err(error) => {
                 if !later(config, readiness, shutdown, error).await? {
@@ -145,12 +144,7 @@ async fn parts(
             }
         }
     };
-    tracing::info!(
-        database = store.kind(),
-        nodes = nodes.len(),
-        "history is open"
-    );
-    view.fleet.remember(nodes, Instant::now());
+    tracing::info!(database = store.kind(), nodes, "history is open");
     for (node, at_ms, one) in used {
         view.fleet.used(&node, at_ms, one);
     }
@@ -221,6 +215,7 @@ async fn parts(
             listening.notifier.clone(),
             config.tuning.clone(),
             session.zid().to_string(),
+            unix_milliseconds(),
         );
         match opened.await {
             Ok(tuner) => break Some(Arc::new(tuner)),
@@ -282,9 +277,12 @@ async fn parts(
 type UsedToday = Vec<(String, i64, Used)>;
 
 /// The database and what it knows of the nodes.
-async fn remembered(config: &HubConfig) -> Result<(Store, Vec<NodeRow>, UsedToday), StoreError> {
+async fn remembered(
+    config: &HubConfig,
+    fleet: &Fleet,
+) -> Result<(Store, usize, UsedToday), StoreError> {
     let store = Store::open(&config.database).await?;
-    let nodes = store.nodes().await?;
+    let nodes = fleet.read(&store, Instant::now()).await?;
     let since_s = day_of(unix_milliseconds()) * 86_400;
     let today = EnergyQuery {
         by: EnergyBy::Node,

@@ -3,14 +3,14 @@
 //!
 //! What decides is pure: [`selector`], [`gate`], [`rollout`], [`trial`] know neither clock nor network nor database.
 
-pub(crate) mod change;
+pub mod change;
 pub mod desired;
 pub mod effect;
 pub mod gate;
 pub mod members;
 pub mod metric;
 pub mod rollout;
-pub(crate) mod runs;
+pub mod runs;
 pub mod selector;
 mod task;
 pub mod trial;

@@ -3,6 +3,7 @@
 use super::HubView;
 use crate::presence::NodeView;
 use crate::store::ReportCounts;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
 use axum::extract::{Extension, Path, State};
@@ -75,7 +76,9 @@ pub(super) async fn forget(
     if known.state.is_heard() {
         return Err(heard());
     }
-    view.tuner()?.forget(&node, &caller.name).await?;
+    (view.tuner()?)
+        .forget(&node, &caller.name, unix_milliseconds())
+        .await?;
     if !view.fleet.forget(&node) {
         return Err(heard());
     }

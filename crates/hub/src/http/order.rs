@@ -3,6 +3,7 @@
 use super::{HubView, body};
 use crate::tuning::change::{Change, ChangeRequest};
 use crate::tuning::tuner::OutcomeLine;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
 use axum::body::Body;
@@ -73,7 +74,10 @@ pub(super) async fn carry_out(
         )));
     }
     let dry_run = request.dry_run;
-    let change = view.tuner()?.change(request, &caller.name).await?;
+    let change = view
+        .tuner()?
+        .change(request, &caller.name, unix_milliseconds())
+        .await?;
     if change.lines.is_empty() && change.awaited.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,

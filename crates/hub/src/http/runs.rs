@@ -7,6 +7,7 @@ use crate::tuning::members::Member;
 use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest, What};
 use crate::tuning::runs::{LeftOut, Run, RunError, counts};
 use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::Threshold;
 use axum::Json;
@@ -251,7 +252,9 @@ pub(super) async fn begin_rollout(
 ) -> Result<(StatusCode, Json<RolloutView>), Problem> {
     let (knob, plan): (_, RolloutPlan) = body::with_threshold(body::object(bytes)?)?;
     let request = RolloutRequest { knob, plan };
-    let (id, left_out) = (view.tuner()?).begin_rollout(request, &caller.name).await?;
+    let (id, left_out) = (view.tuner()?)
+        .begin_rollout(request, &caller.name, unix_milliseconds())
+        .await?;
     let begun = RolloutView {
         left_out,
         ..rollout(&view, id).await?
@@ -316,7 +319,7 @@ pub(super) async fn command_rollout(
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
     view.tuner()?
-        .command_rollout(id, command, &caller.name)
+        .command_rollout(id, command, &caller.name, unix_milliseconds())
         .await?;
     Ok(Json(rollout(&view, id).await?))
 }
@@ -341,7 +344,10 @@ pub(super) async fn begin_trial(
         values.iter_mut().try_for_each(body::name_threshold)?;
     }
     let plan: TrialPlan = body::rest(object)?;
-    let (id, left_out) = view.tuner()?.begin_trial(plan, &caller.name).await?;
+    let (id, left_out) = view
+        .tuner()?
+        .begin_trial(plan, &caller.name, unix_milliseconds())
+        .await?;
     let begun = TrialView {
         left_out,
         ..trial(&view, id).await?
@@ -406,6 +412,8 @@ pub(super) async fn end_trial(
     Extension(caller): Extension<Caller>,
     Path(id): Path<i64>,
 ) -> Result<Json<TrialView>, Problem> {
-    view.tuner()?.end_trial(id, &caller.name).await?;
+    view.tuner()?
+        .end_trial(id, &caller.name, unix_milliseconds())
+        .await?;
     Ok(Json(trial(&view, id).await?))
 }

@@ -7,6 +7,7 @@ use super::state::{Limits, PresenceInput, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
 use crate::store::tables::NodeRow;
+use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
@@ -92,8 +93,19 @@ impl Fleet {
         }
     }
 
-    /// Takes what the database remembers. Who was heard then has until the silent limit from `now` on to be heard again.
-    pub(crate) fn remember(&self, nodes: Vec<NodeRow>, now: Instant) {
+    /// Takes what the database remembers; the number of nodes. Who was heard then has until the silent limit from `now` on to be
+    /// heard again.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn read(&self, store: &Store, now: Instant) -> Result<usize, StoreError> {
+        let nodes = store.nodes().await?;
+        let many = nodes.len();
+        self.remember(nodes, now);
+        Ok(many)
+    }
+
+    pub(super) fn remember(&self, nodes: Vec<NodeRow>, now: Instant) {
         let mut map = self.nodes.write();
         for node in nodes {
             let name: Arc<str> = node.name.as_str().into();
@@ -102,13 +114,7 @@ impl Fleet {
     }
 
     /// Takes a status; whether the node should be asked for a full status.
-    pub(crate) fn heard(
-        &self,
-        node: &str,
-        message: &StatusMessage,
-        now: Instant,
-        now_ms: i64,
-    ) -> bool {
+    pub fn heard(&self, node: &str, message: &StatusMessage, now: Instant, now_ms: i64) -> bool {
         self.statuses.fetch_add(1, Ordering::Relaxed);
         let mut nodes = self.nodes.write();
         let name: Arc<str> = match nodes.get_key_value(node) {
@@ -154,13 +160,7 @@ impl Fleet {
     }
 
     /// Takes a heartbeat; whether the node should be asked for a full status.
-    pub(crate) fn alive(
-        &self,
-        node: &str,
-        heartbeat: Heartbeat,
-        now: Instant,
-        now_ms: i64,
-    ) -> bool {
+    pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
         let known = self
             .nodes
             .read()
@@ -221,7 +221,7 @@ impl Fleet {
     }
 
     /// Looks at a tenth of the nodes for those that time made silent or offline.
-    pub(crate) fn sweep(&self, now: Instant, now_ms: i64) {
+    pub fn sweep(&self, now: Instant, now_ms: i64) {
         let mut swept = self.swept.lock();
         let mut nodes = self.nodes.write();
         let most = nodes.len() / 10 + 1;
@@ -292,7 +292,7 @@ impl Fleet {
     }
 
     /// Whether a full status is missing.
-    pub(crate) fn needs_full_status(&self, node: &str) -> bool {
+    pub fn needs_full_status(&self, node: &str) -> bool {
         let nodes = self.nodes.read();
         nodes.get(node).is_some_and(|entry| entry.needs_full)
     }
@@ -315,7 +315,7 @@ impl Fleet {
     }
 
     /// Takes what is to be written, at most as much as one transaction may have.
-    pub(crate) fn take_news(&self) -> News {
+    pub fn take_news(&self) -> News {
         let names: Vec<Arc<str>> = {
             let mut dirty = self.dirty.lock();
             let count = dirty.len().min(MOST_NEWS);
@@ -337,7 +337,7 @@ impl Fleet {
     }
 
     /// Takes back what was not written.
-    pub(crate) fn give_back(&self, news: News) {
+    pub fn give_back(&self, news: News) {
         let mut nodes = self.nodes.write();
         for node in news.nodes {
             let name: Arc<str> = node.name.into();

@@ -86,7 +86,14 @@ pub(crate) struct Listening {
 
 /// Where notices go.
 #[derive(Clone, Debug)]
-pub(crate) struct Notifier(SyncSender<(String, u64)>);
+pub struct Notifier(SyncSender<(String, u64)>);
+
+impl From<SyncSender<(String, u64)>> for Notifier {
+    /// Notices go there: the node, and the revision that it may pull.
+    fn from(sender: SyncSender<(String, u64)>) -> Self {
+        Self(sender)
+    }
+}
 
 impl Notifier {
     /// Tells `node` that there is something to pull. Never waits.
@@ -259,7 +266,7 @@ fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier>
                 }
             }
         })?;
-    Ok(Notifier(sender))
+    Ok(sender.into())
 }
 
 /// Most messages taken at once.

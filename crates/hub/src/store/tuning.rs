@@ -76,12 +76,12 @@ pub(crate) struct ClipWindow {
 const OPEN: &str = "outcome IN ('pending', 'waiting', 'timed_out')";
 
 impl dyn Transaction + '_ {
-    /// The next revision: greater than any before, whatever hub gave it, and greater than `reported`.
-    pub(crate) fn next_revision(&mut self, reported: i64) -> Result<i64, StoreError> {
+    /// The next revision: greater than any before, whatever hub gave it, and than `above`.
+    pub(crate) fn next_revision(&mut self, above: i64) -> Result<i64, StoreError> {
         let rows = self.query(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
-            &[reported.into()],
+            &[above.into()],
         )?;
         only(&rows, "value")
     }

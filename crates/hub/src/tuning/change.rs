@@ -1,6 +1,7 @@
 //! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
 
 use super::desired::DesiredValue;
+use super::members::Millis;
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
 use crate::presence::NodeSettings;
@@ -12,16 +13,20 @@ use tokio::sync::mpsc;
 
 /// A value or a target for selected nodes.
 #[derive(Clone, Debug)]
-pub(crate) struct ChangeRequest {
-    pub(crate) setting: DesiredSetting,
-    pub(crate) select: Selector,
-    pub(crate) dry_run: bool,
-    pub(crate) why: String,
+pub struct ChangeRequest {
+    /// The value or the target.
+    pub setting: DesiredSetting,
+    /// Which nodes.
+    pub select: Selector,
+    /// Only says who would change.
+    pub dry_run: bool,
+    /// Why.
+    pub why: String,
 }
 
 /// An order that was given, or would be.
 #[derive(Debug)]
-pub(crate) struct Change {
+pub struct Change {
     /// What was ordered.
     pub(crate) setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
@@ -36,10 +41,14 @@ pub(crate) struct Change {
 
 impl Tuner {
     /// Orders a value or a target for the selected nodes, or says who would change.
-    pub(crate) async fn change(
+    ///
+    /// # Errors
+    /// When the database cannot be used: then nothing is ordered.
+    pub async fn change(
         &self,
         request: ChangeRequest,
         who: &str,
+        now: Millis,
     ) -> Result<Change, StoreError> {
         let ChangeRequest {
             setting,
@@ -104,7 +113,7 @@ impl Tuner {
                 origin: "hand".to_owned(),
                 selector: select.to_string(),
             };
-            Some(self.order(order, Some(tell)).await?)
+            Some(self.order(order, Some(tell), now).await?)
         };
         Ok(Change {
             setting,

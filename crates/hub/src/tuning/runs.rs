@@ -11,7 +11,6 @@ use super::tuner::{NewOrder, Tuner, text};
 use crate::presence::NodeSettings;
 use crate::store::tables::EventRow;
 use crate::store::{ClipSums, ClipWindow, RunRow, StoreError};
-use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -63,24 +62,43 @@ impl Active {
 
 /// Why a rollout or trial cannot be begun or commanded.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum RunError {
+pub enum RunError {
+    /// The plan makes no sense.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// The command makes no sense where the rollout is.
     #[error(transparent)]
     Command(#[from] CommandError),
+    /// The database cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// There is none.
     #[error("there is no {kind} {id}")]
-    Unknown { kind: &'static str, id: i64 },
+    Unknown {
+        /// `rollout` or `trial`.
+        kind: &'static str,
+        /// Its number.
+        id: i64,
+    },
+    /// It is not this hub's.
     #[error("the {kind} {id} is driven by another hub on the same database, or has ended")]
-    Elsewhere { kind: &'static str, id: i64 },
+    Elsewhere {
+        /// `rollout` or `trial`.
+        kind: &'static str,
+        /// Its number.
+        id: i64,
+    },
+    /// A node takes part in one.
     #[error("the node {node} takes part in a rollout or trial: end or return that first")]
-    Taken { node: String },
+    Taken {
+        /// The node.
+        node: String,
+    },
 }
 
 /// A node that was selected and takes no part, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
-pub(crate) struct LeftOut {
+pub struct LeftOut {
     /// The node.
     pub node: String,
     /// Why.
@@ -151,14 +169,13 @@ impl Tuner {
     ///
     /// # Errors
     /// While it takes part in a rollout or trial, and when the database cannot be written.
-    pub(crate) async fn forget(&self, node: &str, who: &str) -> Result<(), RunError> {
+    pub(crate) async fn forget(&self, node: &str, who: &str, now: Millis) -> Result<(), RunError> {
         // Held to the end, so that nothing begins with the node meanwhile.
         let _runs = self.runs.lock().await;
         if self.taken().await?.contains_key(node) {
             let node = node.to_owned();
             return Err(RunError::Taken { node });
         }
-        let now = unix_milliseconds();
         let event = EventRow {
             at_ms: now,
             kind: "forgotten".to_owned(),
@@ -202,11 +219,15 @@ impl Tuner {
         (candidates, left_out)
     }
 
-    /// Begins a rollout.
-    pub(crate) async fn begin_rollout(
+    /// Begins a rollout: its number, and the nodes that were selected and take no part.
+    ///
+    /// # Errors
+    /// When its plan makes no sense, no node can take part, or the database cannot be written.
+    pub async fn begin_rollout(
         &self,
         request: RolloutRequest,
         who: &str,
+        now: Millis,
     ) -> Result<(i64, Vec<LeftOut>), RunError> {
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
@@ -219,7 +240,6 @@ impl Tuner {
             node: c.node,
             why: "has the value already".to_owned(),
         }));
-        let now = unix_milliseconds();
         let seed = request.plan.seed.unwrap_or(now.unsigned_abs());
         let rollout = Rollout::begin(request, candidates, seed, who, now)?;
         let id = self
@@ -233,6 +253,7 @@ impl Tuner {
         &self,
         plan: TrialPlan,
         who: &str,
+        now: Millis,
     ) -> Result<(i64, Vec<LeftOut>), RunError> {
         plan.check()?;
         let mut runs = self.runs.lock().await;
@@ -242,7 +263,6 @@ impl Tuner {
             .first()
             .map_or(ThresholdName::new(), |value| value.name);
         let (candidates, left_out) = self.candidates(&plan.select, &knob, &taken);
-        let now = unix_milliseconds();
         let seed = plan.seed.unwrap_or(now.unsigned_abs());
         let trial = Trial::begin(plan, candidates, seed, now)?;
         let id = self.begin(&mut runs, Run::Trial(trial), who, now).await?;
@@ -302,16 +322,19 @@ impl Tuner {
     }
 
     /// Follows a person's command on a rollout.
-    pub(crate) async fn command_rollout(
+    ///
+    /// # Errors
+    /// When it makes no sense where the rollout is, another hub drives it, or the database cannot be written.
+    pub async fn command_rollout(
         &self,
         id: i64,
         command: Command,
         who: &str,
+        now: Millis,
     ) -> Result<(), RunError> {
         const KIND: &str = "rollout";
         let key = (KIND.to_owned(), id);
         let mut runs = self.runs.lock().await;
-        let now = unix_milliseconds();
         if !runs.running.contains_key(&key) {
             let row = self.store.run(KIND, id).await?;
             let row = row.ok_or(RunError::Unknown { kind: KIND, id })?;
@@ -362,10 +385,9 @@ impl Tuner {
     }
 
     /// Ends a trial before its time, with what was measured until now.
-    pub(crate) async fn end_trial(&self, id: i64, who: &str) -> Result<(), RunError> {
+    pub(crate) async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
         const KIND: &str = "trial";
         let key = (KIND.to_owned(), id);
-        let now = unix_milliseconds();
         let mut runs = self.runs.lock().await;
         let Some(Active {
             run: Run::Trial(trial),
@@ -388,7 +410,7 @@ impl Tuner {
     ///
     /// # Errors
     /// When the database cannot be used: what was not done is done at the next time.
-    pub(crate) async fn drive(&self, now: Millis) -> Result<(), StoreError> {
+    pub async fn drive(&self, now: Millis) -> Result<(), StoreError> {
         let mut runs = self.runs.lock().await;
         if now - runs.claimed_ms >= CLAIM_EVERY_MS {
             self.claim(&mut runs, now).await?;
@@ -474,7 +496,7 @@ impl Tuner {
                 origin: format!("{} {id}", active.run.kind()),
                 selector: String::new(),
             };
-            let revision = self.order(new, None).await?;
+            let revision = self.order(new, None, now).await?;
             active.run.asked(&order, revision, now);
             changed = true;
         }

@@ -8,7 +8,6 @@ use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::setting::is_applied;
 use crate::store::tables::EventRow;
 use crate::store::{OrderNodeRow, OrderRow, Store, StoreError};
-use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use albireo_wire::Threshold;
 use parking_lot::Mutex;
@@ -142,13 +141,14 @@ impl Tuner {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub(crate) async fn open(
+    pub async fn open(
         store: Store,
         fleet: Arc<Fleet>,
         desires: Arc<Desires>,
         notifier: Notifier,
         config: TuningConfig,
         driver: String,
+        now: Millis,
     ) -> Result<Self, StoreError> {
         let tuner = Self {
             store,
@@ -179,7 +179,7 @@ impl Tuner {
                 setting: desired.setting,
                 from: row.setting_before,
                 // Its time begins again: no hub listened meanwhile.
-                asked_ms: unix_milliseconds(),
+                asked_ms: now,
                 notified_ms: 0,
                 outcome: Outcome::Pending,
             };
@@ -227,7 +227,10 @@ impl Tuner {
     }
 
     /// Takes what other hubs on the same database have ordered.
-    pub(crate) async fn learn(&self) -> Result<(), StoreError> {
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
         for (node, revision, setting) in self.store.desired_after(after).await? {
             self.desire(&node, revision.unsigned_abs(), setting);
@@ -242,8 +245,8 @@ impl Tuner {
         &self,
         order: NewOrder,
         follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
+        now: Millis,
     ) -> Result<u64, StoreError> {
-        let now = unix_milliseconds();
         let open = |revision, from| OpenOrder {
             revision,
             setting: order.setting,
@@ -257,7 +260,10 @@ impl Tuner {
                 .settings(node)
                 .is_some_and(|facts| facts.reachable)
         };
-        let reported = self.reported(order.nodes.iter().map(|(node, _)| node));
+        // A restored database does not know what it ordered after its backup, nor what a node has that is away: so that none of
+        // those revisions is given again, they begin at the time, in seconds.
+        let above =
+            (self.reported(order.nodes.iter().map(|(node, _)| node))).max(now.div_euclid(1000));
         let mut row = OrderRow {
             revision: 0,
             at_ms: now,
@@ -278,7 +284,7 @@ impl Tuner {
             })
             .collect();
         let written = self.store.write(move |writing| {
-            row.revision = writing.next_revision(reported)?;
+            row.revision = writing.next_revision(above)?;
             for node in &mut nodes {
                 node.revision = row.revision;
             }
@@ -333,7 +339,7 @@ impl Tuner {
     ///
     /// # Errors
     /// When the outcomes cannot be kept; they are then found again at the next look.
-    pub(crate) async fn look(&self, now: Millis) -> Result<(), StoreError> {
+    pub async fn look(&self, now: Millis) -> Result<(), StoreError> {
         let patience = super::rollout::seconds(self.config.apply_within_s);
         let mut rows = Vec::new();
         let mut changed: Vec<(String, OpenOrder)> = Vec::new();
@@ -402,7 +408,10 @@ impl Tuner {
 
     /// Looks for nodes that were changed after they took what is desired; sets them back where the configuration says
     /// so.
-    pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
+    ///
+    /// # Errors
+    /// When the database cannot be written: they are found again at the next look.
+    pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.values.all() {
@@ -465,7 +474,7 @@ impl Tuner {
                 origin: "drift".to_owned(),
                 selector: String::new(),
             };
-            self.order(order, None).await?;
+            self.order(order, None, now).await?;
             // Ordering forgets the drift; how often a node was set back must be known the next time.
             let mut drift = self.drift.lock();
             drift.extend(counts.into_iter().map(|entry| (entry.node.clone(), entry)));
