@@ -1,28 +1,43 @@
-//! Delivery from the outboxes of nodes to the database of a hub, in one thread under virtual time: the real outbox on its real
-//! file, the real schedule, the real decoder and the real writer of the hub's database, joined by a network that loses,
-//! delays, doubles and reorders. A seed decides what fails and when; one seed gives one run.
+//! Delivery and settings between the files of nodes and the database of a hub, in one thread under virtual time: the real code on
+//! its real files, joined by a network that loses, delays, doubles and reorders. A seed decides what fails and when; one seed
+//! gives one run.
 //!
 //! `make simulate SEEDS=10000` runs many; `make simulate SEED=7` runs one and prints what happens.
 
 mod hub;
 mod node;
+mod settings;
+mod timeline;
 mod world;
 
+use settings::Settings;
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::catch_unwind;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use world::{Run, World};
+use timeline::Run;
+use world::World;
 
 /// A number from the environment.
 fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }
 
+/// What a seed comes to, or what is wrong in the end.
+type Simulation = fn(u64, bool) -> Result<Run, String>;
+
+fn delivery(seed: u64, verbose: bool) -> Result<Run, String> {
+    World::new(seed, verbose).run()
+}
+
+fn settings(seed: u64, verbose: bool) -> Result<Run, String> {
+    Settings::new(seed, verbose).run()
+}
+
 /// Runs a seed; what is wrong afterwards, and how to run it again.
-fn run(seed: u64, verbose: bool) -> Result<Run, String> {
-    let ran = catch_unwind(AssertUnwindSafe(|| World::new(seed, verbose).run()));
+fn run(simulation: Simulation, seed: u64, verbose: bool) -> Result<Run, String> {
+    let ran = catch_unwind(|| simulation(seed, verbose));
     let ran = ran.unwrap_or_else(|_| Err("it panicked".to_owned()));
     ran.map_err(|wrong| format!("seed {seed}: {wrong}\n  again: make simulate SEED={seed}"))
 }
@@ -32,7 +47,7 @@ fn run(seed: u64, verbose: bool) -> Result<Run, String> {
 struct Summary {
     seeds: u64,
     node_hours: f64,
-    reports: u64,
+    made: u64,
     faults: BTreeMap<&'static str, u64>,
     wrong: Vec<String>,
 }
@@ -43,7 +58,7 @@ impl Summary {
         match ran {
             Ok(run) => {
                 self.node_hours += run.node_hours;
-                self.reports += run.reports;
+                self.made += run.made;
                 for (fault, times) in run.faults {
                     *self.faults.entry(fault).or_default() += times;
                 }
@@ -52,23 +67,24 @@ impl Summary {
         }
     }
 
-    fn line(&self, began: Instant) -> String {
+    fn line(&self, what: &str, began: Instant) -> String {
         let seconds = began.elapsed().as_secs_f64();
         format!(
-            "{} seeds in {seconds:.0} s, {:.0} node-hours, {} reports, {} seeds failed",
+            "{} seeds in {seconds:.0} s, {:.0} node-hours, {} {what}, {} seeds failed",
             self.seeds,
             self.node_hours,
-            self.reports,
+            self.made,
             self.wrong.len()
         )
     }
 }
 
-#[test]
-fn no_seed_loses_or_doubles_a_report() {
+/// Runs one of `share` of the seeds on all cores, until five have failed.
+fn run_seeds(simulation: Simulation, what: &str, share: u64) {
     let replayed = setting("ALBIREO_SEED");
     let first = replayed.unwrap_or(0);
-    let many = replayed.map_or_else(|| setting("ALBIREO_SEEDS").unwrap_or(1000), |_| 1);
+    let many = setting("ALBIREO_SEEDS").unwrap_or(1000).div_ceil(share);
+    let many = replayed.map_or(many, |_| 1);
     let (began, next) = (Instant::now(), AtomicU64::new(first));
     let summary = Mutex::new(Summary::default());
     // Each takes some megabytes of memory for its files.
@@ -81,11 +97,11 @@ fn no_seed_loses_or_doubles_a_report() {
                     if seed >= first + many {
                         return;
                     }
-                    let ran = run(seed, replayed.is_some());
+                    let ran = run(simulation, seed, replayed.is_some());
                     let mut summary = summary.lock().unwrap();
                     summary.add(ran);
                     if summary.seeds.is_multiple_of(1000) {
-                        println!("{}", summary.line(began));
+                        println!("{}", summary.line(what, began));
                     }
                     if summary.wrong.len() >= 5 {
                         return;
@@ -95,14 +111,31 @@ fn no_seed_loses_or_doubles_a_report() {
         }
     });
     let summary = summary.into_inner().unwrap();
-    println!("{}; faults: {:?}", summary.line(began), summary.faults);
+    println!(
+        "{}; faults: {:?}",
+        summary.line(what, began),
+        summary.faults
+    );
     assert!(summary.wrong.is_empty(), "{}", summary.wrong.join("\n"));
 }
 
 #[test]
+fn no_seed_loses_or_doubles_a_report() {
+    run_seeds(delivery, "reports", 1);
+}
+
+#[test]
+fn no_seed_forgets_an_order_or_a_return() {
+    // One takes as long as ten of the others.
+    run_seeds(settings, "orders and rollouts", 10);
+}
+
+#[test]
 fn one_seed_gives_one_run() {
-    for seed in 0..25 {
-        let [once, twice] = [(), ()].map(|()| run(seed, false).unwrap());
-        assert!(once.trace == twice.trace, "seed {seed}");
+    for simulation in [delivery, settings] {
+        for seed in 0..15 {
+            let [once, twice] = [(), ()].map(|()| run(simulation, seed, false).unwrap());
+            assert!(once.trace == twice.trace, "seed {seed}");
+        }
     }
 }

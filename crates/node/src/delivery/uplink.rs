@@ -25,10 +25,8 @@ use albireo_wire::{
 use backoff::Backoff;
 pub(super) use query::Asked;
 use query::ask;
-#[cfg(test)]
-pub(super) use query::read_reply;
 pub(super) use schedule::{Outcome, Schedule};
-use status::StatusTeller;
+pub(super) use status::StatusTeller;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
@@ -44,6 +42,11 @@ use watched::Watched;
 use zenoh::Session;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
+#[cfg(test)]
+pub(super) use {
+    desired::tests::{board, thresholds},
+    query::read_reply,
+};
 
 /// How often the status is compared with the one sent last.
 const POLL_EVERY: Duration = Duration::from_secs(1);
@@ -149,7 +152,7 @@ impl Worker {
         let config = &setup.config;
         let run = (random >> 32) as u32;
         Self {
-            teller: StatusTeller::new(setup.labels.clone(), run),
+            teller: StatusTeller::new(setup.labels.clone(), run, Now::system()),
             watched: Watched::new(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
@@ -375,7 +378,13 @@ impl Worker {
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
         let period = Duration::from_secs(setup.config.status_s.max(1));
-        let message = (self.teller).due(period, &setup.board, &setup.outbox, &setup.desired);
+        let message = (self.teller).due(
+            period,
+            Now::system(),
+            &setup.board,
+            &setup.outbox,
+            &setup.desired,
+        );
         match message {
             Ok(Some(payload)) => status.put(payload).await,
             _ => Ok(()),

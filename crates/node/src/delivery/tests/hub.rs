@@ -49,7 +49,7 @@ fn open(file: &Path) -> Store {
 }
 
 /// An empty database.
-fn empty(folder: &Path) -> Vec<u8> {
+pub(super) fn empty(folder: &Path) -> Vec<u8> {
     static EMPTY: OnceLock<Vec<u8>> = OnceLock::new();
     EMPTY
         .get_or_init(|| {

@@ -63,6 +63,22 @@ impl Disk for FaultyDisk {
     }
 }
 
+/// Opens the outbox in a folder.
+pub(super) fn open_outbox(folder: &Path, faults: &Arc<Faults>, now: Now) -> Outbox {
+    let began = Instant::now();
+    loop {
+        let disk = FaultyDisk {
+            file: StateFile::new(folder),
+            faults: Arc::clone(faults),
+        };
+        match Outbox::open_on(Box::new(disk), &OutboxConfig::default(), folder, now) {
+            // Between fork and exec, a program that another test starts shares the lock.
+            Err(OutboxError::Locked(_)) if began.elapsed() < LOCK_LIMIT => thread::yield_now(),
+            opened => return opened.unwrap(),
+        }
+    }
+}
+
 pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
@@ -137,18 +153,7 @@ impl Node {
 
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = OutboxConfig::default();
-        let began = Instant::now();
-        let opened = loop {
-            let disk = FaultyDisk {
-                file: StateFile::new(&self.folder),
-                faults: Arc::clone(&self.faults),
-            };
-            match Outbox::open_on(Box::new(disk), &config, &self.folder, now) {
-                // Between fork and exec, a program that another test starts shares the lock.
-                Err(OutboxError::Locked(_)) if began.elapsed() < LOCK_LIMIT => thread::yield_now(),
-                opened => break opened.unwrap(),
-            }
-        };
+        let opened = open_outbox(&self.folder, &self.faults, now);
         self.outbox = Some(opened);
         self.schedule = Schedule::new(&config, random, now.at);
         self.schedule.begin(now.at);

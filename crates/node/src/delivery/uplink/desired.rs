@@ -51,22 +51,27 @@ impl DesiredKeeper {
     }
 
     /// The highest revision seen.
-    pub(super) fn revision(&self) -> u64 {
+    pub(in crate::delivery) fn revision(&self) -> u64 {
         self.kept.lock().revision
     }
 
     /// The revision whose value is in force, 0 for none.
-    pub(super) fn revision_in_force(&self) -> u64 {
+    pub(in crate::delivery) fn revision_in_force(&self) -> u64 {
         self.kept.lock().in_force
     }
 
     /// The desired value that was not taken.
-    pub(super) fn refused(&self) -> Option<RefusedDesired> {
+    pub(in crate::delivery) fn refused(&self) -> Option<RefusedDesired> {
         self.kept.lock().refused.clone()
     }
 
     /// Takes what is desired; whether anything changed. A lower revision never replaces a higher.
-    pub(super) fn take(&self, desired: &Desired, board: &Board, outbox: &Outbox) -> bool {
+    pub(in crate::delivery) fn take(
+        &self,
+        desired: &Desired,
+        board: &Board,
+        outbox: &Outbox,
+    ) -> bool {
         let mut kept = self.kept.lock();
         if desired.revision < kept.revision {
             tracing::warn!(
@@ -110,7 +115,7 @@ fn apply_threshold(threshold: Threshold, board: &Board) -> Result<(), String> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(in crate::delivery) mod tests {
     use super::*;
     use crate::delivery::outbox::OutboxConfig;
     use crate::state::board::{BoardSetup, CameraSetup, DetectorFacts};
@@ -132,7 +137,8 @@ mod tests {
         useful_maximum: 1e-2,
     };
 
-    fn board(state: &Path) -> Arc<Board> {
+    /// A board of two cameras with the threshold `u`.
+    pub(in crate::delivery) fn board(outbox: Outbox) -> Arc<Board> {
         let (_, detector_status) = watch::channel(DetectorStatus::Starting);
         let camera = |name: &str| CameraSetup {
             name: name.to_owned(),
@@ -147,7 +153,7 @@ mod tests {
         Board::new(BoardSetup {
             node: "n".to_owned(),
             cameras: vec![camera("front"), camera("rear")],
-            outbox: Outbox::open(&OutboxConfig::default(), Some(state)).unwrap(),
+            outbox,
             policy: "albireo",
             target: TargetSetup {
                 policy: "albireo",
@@ -157,6 +163,10 @@ mod tests {
             detector: DetectorFacts::default(),
             detector_status,
         })
+    }
+
+    fn opened(state: &Path) -> Arc<Board> {
+        board(Outbox::open(&OutboxConfig::default(), Some(state)).unwrap())
     }
 
     fn desired(revision: u64, value: f64) -> Desired {
@@ -183,7 +193,7 @@ mod tests {
     #[test]
     fn a_target_and_a_value_take_each_others_place_by_one_revision() {
         let folder = tempfile::tempdir().unwrap();
-        let board = board(folder.path());
+        let board = opened(folder.path());
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
@@ -214,7 +224,7 @@ mod tests {
     #[test]
     fn a_target_that_cannot_be_held_is_refused_in_words_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let board = board(folder.path());
+        let board = opened(folder.path());
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         assert!(keeper.take(&desired(1, 0.07), &board, outbox));
@@ -231,7 +241,7 @@ mod tests {
     #[test]
     fn a_knob_turned_at_the_node_ends_the_hubs_target_until_the_hub_desires_anew() {
         let folder = tempfile::tempdir().unwrap();
-        let board = board(folder.path());
+        let board = opened(folder.path());
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
@@ -250,16 +260,16 @@ mod tests {
     fn a_target_of_the_hub_is_there_after_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         let half = Some(Target::SkipRate(0.5));
-        let before = board(folder.path());
+        let before = opened(folder.path());
         let keeper = DesiredKeeper::open(before.outbox());
         assert!(keeper.take(&held(7, half), &before, before.outbox()));
         drop((before, keeper));
-        let restarted = board(folder.path());
+        let restarted = opened(folder.path());
         let keeper = DesiredKeeper::open(restarted.outbox());
         assert_eq!((target(&restarted), keeper.revision()), (half, 7));
     }
 
-    fn thresholds(board: &Board) -> Vec<f64> {
+    pub(in crate::delivery) fn thresholds(board: &Board) -> Vec<f64> {
         (board.cameras().iter())
             .filter_map(|camera| camera.threshold())
             .collect()

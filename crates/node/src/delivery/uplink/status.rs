@@ -3,7 +3,7 @@
 use super::DesiredKeeper;
 use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
-use albireo_service::clock::unix_nanoseconds;
+use albireo_service::clock::Now;
 use albireo_wire::{
     CameraState, CameraStatus, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION,
 };
@@ -17,7 +17,7 @@ const STALE: Duration = Duration::from_secs(10);
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
 /// Decides when to report what.
-pub(super) struct StatusTeller {
+pub(in crate::delivery) struct StatusTeller {
     labels: BTreeMap<String, String>,
     run: u32,
     started_ns: u64,
@@ -31,11 +31,11 @@ pub(super) struct StatusTeller {
 
 impl StatusTeller {
     /// `run` is a random number.
-    pub(super) fn new(labels: BTreeMap<String, String>, run: u32) -> Self {
+    pub(in crate::delivery) fn new(labels: BTreeMap<String, String>, run: u32, now: Now) -> Self {
         Self {
             labels,
             run,
-            started_ns: unix_nanoseconds(),
+            started_ns: nanoseconds(now),
             seq: 0,
             told: None,
             told_revision: None,
@@ -45,7 +45,7 @@ impl StatusTeller {
     }
 
     /// The next status is a full one, and soon.
-    pub(super) fn full_is_due(&mut self) {
+    pub(in crate::delivery) fn full_is_due(&mut self) {
         self.full_due = true;
     }
 
@@ -54,14 +54,15 @@ impl StatusTeller {
     ///
     /// # Errors
     /// None that can happen: a status can always be written.
-    pub(super) fn due(
+    pub(in crate::delivery) fn due(
         &mut self,
         period: Duration,
+        now: Now,
         board: &Board,
         outbox: &Outbox,
         desired: &DesiredKeeper,
     ) -> Result<Option<Vec<u8>>, serde_json::Error> {
-        let since = self.told_at.map(|at| at.elapsed());
+        let since = self.told_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
             return Ok(None);
         }
@@ -76,7 +77,7 @@ impl StatusTeller {
         let (run, seq) = (self.run, self.seq);
         self.seq += 1;
         self.told_revision = Some(revision);
-        self.told_at = Some(Instant::now());
+        self.told_at = Some(now.at);
         if short {
             return Heartbeat { run, seq, waiting }.to_payload().map(Some);
         }
@@ -85,7 +86,7 @@ impl StatusTeller {
             run,
             started_ns: self.started_ns,
             seq,
-            t_ns: unix_nanoseconds(),
+            t_ns: nanoseconds(now),
             health: status.health.state,
             waiting,
             revision,
@@ -128,6 +129,11 @@ impl StatusTeller {
             target_off: target.off,
         }
     }
+}
+
+/// The wall clock, nanoseconds since the Unix epoch.
+fn nanoseconds(now: Now) -> u64 {
+    now.unix_ms.unsigned_abs() * 1_000_000
 }
 
 /// Whether nothing changed that a full status is worth: what moves by itself is not.

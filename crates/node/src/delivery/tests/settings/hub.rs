@@ -1,0 +1,368 @@
+//! A simulated hub: its real orders, rollouts and database.
+
+use super::super::hub::empty;
+use super::super::node::{image, put};
+use super::super::timeline::BEGIN;
+use albireo_hub::config::{DatabaseConfig, HistoryConfig, PresenceConfig, TuningConfig};
+use albireo_hub::desired::Desires;
+use albireo_hub::ingest::Recorder;
+use albireo_hub::presence::Fleet;
+use albireo_hub::store::Store;
+use albireo_hub::tuning::Tuner;
+use albireo_hub::tuning::change::ChangeRequest;
+use albireo_hub::tuning::gate::Gate;
+use albireo_hub::tuning::members::{Member, Outcome};
+use albireo_hub::tuning::rollout::{
+    Command, OnFailure, Phase, Rollout, RolloutPlan, RolloutRequest,
+};
+use albireo_hub::tuning::selector::Selector;
+use albireo_service::clock::Now;
+use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage, Threshold};
+use rusqlite::Connection;
+use std::future::Future;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use tokio::runtime::{Builder, Runtime};
+
+struct Running {
+    recorder: Recorder,
+    fleet: Arc<Fleet>,
+    desires: Arc<Desires>,
+    tuner: Tuner,
+    notices: Receiver<(String, u64)>,
+}
+
+pub(super) struct Hub {
+    file: PathBuf,
+    runtime: Runtime,
+    running: Option<Running>,
+    /// Another program on the same file; while the disk is full it keeps everybody out.
+    other: Connection,
+    is_full: bool,
+}
+
+/// What is desired of a node.
+#[derive(Debug)]
+pub(super) struct Wanted {
+    pub(super) revision: u64,
+    pub(super) value: f64,
+    /// When it was ordered.
+    pub(super) at_ms: i64,
+    /// By whom: `hand`, `rollout 3`.
+    origin: String,
+}
+
+/// A database file, and what its log holds beyond it.
+pub(super) type Image = (Vec<u8>, Vec<u8>);
+
+impl Hub {
+    pub(super) fn new(folder: &Path) -> Self {
+        let file = folder.join("hub.db");
+        put(&file, &empty(folder));
+        Self {
+            other: Connection::open(&file).unwrap(),
+            file,
+            runtime: Builder::new_current_thread().enable_time().build().unwrap(),
+            running: None,
+            is_full: false,
+        }
+    }
+
+    pub(super) fn is_on(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// Starts the hub; `false` while its database cannot be opened.
+    pub(super) fn switch_on(&mut self, now: Now) -> bool {
+        if self.is_on() {
+            return true;
+        }
+        let config = DatabaseConfig {
+            url: format!("sqlite:{}", self.file.display()),
+            timeout_ms: 1,
+            ..DatabaseConfig::default()
+        };
+        let (sender, notices) = sync_channel(1000);
+        let fleet = Arc::new(Fleet::new(&PresenceConfig::default()));
+        let desires = Arc::new(Desires::default());
+        let opened = async {
+            let store = Store::open(&config).await?;
+            fleet.read(&store, now.at).await?;
+            let tuner = Tuner::open(
+                store.clone(),
+                Arc::clone(&fleet),
+                Arc::clone(&desires),
+                sender.into(),
+                TuningConfig::default(),
+                "hub".to_owned(),
+                now.unix_ms,
+            );
+            Ok::<_, albireo_hub::store::StoreError>((store, tuner.await?))
+        };
+        let Ok((store, tuner)) = self.runtime.block_on(opened) else {
+            return false;
+        };
+        self.running = Some(Running {
+            recorder: Recorder::new(&store, &HistoryConfig::default(), now),
+            fleet,
+            desires,
+            tuner,
+            notices,
+        });
+        true
+    }
+
+    pub(super) fn crash(&mut self) {
+        self.running = None;
+    }
+
+    /// From now on nothing can be written, or again.
+    pub(super) fn fill(&mut self, is_full: bool) {
+        if self.is_full != is_full {
+            let text = if is_full {
+                "BEGIN IMMEDIATE"
+            } else {
+                "ROLLBACK"
+            };
+            self.other.execute_batch(text).unwrap();
+            self.is_full = is_full;
+        }
+    }
+
+    /// Takes a status; whether the node is to be asked for a full one.
+    pub(super) fn hear(&self, node: &str, payload: &[u8], now: Now) -> bool {
+        let Some(hub) = &self.running else {
+            return false;
+        };
+        if Heartbeat::is_one(payload) {
+            let sign = Heartbeat::read(payload).unwrap();
+            return hub.fleet.alive(node, sign, now.at, now.unix_ms);
+        }
+        let message: StatusMessage = albireo_wire::read(payload).unwrap();
+        hub.fleet.heard(node, &message, now.at, now.unix_ms)
+    }
+
+    /// Answers what is desired of a node.
+    pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
+        let hub = self.running.as_ref()?;
+        let mut desired = hub.desires.of(node);
+        desired.send_full_status = hub.fleet.needs_full_status(node);
+        Some(serde_json::to_vec(&desired).unwrap())
+    }
+
+    /// The nodes that were notified.
+    pub(super) fn notices(&self) -> Vec<String> {
+        let hub = self.running.iter();
+        hub.flat_map(|hub| hub.notices.try_iter())
+            .map(|(node, _)| node)
+            .collect()
+    }
+
+    fn work<T, E: std::fmt::Display>(&self, work: impl Future<Output = Result<T, E>>) {
+        // What cannot be done now is refused, or done later.
+        if let Err(error) = self.runtime.block_on(work) {
+            tracing::debug!(%error, "not done");
+        }
+    }
+
+    /// Goes on with everything.
+    pub(super) fn tick(&mut self, now: Now) {
+        let Some(mut hub) = self.running.take() else {
+            return;
+        };
+        hub.fleet.sweep(now.at, now.unix_ms);
+        let news = hub.fleet.take_news();
+        if hub.recorder.record(&[], &news, false, now).is_err() {
+            hub.fleet.give_back(news);
+        }
+        let at_ms = now.unix_ms;
+        self.work(hub.tuner.look(at_ms));
+        self.work(hub.tuner.drive(at_ms));
+        self.work(hub.tuner.learn());
+        self.work(hub.tuner.look_for_drift(at_ms));
+        self.running = Some(hub);
+    }
+
+    pub(super) fn order(&self, nodes: &[String], value: f64, now: Now) {
+        let Some(hub) = &self.running else { return };
+        let request = ChangeRequest {
+            setting: Threshold::new("u", value).into(),
+            select: Selector::new(nodes).unwrap(),
+            dry_run: false,
+            why: String::new(),
+        };
+        self.work(hub.tuner.change(request, "ops", now.unix_ms));
+    }
+
+    pub(super) fn rollout(
+        &self,
+        nodes: &[String],
+        value: f64,
+        seed: u64,
+        [soak_s, patience_s, apply_within_s, held_for_s]: [f64; 4],
+        [holds, passes]: [bool; 2],
+        now: Now,
+    ) {
+        let Some(hub) = &self.running else { return };
+        let plan = RolloutPlan {
+            select: Selector::new(nodes).unwrap(),
+            stages: ["1", "all"].map(|size| size.parse().unwrap()).to_vec(),
+            soak_s,
+            patience_s,
+            apply_within_s,
+            held_for_s,
+            offline_deadline_s: 600.0,
+            // Nothing is measured: those that do not need it pass.
+            gates: Gate::defaults()
+                .into_iter()
+                .filter(|gate| !passes || gate.where_measured)
+                .collect(),
+            fewest_applied: 0.5,
+            on_failure: if holds {
+                OnFailure::Hold
+            } else {
+                OnFailure::Return
+            },
+            seed: Some(seed),
+            ..RolloutPlan::default()
+        };
+        let knob = Threshold::new("u", value);
+        let request = RolloutRequest { knob, plan };
+        self.work(hub.tuner.begin_rollout(request, "ops", now.unix_ms));
+    }
+
+    /// Gives a command to one of the rollouts.
+    pub(super) fn command(&self, which: u64, command: Command, now: Now) {
+        let many = self.rollouts();
+        if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
+            let id = (which % many).cast_signed() + 1;
+            self.work(hub.tuner.command_rollout(id, command, "ops", now.unix_ms));
+        }
+    }
+
+    /// How many rollouts there were.
+    pub(super) fn rollouts(&self) -> u64 {
+        let text = "SELECT COALESCE(max(id), 0) FROM runs";
+        let many = self.other.query_row(text, [], |row| row.get::<_, i64>(0));
+        many.unwrap().unsigned_abs()
+    }
+
+    fn log(&self) -> Vec<u8> {
+        std::fs::read(self.file.with_extension("db-wal")).unwrap_or_default()
+    }
+
+    /// The file, and the length of its log.
+    pub(super) fn commits(&self) -> (Vec<u8>, usize) {
+        (std::fs::read(&self.file).unwrap(), self.log().len())
+    }
+
+    /// The database after one of the commits since `before`, or as it was then: where a power cut may leave it. Nothing if the log
+    /// was moved into the file meanwhile.
+    pub(super) fn image_at_a_commit(&self, before: (Vec<u8>, usize), cut: u64) -> Option<Image> {
+        let (file, begin) = before;
+        let mut log = self.log();
+        if file != std::fs::read(&self.file).unwrap() || begin < 32 || log.len() < begin {
+            return None;
+        }
+        // https://www.sqlite.org/fileformat2.html#walformat: a header of 32 bytes, then frames of 24 and a page; the frame of a
+        // commit has the size of the database in its second word.
+        let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
+        let frame = 24 + word(8) as usize;
+        let commits = (32..log.len())
+            .step_by(frame)
+            .filter(|at| *at >= begin && word(at + 4) != 0);
+        let mut ends: Vec<usize> = commits.map(|at| at + frame).collect();
+        ends.insert(0, begin);
+        log.truncate(ends[cut as usize % ends.len()]);
+        Some((file, log))
+    }
+
+    /// A backup; none can be made while the disk is full.
+    pub(super) fn backup(&self) -> Option<Vec<u8>> {
+        (!self.is_full).then(|| image(&self.file))
+    }
+
+    /// Puts a database in its place; the hub is off.
+    pub(super) fn put(&mut self, image: Option<Image>) {
+        let Some((file, log)) = image else { return };
+        let was_full = self.is_full;
+        self.fill(false);
+        self.other = Connection::open_in_memory().unwrap();
+        put(&self.file, &file);
+        if !log.is_empty() {
+            std::fs::write(self.file.with_extension("db-wal"), log).unwrap();
+        }
+        self.other = Connection::open(&self.file).unwrap();
+        self.fill(was_full);
+    }
+
+    /// What is desired of a node.
+    pub(super) fn desired(&self, node: &str) -> Option<Wanted> {
+        let text = "SELECT d.revision, d.setting, o.at_ms, o.origin FROM desired d \
+                    JOIN orders o ON o.revision = d.revision WHERE node = ?";
+        let read = |row: &rusqlite::Row<'_>| {
+            let setting: DesiredSetting = serde_json::from_str(&row.get::<_, String>(1)?).unwrap();
+            let DesiredSetting::Threshold(threshold) = setting else {
+                panic!("no targets are ordered");
+            };
+            Ok(Wanted {
+                revision: row.get::<_, i64>(0)?.unsigned_abs(),
+                value: threshold.value,
+                at_ms: row.get::<_, i64>(2)? - BEGIN,
+                origin: row.get(3)?,
+            })
+        };
+        self.other.query_row(text, [node], read).ok()
+    }
+
+    /// Orders without an answer, rollouts that go on, and those whose nodes have not what became of them.
+    pub(super) fn unfinished(&self) -> Vec<String> {
+        let mut wrong = Vec::new();
+        let text = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
+        let open: i64 = self.other.query_row(text, [], |row| row.get(0)).unwrap();
+        if open > 0 {
+            wrong.push(format!("{open} orders are open"));
+        }
+        let text = "SELECT id, state, ended_ms IS NULL FROM runs";
+        let mut select = self.other.prepare(text).unwrap();
+        let mut rows = select.query([]).unwrap();
+        while let Some(row) = rows.next().unwrap() {
+            let (id, state): (i64, String) = (row.get(0).unwrap(), row.get(1).unwrap());
+            let rollout: Rollout = serde_json::from_str(&state).unwrap();
+            if row.get(2).unwrap() {
+                wrong.push(format!("rollout {id} is {}", rollout.phase.name()));
+            }
+            wrong.extend(self.not_as_it_ended(id, &rollout));
+        }
+        wrong
+    }
+
+    /// The nodes of a rollout for which nobody ordered anything since, and of which something else is desired than what became of
+    /// it.
+    fn not_as_it_ended(&self, id: i64, rollout: &Rollout) -> Vec<String> {
+        let is_old = |member: &Member| match rollout.phase {
+            Phase::Returned => Some(true),
+            Phase::Done => Some(member.outcome == Outcome::Missed),
+            _ => None,
+        };
+        let asked = (rollout.members.iter()).filter(|member| member.revision > 0);
+        let wrong = asked.filter_map(|member| {
+            let wanted = self.desired(&member.node)?;
+            let value = if is_old(member)? {
+                member.before.value
+            } else {
+                rollout.knob.value
+            };
+            let is_wrong = wanted.origin == format!("rollout {id}") && wanted.value != value;
+            is_wrong.then(|| {
+                format!(
+                    "rollout {id} is {}, and of {} {wanted:?} is desired",
+                    rollout.phase.name(),
+                    member.node
+                )
+            })
+        });
+        wrong.collect()
+    }
+}

@@ -1,0 +1,178 @@
+//! A simulated node: what is desired of it, on its real file.
+
+use super::super::node::{Faults, open_outbox};
+use crate::delivery::outbox::OutboxConfig;
+use crate::delivery::uplink::{
+    Asked, DesiredKeeper, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
+};
+use crate::state::board::Board;
+use albireo_service::clock::Now;
+use albireo_wire::{Desired, DesiredSetting, SettingSource};
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+const STATUS_EVERY: Duration = Duration::from_secs(30);
+
+struct Started {
+    board: Arc<Board>,
+    keeper: DesiredKeeper,
+    statuses: StatusTeller,
+    schedule: Schedule,
+    /// The question under way.
+    asked: Option<u64>,
+}
+
+pub(super) struct Node {
+    pub(super) name: String,
+    folder: PathBuf,
+    started: Option<Started>,
+    /// Somebody changed its threshold since the last order that it took.
+    is_set_by_hand: bool,
+}
+
+/// What a node has.
+#[derive(Debug)]
+pub(super) struct Has {
+    pub(super) revision: u64,
+    pub(super) refused: bool,
+    pub(super) settings: Vec<f64>,
+}
+
+/// What is on the disk when the thresholds are written, and what the node knows of the hub is not yet.
+pub(super) fn between(before: Option<Vec<u8>>, after: Option<Vec<u8>>) -> Option<Vec<u8>> {
+    let read = |file: &[u8]| serde_json::from_slice::<Map<String, Value>>(file).unwrap();
+    let mut mixed = read(&after?);
+    match before.and_then(|before| read(&before).remove("desired")) {
+        Some(known) => mixed.insert("desired".to_owned(), known),
+        None => mixed.remove("desired"),
+    };
+    Some(serde_json::to_vec(&mixed).unwrap())
+}
+
+impl Node {
+    pub(super) fn new(name: String, folder: &Path) -> Self {
+        let folder = folder.join(&name);
+        std::fs::create_dir(&folder).unwrap();
+        Self {
+            name,
+            folder,
+            started: None,
+            is_set_by_hand: false,
+        }
+    }
+
+    pub(super) fn is_on(&self) -> bool {
+        self.started.is_some()
+    }
+
+    pub(super) fn switch_on(&mut self, now: Now, random: u64) {
+        let outbox = open_outbox(&self.folder, &Arc::<Faults>::default(), now);
+        let mut schedule = Schedule::new(&OutboxConfig::default(), random, now.at);
+        schedule.begin(now.at);
+        self.started = Some(Started {
+            keeper: DesiredKeeper::open(&outbox),
+            board: board(outbox),
+            statuses: StatusTeller::new(BTreeMap::new(), random as u32, now),
+            schedule,
+            asked: None,
+        });
+    }
+
+    /// The power goes.
+    pub(super) fn crash(&mut self) {
+        self.started = None;
+    }
+
+    fn file(&self) -> PathBuf {
+        self.folder.join("settings.json")
+    }
+
+    /// The file of its settings.
+    pub(super) fn state(&self) -> Option<Vec<u8>> {
+        std::fs::read(self.file()).ok()
+    }
+
+    /// Puts another in its place, or removes it; the node is off.
+    pub(super) fn put_state(&mut self, state: Option<Vec<u8>>) {
+        match state {
+            Some(state) => std::fs::write(self.file(), state).unwrap(),
+            None => drop(std::fs::remove_file(self.file())),
+        }
+    }
+
+    /// What is to be sent: the status, and whether to ask what is desired, as the question of that number.
+    pub(super) fn look(&mut self, question: u64, now: Now) -> (Option<Vec<u8>>, bool) {
+        let Some(node) = &mut self.started else {
+            return (None, false);
+        };
+        let status = (node.statuses).due(
+            STATUS_EVERY,
+            now,
+            &node.board,
+            node.board.outbox(),
+            &node.keeper,
+        );
+        let pulls = node.schedule.next_pull(now.at);
+        if pulls {
+            node.asked = Some(question);
+        }
+        (status.unwrap(), pulls)
+    }
+
+    /// The hub has something for it.
+    pub(super) fn notice(&mut self) {
+        if let Some(node) = &mut self.started {
+            node.schedule.want_pull();
+        }
+    }
+
+    /// Takes the answer to a question, or that none came in time; what was taken, and its revision.
+    pub(super) fn conclude(
+        &mut self,
+        question: u64,
+        answer: Option<&[u8]>,
+        now: Now,
+    ) -> Option<(u64, DesiredSetting)> {
+        let node = self.started.as_mut()?;
+        node.asked.take_if(|asked| *asked == question)?;
+        let Asked::Answered(desired) = read_reply::<Desired>(answer.ok_or(b"no reply")) else {
+            node.schedule.pull_ended(Outcome::Unanswered, now.at);
+            return None;
+        };
+        node.schedule.pull_ended(Outcome::Done, now.at);
+        if desired.send_full_status {
+            node.statuses.full_is_due();
+        }
+        if !(node.keeper).take(&desired, &node.board, node.board.outbox()) {
+            return None;
+        }
+        node.statuses.full_is_due();
+        self.is_set_by_hand = false;
+        Some((desired.revision, desired.setting?))
+    }
+
+    /// Somebody changes its thresholds.
+    pub(super) fn set_by_hand(&mut self, value: f64) {
+        if let Some(node) = &self.started {
+            let set = node.board.set_thresholds(value, SettingSource::Local);
+            self.is_set_by_hand |= set.is_ok();
+        }
+    }
+
+    pub(super) const fn is_set_by_hand(&self) -> bool {
+        self.is_set_by_hand
+    }
+
+    pub(super) fn has(&self) -> Has {
+        let node = self.started.as_ref().unwrap();
+        let revision = node.keeper.revision();
+        Has {
+            revision,
+            refused: (node.keeper.refused()).is_some_and(|refused| refused.revision == revision),
+            settings: thresholds(&node.board),
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Virtual time: what happens when, what is lost on the way, and what fails, all decided by a seed.
+
+use albireo_service::clock::Now;
+use rand_core::{RngCore, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::collections::BTreeMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+pub(super) const SECOND: i64 = 1000;
+pub(super) const HOUR: i64 = 3600 * SECOND;
+pub(super) const DAY: i64 = 24 * HOUR;
+/// The wall clock at the beginning: November 2026.
+pub(super) const BEGIN: i64 = 1_795_000_000_000;
+
+/// What came of a run.
+pub(super) struct Run {
+    pub(super) node_hours: f64,
+    /// Reports, or orders.
+    pub(super) made: u64,
+    /// How often what failed.
+    pub(super) faults: BTreeMap<&'static str, u64>,
+    /// A hash of everything that happened, in order.
+    pub(super) trace: u64,
+}
+
+/// Bytes that travel.
+#[derive(Clone)]
+pub(super) struct Payload<T>(pub(super) Rc<T>);
+
+impl<T: Hash> std::fmt::Debug for Payload<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut hasher = DefaultHasher::new();
+        self.0.hash(&mut hasher);
+        write!(f, "{:016x}", hasher.finish())
+    }
+}
+
+/// A folder in memory, where the machine has one.
+pub(super) fn folder() -> TempDir {
+    let memory = std::path::Path::new("/dev/shm");
+    let folder = if memory.is_dir() {
+        tempfile::tempdir_in(memory)
+    } else {
+        tempfile::tempdir()
+    };
+    folder.unwrap()
+}
+
+pub(super) struct Timeline<E> {
+    random: Pcg64Mcg,
+    began: Instant,
+    pub(super) now_ms: i64,
+    /// Since when the nodes that are on were not counted.
+    counted_ms: i64,
+    node_ms: i64,
+    events: BTreeMap<(i64, u64), E>,
+    made: u64,
+    /// Whether nothing may fail any more.
+    pub(super) is_calm: bool,
+    pub(super) cut_until_ms: i64,
+    faults: BTreeMap<&'static str, u64>,
+    trace: DefaultHasher,
+    pub(super) verbose: bool,
+}
+
+impl<E: Clone + std::fmt::Debug> Timeline<E> {
+    pub(super) fn new(seed: u64, verbose: bool) -> Self {
+        Self {
+            random: Pcg64Mcg::seed_from_u64(seed),
+            began: Instant::now(),
+            now_ms: 0,
+            counted_ms: 0,
+            node_ms: 0,
+            events: BTreeMap::new(),
+            made: 0,
+            is_calm: false,
+            cut_until_ms: 0,
+            faults: BTreeMap::new(),
+            trace: DefaultHasher::new(),
+            verbose,
+        }
+    }
+
+    pub(super) fn random(&mut self) -> u64 {
+        self.random.next_u64()
+    }
+
+    pub(super) fn below(&mut self, most: u64) -> u64 {
+        self.random() % most
+    }
+
+    pub(super) fn between(&mut self, from: i64, to: i64) -> i64 {
+        from + self.below((to - from).unsigned_abs()).cast_signed()
+    }
+
+    pub(super) fn chance(&mut self, of_thousand: u64) -> bool {
+        self.below(1000) < of_thousand
+    }
+
+    /// Whether something rare goes wrong just now.
+    pub(super) fn unlucky(&mut self, of_thousand: u64) -> bool {
+        !self.is_calm && self.chance(of_thousand)
+    }
+
+    /// A number that was not given before.
+    pub(super) fn number(&mut self) -> u64 {
+        self.made += 1;
+        self.made
+    }
+
+    pub(super) fn after(&mut self, ms: i64, event: E) {
+        let number = self.number();
+        self.events.insert((self.now_ms + ms, number), event);
+    }
+
+    /// What happens next; the time is then that.
+    pub(super) fn next(&mut self) -> Option<E> {
+        let ((at_ms, _), event) = self.events.pop_first()?;
+        self.now_ms = at_ms;
+        self.note(&event);
+        Some(event)
+    }
+
+    /// What is to come.
+    pub(super) fn events(&self) -> impl Iterator<Item = &E> {
+        self.events.values()
+    }
+
+    pub(super) fn now(&self, clock_ms: i64) -> Now {
+        Now {
+            at: self.began + Duration::from_millis(self.now_ms.unsigned_abs()),
+            unix_ms: BEGIN + self.now_ms + clock_ms,
+        }
+    }
+
+    pub(super) fn note(&mut self, what: &impl std::fmt::Debug) {
+        let line = format!("{:>9} {what:?}", self.now_ms);
+        line.hash(&mut self.trace);
+        if self.verbose {
+            println!("{}", line.chars().take(200).collect::<String>());
+        }
+    }
+
+    pub(super) fn count(&mut self, fault: &'static str) {
+        *self.faults.entry(fault).or_default() += 1;
+    }
+
+    /// So many nodes were on since the event before.
+    pub(super) fn count_nodes(&mut self, on: usize) {
+        self.node_ms += (self.now_ms - self.counted_ms) * on as i64;
+        self.counted_ms = self.now_ms;
+    }
+
+    /// What came of the run, in which that many reports or orders were made.
+    pub(super) fn run(self, made: usize) -> Run {
+        Run {
+            node_hours: self.node_ms as f64 / HOUR as f64,
+            made: made as u64,
+            faults: self.faults,
+            trace: self.trace.finish(),
+        }
+    }
+
+    /// Sends over the network, which may lose it, double it or take its time.
+    pub(super) fn send(&mut self, event: &E) {
+        if self.now_ms < self.cut_until_ms || self.unlucky(60) {
+            return;
+        }
+        for _ in 0..=u8::from(self.unlucky(60)) {
+            let most = if self.unlucky(60) { HOUR } else { 2 * SECOND };
+            let takes = self.between(10, most);
+            self.after(takes, event.clone());
+        }
+    }
+}
