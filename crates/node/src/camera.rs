@@ -16,6 +16,8 @@ pub(crate) use at_once::AtOnce;
 pub use config::{AnswerTime, SettleConfig};
 pub use published::ReportConfig;
 pub use record::FrameRecord;
+#[cfg(test)]
+pub(crate) use tests::answer;
 pub(crate) use settled::SettledStream;
 
 use crate::camera::answer::{AnswerContext, detections_message};

@@ -11,6 +11,6 @@ mod tests;
 mod tracker;
 
 pub use config::ClipConfig;
-pub(crate) use report::{ClipMeta, ClosedClip};
+pub(crate) use report::{ClipMeta, ClosedClip, MeasuredClip};
 pub use report::{energy_delay_product, energy_of};
-pub(crate) use tracker::{ClipTracker, FrameArrival, FrameResult};
+pub(crate) use tracker::{ClipTracker, FrameArrival};

@@ -7,7 +7,7 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits, RingSender, frame_ring};
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{MinConfidence, PolicyConfig};
+use albireo_core::policy::{FrameState, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
@@ -185,7 +185,7 @@ async fn a_clip_does_not_end_by_silence_while_frames_wait() {
     let (_, clips) = bench.play().await;
     let ended: Vec<_> = clips
         .iter()
-        .map(|clip| (clip.states.frames(), clip.ended_by))
+        .map(|clip| (clip.clip.states.frames(), clip.ended_by))
         .collect();
     assert_eq!(ended, [(10, ClipEnd::Shutdown)]);
 }
@@ -218,7 +218,7 @@ async fn a_frame_that_was_overtaken_is_dropped_and_counted_late() {
     let snapshot = board.camera("front").unwrap().snapshot();
     assert_eq!(snapshot.states.frames(), 3);
     assert_eq!((snapshot.dropped.late, snapshot.dropped.total()), (2, 2));
-    assert_eq!(clips[0].dropped.late, 2);
+    assert_eq!(clips[0].clip.dropped.late, 2);
 }
 
 /// All that is published for a drive of the dashcam, frame by frame, without times; the audit's part of the clip, and
@@ -281,7 +281,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         model: String::new(),
         provider: String::new(),
     };
-    let report = closed.into_report(meta).await;
+    let report = closed.measured().await.into_report(meta);
     let counted = board.camera("front").unwrap().audit();
     if let Some(audit) = &report.audit {
         assert_eq!(audit.sums, counted.sums);
@@ -324,4 +324,32 @@ async fn what_is_published_is_the_same_to_the_last_bit_with_the_audit_on() {
             "{policy}: {recall:?}"
         );
     }
+}
+
+/// An answer of a test, without boxes.
+pub(crate) fn answer(
+    seq: u64,
+    state: FrameState,
+    degraded: bool,
+    threshold: Option<Threshold>,
+) -> Arc<DetectionsMessage> {
+    Arc::new(DetectionsMessage {
+        v: 1,
+        seq,
+        t_ns: 0,
+        clip: "c".to_owned(),
+        state,
+        pending: false,
+        degraded,
+        cause: (state != FrameState::E).then_some(CallCause::Uncertain),
+        tau_max: Some(1e-4),
+        threshold,
+        width: 4,
+        height: 3,
+        boxes: Vec::new(),
+        latency_ms: Latency {
+            total: 2.0,
+            ..Latency::default()
+        },
+    })
 }

@@ -3,7 +3,7 @@
 
 use crate::camera::FrameRecord;
 use crate::camera::audit::CameraAudit;
-use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, FrameResult};
+use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, MeasuredClip};
 use crate::camera::publishing::PublishLane;
 use crate::delivery::outbox::Outbox;
 use crate::input::receiver::DropCounts;
@@ -58,13 +58,13 @@ impl ClipAccounts {
     /// Counts the frame that arrived last.
     pub(crate) fn count(&mut self, frame: &FrameRecord) {
         self.detector_ran(frame);
-        self.tracker.count(&FrameResult::from(frame));
+        self.tracker.count(frame);
     }
 
     /// Counts the pending frame.
     pub(crate) fn count_late(&mut self, frame: &FrameRecord) {
         self.detector_ran(frame);
-        let closed = self.tracker.count_late(&FrameResult::from(frame));
+        let closed = self.tracker.count_late(frame);
         self.hand_over(closed);
     }
 
@@ -140,10 +140,26 @@ impl Reporter {
 
     /// Waits for the clips' energy, keeps their reports, and publishes them.
     async fn report(&self, closed: Vec<ClosedClip>) {
-        let mut reports = Vec::with_capacity(closed.len());
+        let mut measured = Vec::with_capacity(closed.len());
         for clip in closed {
-            let mut report = clip.into_report(self.meta()).await;
-            report.round();
+            measured.push(clip.measured().await);
+        }
+        let (outbox, meta) = (self.outbox.clone(), self.meta());
+        let kept = tokio::task::spawn_blocking(move || {
+            let report = |clip: MeasuredClip| {
+                let mut report = clip.into_report(meta.clone());
+                report.round();
+                report
+            };
+            let mut reports: Vec<_> = measured.into_iter().map(report).collect();
+            outbox.insert(&mut reports, Now::system());
+            reports
+        });
+        let kept = kept.await.unwrap_or_else(|error| {
+            tracing::error!(camera = self.camera, %error, "clip reports lost");
+            Vec::new()
+        });
+        for report in kept {
             tracing::info!(
                 camera = self.camera,
                 clip = report.clip,
@@ -154,18 +170,6 @@ impl Reporter {
                 quality = ?report.energy.quality,
                 "clip ended"
             );
-            reports.push(report);
-        }
-        let outbox = self.outbox.clone();
-        let kept = tokio::task::spawn_blocking(move || {
-            outbox.insert(&mut reports, Now::system());
-            reports
-        });
-        let kept = kept.await.unwrap_or_else(|error| {
-            tracing::error!(camera = self.camera, %error, "clip reports lost");
-            Vec::new()
-        });
-        for report in kept {
             match serde_json::to_vec(&report) {
                 Ok(json) => self.listeners.publish(json),
                 Err(error) => {

@@ -8,7 +8,7 @@ use std::time::Duration;
 pub(crate) const MOST_KEPT: usize = 65_536;
 
 /// The latencies of one clip.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Latencies {
     kept_ms: Vec<f32>,
     count: u64,
@@ -42,8 +42,8 @@ impl Latencies {
     }
 
     /// Count, mean and percentiles by the nearest-rank method; zeros without latencies.
-    pub(crate) fn percentiles(&self) -> Percentiles {
-        let mut sorted = self.kept_ms.clone();
+    pub(crate) fn into_percentiles(self) -> Percentiles {
+        let mut sorted = self.kept_ms;
         sorted.sort_unstable_by(f32::total_cmp);
         // Nearest rank: the smallest value with at least `percent` of all values at or below it.
         let at = |percent: usize| {
@@ -84,7 +84,7 @@ mod tests {
         for ms in (1..=200).rev() {
             latencies.add(Duration::from_millis(ms));
         }
-        let found = latencies.percentiles();
+        let found = latencies.into_percentiles();
         assert_eq!((found.p50, found.p95, found.p99), (100.0, 190.0, 198.0));
         assert_eq!(found.count, 200);
         assert!((found.mean - 100.5).abs() < 1e-9);
@@ -92,7 +92,10 @@ mod tests {
 
     #[test]
     fn a_clip_without_latencies_has_zeros_and_no_nan() {
-        assert_eq!(Latencies::default().percentiles(), Percentiles::default());
+        assert_eq!(
+            Latencies::default().into_percentiles(),
+            Percentiles::default()
+        );
     }
 
     #[test]
@@ -103,7 +106,7 @@ mod tests {
             latencies.add(Duration::from_micros(i));
         }
         assert_eq!(latencies.kept_ms.len(), MOST_KEPT);
-        let found = latencies.percentiles();
+        let found = latencies.into_percentiles();
         assert_eq!(found.count, n);
         let whole_ms = n as f64 * 1e-3;
         assert!((found.mean - whole_ms / 2.0).abs() < 1.0);

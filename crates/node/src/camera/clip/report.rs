@@ -16,16 +16,16 @@ use uuid::{NoContext, Timestamp, Uuid};
 /// How long the last report may wait for its energy when the node stops: for two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
 
-/// The audit's part of a clip that has ended.
+/// The audit's part of a clip.
 #[derive(Debug)]
-pub(crate) struct ClosedAudit {
+pub(crate) struct ClipAudit {
     /// Share of the skipped frames that is drawn.
     pub share: f64,
     /// What became known during the clip.
     pub count: AuditCount,
 }
 
-impl ClosedAudit {
+impl ClipAudit {
     fn report(&self) -> AuditReport {
         AuditReport {
             share: self.share,
@@ -37,28 +37,24 @@ impl ClosedAudit {
     }
 }
 
-/// A clip that has ended.
+/// What is counted of a clip.
 #[derive(Debug)]
-pub(crate) struct ClosedClip {
+pub(crate) struct Clip {
     /// The camera's own name, or `window-N`.
-    pub clip: Arc<str>,
+    pub name: Arc<str>,
     /// Number of this part of it, from 0.
     pub part: u32,
-    /// Why it ended.
-    pub ended_by: ClipEnd,
     /// Capture time of its first frame, nanoseconds since the Unix epoch.
     pub started_ns: u64,
     /// When it began: the arrival of its first frame, or the end of the window before.
     pub start: Instant,
-    /// When it ended.
-    pub end: Instant,
     /// Frame states; they add up to the frames.
     pub states: FrameStates,
     /// Frames answered from prediction because the detector was not available.
     pub degraded: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Threshold at the end.
+    /// Threshold of the last frame.
     pub threshold: Option<Threshold>,
     /// The threshold at the start, then its changes.
     pub threshold_changes: Vec<ThresholdChange>,
@@ -68,10 +64,30 @@ pub(crate) struct ClosedClip {
     pub detector: Latencies,
     /// Detector time that its frames used.
     pub detector_used: Duration,
+    /// What its audit has found, if there is one.
+    pub audit: Option<ClipAudit>,
+}
+
+/// A clip that has ended.
+#[derive(Debug)]
+pub(crate) struct ClosedClip {
+    /// What was counted of it.
+    pub clip: Clip,
+    /// Why it ended.
+    pub ended_by: ClipEnd,
+    /// When it ended.
+    pub end: Instant,
     /// Its energy, still being measured.
     pub energy: Measurement,
-    /// What its audit has found, if there is one.
-    pub audit: Option<ClosedAudit>,
+}
+
+/// A clip whose energy is known, as far as it will be.
+#[derive(Debug)]
+pub(crate) struct MeasuredClip {
+    clip: Clip,
+    ended_by: ClipEnd,
+    duration: Duration,
+    energy: Option<Measured>,
 }
 
 /// What the report says of the node and no tracker counts.
@@ -92,61 +108,69 @@ pub(crate) struct ClipMeta {
 impl ClosedClip {
     /// From the clip's start to its end.
     pub(crate) fn duration(&self) -> Duration {
-        self.end.saturating_duration_since(self.start)
+        self.end.saturating_duration_since(self.clip.start)
     }
 
-    /// The report as far as it is known at once, without energy.
-    fn without_energy(&self, meta: ClipMeta) -> ClipReport {
-        let duration = self.duration();
+    /// With the clip's energy and the board's state during it. Waits for the meter's first sample after the clip's end, at
+    /// most an interval where the meter answers, and not at all without one. To be awaited away from the frames' way.
+    pub(crate) async fn measured(self) -> MeasuredClip {
+        let patience = match self.ended_by {
+            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
+            _ => Duration::MAX,
+        };
+        MeasuredClip {
+            duration: self.duration(),
+            ended_by: self.ended_by,
+            energy: self.energy.finish(self.end, patience).await,
+            clip: self.clip,
+        }
+    }
+}
+
+impl MeasuredClip {
+    /// The report. Sorts the latencies, which takes milliseconds for a long clip.
+    pub(crate) fn into_report(self, meta: ClipMeta) -> ClipReport {
+        let Self {
+            clip,
+            ended_by,
+            duration,
+            energy: measured,
+        } = self;
+        let measured = measured.unwrap_or_else(unmeasured);
+        let mut audit = clip.audit.as_ref().map(ClipAudit::report);
+        if let Some(audit) = &mut audit {
+            let seconds = audit.detector_us as f64 / 1e6;
+            audit.joules = measured.detector_watts.map(|watts| watts * seconds);
+        }
+        let frames = clip.states.frames();
         ClipReport {
             v: VERSION,
             id: new_id(),
             node: meta.node,
             camera: meta.camera,
-            clip: self.clip.to_string(),
-            part: self.part,
+            clip: clip.name.to_string(),
+            part: clip.part,
             count: None,
-            ended_by: self.ended_by,
-            started_ns: self.started_ns,
+            ended_by,
+            started_ns: clip.started_ns,
             duration_s: duration.as_secs_f64(),
-            frames: self.states.frames(),
-            states: self.states,
-            skip_rate: self.states.skip_rate(self.degraded),
-            degraded_frames: self.degraded,
-            dropped: self.dropped,
+            frames,
+            states: clip.states,
+            skip_rate: clip.states.skip_rate(clip.degraded),
+            degraded_frames: clip.degraded,
+            dropped: clip.dropped,
             policy: meta.policy,
-            threshold: self.threshold,
-            threshold_changes: self.threshold_changes.clone(),
+            threshold: clip.threshold,
+            threshold_changes: clip.threshold_changes,
             model: meta.model,
             provider: meta.provider,
-            total_latency_ms: self.total.percentiles(),
-            detector_latency_ms: self.detector.percentiles(),
-            detector_used_ms: milliseconds(self.detector_used),
-            energy: energy_of(&unmeasured(), duration, 0),
-            board: None,
-            audit: self.audit.as_ref().map(ClosedAudit::report),
+            total_latency_ms: clip.total.into_percentiles(),
+            detector_latency_ms: clip.detector.into_percentiles(),
+            detector_used_ms: milliseconds(clip.detector_used),
+            energy: energy_of(&measured, duration, frames),
+            board: measured.board,
+            audit,
         }
-    }
-
-    /// The report, with the clip's energy and the board's state during it. Waits for the meter's first sample after the
-    /// clip's end, at most an interval where the meter answers, and not at all without one. To be awaited away from the
-    /// frames' way.
-    pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
-        let mut report = self.without_energy(meta);
-        let patience = match self.ended_by {
-            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
-            _ => Duration::MAX,
-        };
-        let duration = self.duration();
-        if let Some(measured) = self.energy.finish(self.end, patience).await {
-            report.energy = energy_of(&measured, duration, report.frames);
-            if let Some(audit) = &mut report.audit {
-                let seconds = audit.detector_us as f64 / 1e6;
-                audit.joules = measured.detector_watts.map(|watts| watts * seconds);
-            }
-            report.board = measured.board;
-        }
-        report
     }
 }
 

@@ -1,6 +1,7 @@
 //! Promises of the clip's tracker.
 
 use super::*;
+use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
@@ -53,16 +54,14 @@ impl Camera {
         closed
     }
 
-    fn result(&self, at: u64, seq: u64, u: Option<f64>) -> FrameResult {
+    fn result(&self, at: u64, seq: u64, u: Option<f64>) -> FrameRecord {
         let state = FrameState::ALL[(seq % 5) as usize];
-        FrameResult {
-            seq,
-            state,
-            degraded: state == FrameState::P && seq.is_multiple_of(7),
-            total: ms(12),
+        let degraded = state == FrameState::P && seq.is_multiple_of(7);
+        let threshold = u.map(|u| Threshold::new(Albireo::KNOB.name, u));
+        FrameRecord {
             answered: self.at(at) + ms(12),
             detector: (!state.is_skipped()).then_some(ms(10)),
-            threshold: u.map(|u| Threshold::new(Albireo::KNOB.name, u)),
+            ..FrameRecord::new(answer(seq, state, degraded, threshold), ms(12))
         }
     }
 }
@@ -74,8 +73,11 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
         assert!(camera.frame(i * 100, Some("a")).is_none());
     }
     let closed = camera.frame(2000, Some("b")).unwrap();
-    assert_eq!((&*closed.clip, closed.ended_by), ("a", ClipEnd::NextClip));
-    assert_eq!(closed.states.frames(), 20);
+    assert_eq!(
+        (&*closed.clip.name, closed.ended_by),
+        ("a", ClipEnd::NextClip)
+    );
+    assert_eq!(closed.clip.states.frames(), 20);
     assert_eq!(closed.duration(), ms(2000));
     assert_eq!(&**camera.tracker.clip().unwrap(), "b");
     assert_eq!(camera.tracker.deadline(), Some(camera.at(7000)));
@@ -90,12 +92,12 @@ fn windows_tile_time_while_frames_keep_coming() {
     }
     assert_eq!(closed.len(), 2);
     for (i, clip) in closed.iter().enumerate() {
-        assert_eq!(&*clip.clip, format!("window-{i}"));
+        assert_eq!(&*clip.clip.name, format!("window-{i}"));
         assert_eq!(clip.ended_by, ClipEnd::Window);
         assert_eq!(clip.duration(), ms(40_000));
     }
-    assert_eq!(closed[0].end, closed[1].start);
-    assert_eq!(closed[0].states.frames(), 361);
+    assert_eq!(closed[0].end, closed[1].clip.start);
+    assert_eq!(closed[0].clip.states.frames(), 361);
 }
 
 #[test]
@@ -137,7 +139,7 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
     );
     let closed = camera.tracker.shutdown(camera.at(60_050)).unwrap();
     assert_eq!(
-        (&*closed.clip, closed.start),
+        (&*closed.clip.name, closed.clip.start),
         ("window-1", camera.at(60_000))
     );
 }
@@ -158,7 +160,7 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     );
     assert!(camera.frame(6000, None).is_none());
     let closed = camera.tracker.shutdown(camera.at(6100)).unwrap();
-    assert_eq!(closed.start, camera.at(6000));
+    assert_eq!(closed.clip.start, camera.at(6000));
     assert!(closed.end >= camera.at(6000));
 }
 
@@ -174,7 +176,14 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
     }
     closed.extend(camera.tracker.shutdown(camera.at(150_000)));
     let told: Vec<_> = (closed.iter())
-        .map(|part| (&*part.clip, part.part, part.ended_by, part.duration()))
+        .map(|part| {
+            (
+                &*part.clip.name,
+                part.clip.part,
+                part.ended_by,
+                part.duration(),
+            )
+        })
         .collect();
     assert_eq!(
         told,
@@ -184,9 +193,9 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
             ("drive", 2, ClipEnd::Shutdown, ms(30_000)),
         ]
     );
-    assert_eq!(closed[0].end, closed[1].start);
-    assert_eq!(closed[1].end, closed[2].start);
-    let frames: u64 = closed.iter().map(|part| part.states.frames()).sum();
+    assert_eq!(closed[0].end, closed[1].clip.start);
+    assert_eq!(closed[1].end, closed[2].clip.start);
+    let frames: u64 = closed.iter().map(|part| part.clip.states.frames()).sum();
     assert_eq!(frames, 1500);
 }
 
@@ -200,10 +209,13 @@ fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
         assert!(camera.frame(i * 100, Some("drive")).is_none());
     }
     let closed = camera.tracker.tick(camera.at(60_000)).unwrap();
-    assert_eq!((closed.part, closed.ended_by), (0, ClipEnd::Length));
+    assert_eq!((closed.clip.part, closed.ended_by), (0, ClipEnd::Length));
     assert!(camera.frame(70_000, Some("drive")).is_none());
     let closed = camera.tracker.shutdown(camera.at(70_100)).unwrap();
-    assert_eq!((closed.part, closed.start), (0, camera.at(70_000)));
+    assert_eq!(
+        (closed.clip.part, closed.clip.start),
+        (0, camera.at(70_000))
+    );
 }
 
 #[test]
@@ -233,11 +245,11 @@ fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
     assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());
     let late = camera.result(300, 1, Some(3e-4));
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
-    assert_eq!((&*closed.clip, closed.states.frames()), ("a", 2));
-    assert_eq!(closed.threshold, u(3e-4));
+    assert_eq!((&*closed.clip.name, closed.clip.states.frames()), ("a", 2));
+    assert_eq!(closed.clip.threshold, u(3e-4));
     let closed = camera.tracker.shutdown(camera.at(400)).unwrap();
-    assert_eq!((&*closed.clip, closed.states.frames()), ("b", 1));
-    assert_eq!(closed.threshold_changes.len(), 1);
+    assert_eq!((&*closed.clip.name, closed.clip.states.frames()), ("b", 1));
+    assert_eq!(closed.clip.threshold_changes.len(), 1);
 }
 
 #[test]
@@ -248,13 +260,14 @@ fn the_threshold_at_the_start_and_each_change_are_told_once() {
     }
     let closed = camera.tracker.shutdown(camera.at(1000)).unwrap();
     let told: Vec<_> = closed
+        .clip
         .threshold_changes
         .iter()
         .map(|c| (c.seq, c.threshold.value))
         .collect();
     assert_eq!(told, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
     assert_eq!(
-        closed.threshold.map(|threshold| threshold.value),
+        closed.clip.threshold.map(|threshold| threshold.value),
         Some(3e-4)
     );
 }
@@ -266,8 +279,8 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
         camera.frame_with(i * 10, Some("a"), Some(i as f64));
     }
     let closed = camera.tracker.shutdown(camera.at(50_000)).unwrap();
-    assert_eq!(closed.threshold_changes.len(), 256);
-    assert_eq!(closed.threshold_changes[255].threshold.value, 4999.0);
+    assert_eq!(closed.clip.threshold_changes.len(), 256);
+    assert_eq!(closed.clip.threshold_changes[255].threshold.value, 4999.0);
 }
 
 #[test]
@@ -283,7 +296,10 @@ fn frames_dropped_between_two_clips_are_told_by_the_next() {
         ..DroppedFrames::default()
     });
     let closed = camera.tracker.shutdown(camera.at(100)).unwrap();
-    assert_eq!((closed.dropped.undecodable, closed.dropped.lost), (3, 2));
+    assert_eq!(
+        (closed.clip.dropped.undecodable, closed.clip.dropped.lost),
+        (3, 2)
+    );
 }
 
 #[derive(Clone, Debug)]
@@ -342,15 +358,15 @@ proptest! {
         frames += 1;
         closed.extend(camera.frame(now, None));
         closed.extend(camera.tracker.shutdown(camera.at(now)));
-        prop_assert_eq!(closed.iter().map(|c| c.states.frames()).sum::<u64>(), frames);
-        prop_assert_eq!(closed.iter().map(|c| c.dropped.total()).sum::<u64>(), dropped);
-        prop_assert_eq!(closed.iter().map(|c| c.total.count()).sum::<u64>(), frames);
+        prop_assert_eq!(closed.iter().map(|c| c.clip.states.frames()).sum::<u64>(), frames);
+        prop_assert_eq!(closed.iter().map(|c| c.clip.dropped.total()).sum::<u64>(), dropped);
+        prop_assert_eq!(closed.iter().map(|c| c.clip.total.count()).sum::<u64>(), frames);
         for clip in &closed {
-            prop_assert!(clip.start <= clip.end);
+            prop_assert!(clip.clip.start <= clip.end);
             prop_assert!(clip.end <= camera.at(now));
         }
         for pair in closed.windows(2) {
-            prop_assert!(pair[0].end <= pair[1].start);
+            prop_assert!(pair[0].end <= pair[1].clip.start);
         }
     }
 }

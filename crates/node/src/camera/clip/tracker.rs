@@ -8,10 +8,9 @@
 
 use super::config::ClipConfig;
 use super::latencies::Latencies;
-use super::report::{ClosedAudit, ClosedClip};
+use super::report::{Clip, ClipAudit, ClosedClip};
 use crate::camera::FrameRecord;
 use crate::camera::audit::AuditCount;
-use albireo_core::policy::FrameState;
 use albireo_power::{CameraEnergy, Measurement};
 use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, Threshold, ThresholdChange};
 use std::sync::Arc;
@@ -32,62 +31,16 @@ pub(crate) struct FrameArrival<'a> {
     pub arrival: Instant,
 }
 
-/// What became of the frame.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct FrameResult {
-    /// Sequence number.
-    pub seq: u64,
-    /// Frame state.
-    pub state: FrameState,
-    /// The detector was needed but not available.
-    pub degraded: bool,
-    /// From reception to the first answer.
-    pub total: Duration,
-    /// When the final answer was published.
-    pub answered: Instant,
-    /// Time of the detector, if it ran.
-    pub detector: Option<Duration>,
-    /// Threshold in force for this frame, if the policy has one.
-    pub threshold: Option<Threshold>,
-}
-
-impl From<&FrameRecord> for FrameResult {
-    fn from(frame: &FrameRecord) -> Self {
-        let detections = &frame.detections;
-        Self {
-            seq: detections.seq,
-            state: detections.state,
-            degraded: detections.degraded,
-            total: frame.first_answer,
-            answered: frame.answered,
-            detector: frame.detector,
-            threshold: detections.threshold,
-        }
-    }
-}
-
 /// The clip now open.
 #[derive(Debug)]
 struct OpenClip {
-    clip: Arc<str>,
-    part: u32,
+    clip: Clip,
     windowed: bool,
-    started_ns: u64,
-    start: Instant,
     first_arrival: Instant,
     last_arrival: Instant,
     last_answered: Instant,
     arrivals: u64,
-    states: FrameStates,
-    degraded: u64,
-    dropped: DroppedFrames,
-    threshold: Option<Threshold>,
-    threshold_changes: Vec<ThresholdChange>,
-    total: Latencies,
-    detector: Latencies,
-    detector_used: Duration,
     energy: Measurement,
-    audit: AuditCount,
     /// One of its frames waits for its final answer.
     pending: bool,
 }
@@ -111,7 +64,7 @@ pub(crate) struct ClipTracker {
     windows: u64,
     open: Option<OpenClip>,
     /// A clip that ended before the final answer of its last frame.
-    ended: Option<(OpenClip, ClipEnd, Instant)>,
+    ended: Option<ClosedClip>,
     /// Drops counted while no clip was open: they go to the next.
     pending: DroppedFrames,
     /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
@@ -158,11 +111,12 @@ impl ClipTracker {
 
     /// Counts what an audit has found.
     pub(crate) fn audited(&mut self, more: &AuditCount) {
-        if let Some(open) = &mut self.open {
-            open.audit.merge(more);
-        } else if let Some(audit) = &mut self.audit {
-            audit.pending.merge(more);
-        }
+        let Some(audit) = &mut self.audit else {
+            return;
+        };
+        let open = (self.open.as_mut()).and_then(|open| open.clip.audit.as_mut());
+        open.map_or(&mut audit.pending, |open| &mut open.count)
+            .merge(more);
     }
 
     /// Takes note of a frame about to be processed: it belongs to the clip that is open afterwards (see
@@ -189,24 +143,27 @@ impl ClipTracker {
     pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
         if let Some(open) = &mut self.open {
             open.pending = true;
-            open.note_threshold(seq, threshold);
+            open.clip.note_threshold(seq, threshold);
         }
     }
 
     /// Counts the outcome of the frame that arrived last.
-    pub(crate) fn count(&mut self, frame: &FrameResult) {
+    pub(crate) fn count(&mut self, frame: &FrameRecord) {
         self.count_avoided(frame);
         if let Some(open) = &mut self.open {
-            open.note_threshold(frame.seq, frame.threshold);
+            let answer = &frame.detections;
+            open.clip.note_threshold(answer.seq, answer.threshold);
             open.count(frame);
         }
     }
 
     /// Counts the outcome of the pending frame. Gives back its clip if that has ended.
-    pub(crate) fn count_late(&mut self, frame: &FrameResult) -> Option<ClosedClip> {
+    pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<ClosedClip> {
         self.count_avoided(frame);
-        if let Some(clip) = self.clip_of_pending() {
-            clip.count(frame);
+        match (&mut self.ended, &mut self.open) {
+            (Some(ended), _) => ended.clip.count(frame),
+            (None, Some(open)) => open.count(frame),
+            (None, None) => {}
         }
         self.nothing_is_pending()
     }
@@ -216,29 +173,23 @@ impl ClipTracker {
         if let Some(open) = &mut self.open {
             open.pending = false;
         }
-        let (ended, ended_by, end) = self.ended.take()?;
-        Some(self.closed(ended, ended_by, end))
+        self.ended.take()
     }
 
-    fn count_avoided(&self, frame: &FrameResult) {
-        if frame.state.is_skipped() && !frame.degraded {
+    fn count_avoided(&self, frame: &FrameRecord) {
+        if frame.detections.state.is_skipped() && !frame.detections.degraded {
             self.energy.call_avoided();
-        }
-    }
-
-    /// The clip of the pending frame; the open one where none is pending.
-    fn clip_of_pending(&mut self) -> Option<&mut OpenClip> {
-        match &mut self.ended {
-            Some((ended, ..)) => Some(ended),
-            None => self.open.as_mut(),
         }
     }
 
     /// Counts a run of the detector that ended at `end`, of which this camera used `used`.
     pub(crate) fn detector_ran(&mut self, end: Instant, used: Duration) {
         self.energy.detector_called(end, used);
-        if let Some(open) = self.clip_of_pending() {
-            open.detector_used += used;
+        let ended = self.ended.as_mut().map(|ended| &mut ended.clip);
+        // That of the pending frame.
+        let clip = ended.or_else(|| self.open.as_mut().map(|open| &mut open.clip));
+        if let Some(clip) = clip {
+            clip.detector_used += used;
         }
     }
 
@@ -247,19 +198,19 @@ impl ClipTracker {
         let dropped = self
             .open
             .as_mut()
-            .map_or(&mut self.pending, |o| &mut o.dropped);
+            .map_or(&mut self.pending, |open| &mut open.clip.dropped);
         *dropped += more;
     }
 
     /// The clip the last frame belongs to.
     pub(crate) fn clip(&self) -> Option<&Arc<str>> {
-        self.open.as_ref().map(|open| &open.clip)
+        self.open.as_ref().map(|open| &open.clip.name)
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame arrive before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
-        Some((open.last_arrival + self.silence).min(open.start + self.limit(open)))
+        Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open)))
     }
 
     /// How long the open clip, or its part, may last.
@@ -275,7 +226,7 @@ impl ClipTracker {
     /// while no frame is being processed.
     pub(crate) fn tick(&mut self, now: Instant) -> Option<ClosedClip> {
         let open = self.open.as_ref()?;
-        let full = open.start + self.limit(open);
+        let full = open.clip.start + self.limit(open);
         // A camera that stopped before ends it by its silence, not by the clock.
         if now >= full && full <= open.last_arrival + self.silence {
             let ended_by = if open.windowed {
@@ -304,7 +255,7 @@ impl ClipTracker {
         }
         let open = self.open.as_ref()?;
         let same = match frame.clip {
-            Some(name) => !open.windowed && &*open.clip == name,
+            Some(name) => !open.windowed && &*open.clip.name == name,
             None => open.windowed,
         };
         if same {
@@ -324,7 +275,7 @@ impl ClipTracker {
                 && frame.arrival.saturating_duration_since(full.end) < self.silence.min(limit)
         });
         let start = full.as_ref().map_or(frame.arrival, |full| full.end);
-        let (clip, part) = match (frame.clip, full) {
+        let (name, part) = match (frame.clip, full) {
             (Some(_), Some(full)) => (full.clip, full.part.saturating_add(1)),
             (Some(name), None) => (Arc::from(name), 0),
             (None, _) => {
@@ -335,28 +286,32 @@ impl ClipTracker {
         let arrival = frame.arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
-        let audit = self.audit.as_mut();
-        let pending = audit.map(|audit| std::mem::take(&mut audit.pending));
+        let audit = self.audit.as_mut().map(|audit| ClipAudit {
+            share: audit.share,
+            count: std::mem::take(&mut audit.pending),
+        });
         self.open = Some(OpenClip {
-            clip,
-            part,
+            clip: Clip {
+                name,
+                part,
+                started_ns: frame.t_ns,
+                start,
+                states: FrameStates::default(),
+                degraded: 0,
+                dropped: std::mem::take(&mut self.pending),
+                threshold: None,
+                threshold_changes: Vec::new(),
+                total: Latencies::default(),
+                detector: Latencies::default(),
+                detector_used: Duration::ZERO,
+                audit,
+            },
             windowed,
-            started_ns: frame.t_ns,
-            start,
             first_arrival: arrival,
             last_arrival: arrival,
             last_answered: arrival,
             arrivals: 1,
-            states: FrameStates::default(),
-            degraded: 0,
-            dropped: std::mem::take(&mut self.pending),
-            threshold: None,
-            threshold_changes: Vec::new(),
-            total: Latencies::default(),
-            detector: Latencies::default(),
-            detector_used: Duration::ZERO,
             energy,
-            audit: pending.unwrap_or_default(),
             pending: false,
         });
     }
@@ -365,53 +320,33 @@ impl ClipTracker {
         let open = self.open.take()?;
         let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
         self.full = full.then(|| FullClip {
-            clip: Arc::clone(&open.clip),
-            part: open.part,
+            clip: Arc::clone(&open.clip.name),
+            part: open.clip.part,
             windowed: open.windowed,
             end,
         });
+        let closed = ClosedClip {
+            clip: open.clip,
+            ended_by,
+            end,
+            energy: open.energy,
+        };
         if open.pending {
-            self.ended = Some((open, ended_by, end));
+            self.ended = Some(closed);
             return None;
         }
-        Some(self.closed(open, ended_by, end))
-    }
-
-    fn closed(&self, open: OpenClip, ended_by: ClipEnd, end: Instant) -> ClosedClip {
-        ClosedClip {
-            clip: open.clip,
-            part: open.part,
-            ended_by,
-            started_ns: open.started_ns,
-            start: open.start,
-            end,
-            states: open.states,
-            degraded: open.degraded,
-            dropped: open.dropped,
-            threshold: open.threshold,
-            threshold_changes: open.threshold_changes,
-            total: open.total,
-            detector: open.detector,
-            detector_used: open.detector_used,
-            energy: open.energy,
-            audit: self.audit.as_ref().map(|audit| ClosedAudit {
-                share: audit.share,
-                count: open.audit,
-            }),
-        }
+        Some(closed)
     }
 }
 
-impl OpenClip {
-    fn count(&mut self, frame: &FrameResult) {
-        self.states.count(frame.state);
-        self.degraded += u64::from(frame.degraded);
-        self.total.add(frame.total);
+impl Clip {
+    fn count(&mut self, frame: &FrameRecord) {
+        self.states.count(frame.detections.state);
+        self.degraded += u64::from(frame.detections.degraded);
+        self.total.add(frame.first_answer);
         if let Some(detector) = frame.detector {
             self.detector.add(detector);
         }
-        self.last_answered = self.last_answered.max(frame.answered);
-        self.keep_until_its_end();
     }
 
     fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {
@@ -425,6 +360,14 @@ impl OpenClip {
                 .push(ThresholdChange { seq, threshold });
         }
         self.threshold = threshold;
+    }
+}
+
+impl OpenClip {
+    fn count(&mut self, frame: &FrameRecord) {
+        self.clip.count(frame);
+        self.last_answered = self.last_answered.max(frame.answered);
+        self.keep_until_its_end();
     }
 
     /// Keeps the energy up to where the clip ends if nothing more happens.

@@ -1,11 +1,11 @@
 use super::*;
-use crate::camera::FrameRecord;
+use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
 use crate::state::target::TargetSetup;
 use albireo_core::policy::{FrameState, Knob};
 use albireo_vision::detector::ExecutionProvider;
-use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Latency, Threshold};
+use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Threshold};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -43,25 +43,8 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
 }
 
 fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
-    Arc::new(DetectionsMessage {
-        v: 1,
-        seq,
-        t_ns: 0,
-        clip: "c".to_owned(),
-        state,
-        pending: false,
-        degraded: state == FrameState::P,
-        cause: (!matches!(state, FrameState::E)).then_some(CallCause::Uncertain),
-        tau_max: Some(1e-4),
-        threshold: Some(Threshold::new("u", 3e-4)),
-        width: 4,
-        height: 3,
-        boxes: Vec::new(),
-        latency_ms: Latency {
-            total: 2.0,
-            ..Latency::default()
-        },
-    })
+    let threshold = Threshold::new("u", 3e-4);
+    answer(seq, state, state == FrameState::P, Some(threshold))
 }
 
 impl CameraBoard {

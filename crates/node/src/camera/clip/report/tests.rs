@@ -47,7 +47,7 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
     }
     let closed = closed.unwrap();
     let energy = energy_of(&measured(811.5, 1.0), closed.duration(), 200);
-    let report = closed.into_report(meta()).await;
+    let report = closed.measured().await.into_report(meta());
     assert_eq!(report.frames, 200);
     assert_eq!(report.states.frames(), report.frames);
     // Of 80 frames without the detector 6 should have had it.
@@ -148,7 +148,12 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     let mut joules = Vec::new();
     let end = Instant::now();
     for tracker in &mut cameras {
-        let report = tracker.shutdown(end).unwrap().into_report(meta()).await;
+        let report = tracker
+            .shutdown(end)
+            .unwrap()
+            .measured()
+            .await
+            .into_report(meta());
         let energy = report.energy;
         assert!((energy.node_joules.unwrap() - 600.0).abs() < 1e-6);
         assert_eq!(energy.quality, EnergyQuality::Measured);
@@ -178,7 +183,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
             tokio::time::sleep(ms(1000)).await;
             let closed = tracker.arrive(&frame("between")).unwrap();
             let asked = Instant::now();
-            let report = closed.into_report(meta()).await;
+            let report = closed.measured().await.into_report(meta());
             let waited = asked.elapsed();
             if until_s == f64::MAX {
                 assert!(waited <= ms(interval), "{waited:?} at {interval} ms");
@@ -204,7 +209,7 @@ async fn without_a_meter_no_report_waits() {
     let start = Instant::now();
     for clip in 0..1000 {
         if let Some(closed) = tracker.arrive(&frame(&clip.to_string())) {
-            let report = closed.into_report(meta()).await;
+            let report = closed.measured().await.into_report(meta());
             assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
         }
     }
@@ -231,7 +236,7 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();
     let closed = tracker.shutdown(asked).unwrap();
-    closed.into_report(meta()).await;
+    closed.measured().await.into_report(meta());
     assert!(asked.elapsed() <= ms(301), "{:?}", asked.elapsed());
     stop.cancel();
 }

@@ -1,7 +1,8 @@
 //! The estimate of what was saved, on a machine whose watts are given, beside the truth: what the same clip costs there
 //! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
 
-use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival, FrameResult};
+use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival};
+use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::board::{Board, BoardSetup, PowerSnapshot};
 use albireo_core::detection::{ClassId, Detection};
@@ -158,14 +159,10 @@ async fn play(
         if let Some(end) = frame.ended {
             tracker.detector_ran(end, CALL);
         }
-        tracker.count(&FrameResult {
-            seq: index,
-            state: outcome.state,
-            degraded: outcome.degraded,
-            total: arrival.elapsed(),
-            answered: Instant::now(),
+        let message = answer(index, outcome.state, outcome.degraded, None);
+        tracker.count(&FrameRecord {
             detector: frame.ended.map(|_| arrival.elapsed()),
-            threshold: None,
+            ..FrameRecord::new(message, arrival.elapsed())
         });
     }
     tokio::time::sleep_until(start + CLIP).await;
@@ -177,7 +174,7 @@ async fn play(
         model: String::new(),
         provider: String::new(),
     };
-    closed.into_report(meta).await
+    closed.measured().await.into_report(meta)
 }
 
 struct Played {
