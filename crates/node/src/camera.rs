@@ -16,9 +16,9 @@ pub(crate) use at_once::AtOnce;
 pub use config::{AnswerTime, SettleConfig};
 pub use published::ReportConfig;
 pub use record::FrameRecord;
+pub(crate) use settled::SettledStream;
 #[cfg(test)]
 pub(crate) use tests::answer;
-pub(crate) use settled::SettledStream;
 
 use crate::camera::answer::{AnswerContext, detections_message};
 use crate::camera::at_once::Fetched;

@@ -307,10 +307,11 @@ impl Settings {
         }
     }
 
-    fn hub_crash(&mut self) {
+    /// The hub ends, and is back after `least_ms` or later.
+    fn hub_crash(&mut self, least_ms: i64) {
         if self.hub.is_on() {
             self.hub.crash();
-            let pause = self.time.between(SECOND, HOUR / 6);
+            let pause = self.time.between(least_ms, HOUR / 6);
             self.time.after(pause, Event::HubOn);
         }
     }
@@ -336,7 +337,7 @@ impl Settings {
                     self.time.after(HOUR / 2, Event::NodeOn(at));
                 }
             }
-            3 => self.hub_crash(),
+            3 => self.hub_crash(SECOND),
             4 => {
                 let (cut, event) = (self.time.random(), self.time.below(3));
                 let (names, value) = (self.some(), self.value());
@@ -349,7 +350,7 @@ impl Settings {
                     _ => self.hub.tick(now),
                 }
                 let image = self.hub.image_at_a_commit(before, cut);
-                self.hub_crash();
+                self.hub_crash(SECOND);
                 self.hub.put(image);
             }
             5 => {
@@ -357,8 +358,11 @@ impl Settings {
                 self.time.after(lasts, Event::HubDiskFree);
             }
             6 => {
-                if let Some(backup) = self.backup.clone() {
-                    self.hub_crash();
+                if let Some(backup) = self.backup.clone()
+                    && self.hub.is_on()
+                {
+                    // Nobody puts a backup in place within the seconds by which revisions may run ahead of the time.
+                    self.hub_crash(60 * SECOND);
                     self.hub.fill(false);
                     self.hub.put(Some((backup, Vec::new())));
                     self.restored_ms = self.time.now_ms;
@@ -401,8 +405,7 @@ impl Settings {
             if has.revision > desired.revision && is_forgotten {
                 continue;
             }
-            let is_taken =
-                has.revision == desired.revision && (has.refused || node.is_set_by_hand());
+            let is_taken = has.revision == desired.revision && (has.refused || has.by_hand);
             let is_taken = is_taken || has.settings == [desired.value; 2];
             if !is_taken {
                 wrong.push(format!("node {at} has {has:?}, desired is {desired:?}"));

@@ -63,7 +63,12 @@ impl Hub {
         Self {
             other: Connection::open(&file).unwrap(),
             file,
-            runtime: Builder::new_current_thread().enable_time().build().unwrap(),
+            // No limit of real time passes on a busy machine.
+            runtime: Builder::new_current_thread()
+                .enable_time()
+                .start_paused(true)
+                .build()
+                .unwrap(),
             running: None,
             is_full: false,
         }

@@ -29,8 +29,6 @@ pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
     started: Option<Started>,
-    /// Somebody changed its threshold since the last order that it took.
-    is_set_by_hand: bool,
 }
 
 /// What a node has.
@@ -38,6 +36,8 @@ pub(super) struct Node {
 pub(super) struct Has {
     pub(super) revision: u64,
     pub(super) refused: bool,
+    /// Somebody changed it since.
+    pub(super) by_hand: bool,
     pub(super) settings: Vec<f64>,
 }
 
@@ -60,7 +60,6 @@ impl Node {
             name,
             folder,
             started: None,
-            is_set_by_hand: false,
         }
     }
 
@@ -150,20 +149,15 @@ impl Node {
             return None;
         }
         node.statuses.full_is_due();
-        self.is_set_by_hand = false;
         Some((desired.revision, desired.setting?))
     }
 
     /// Somebody changes its thresholds.
-    pub(super) fn set_by_hand(&mut self, value: f64) {
+    pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
-            let set = node.board.set_thresholds(value, SettingSource::Local);
-            self.is_set_by_hand |= set.is_ok();
+            // A value out of range is refused.
+            let _ = node.board.set_thresholds(value, SettingSource::Local);
         }
-    }
-
-    pub(super) const fn is_set_by_hand(&self) -> bool {
-        self.is_set_by_hand
     }
 
     pub(super) fn has(&self) -> Has {
@@ -172,6 +166,8 @@ impl Node {
         Has {
             revision,
             refused: (node.keeper.refused()).is_some_and(|refused| refused.revision == revision),
+            by_hand: (node.board.cameras().iter())
+                .any(|camera| camera.threshold_source() == SettingSource::Local),
             settings: thresholds(&node.board),
         }
     }
