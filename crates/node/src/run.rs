@@ -26,7 +26,10 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let prepared = PreparedNode::new(config)?;
+    // The state file is opened and checked: on a slow card that takes a while.
+    let opened = config.clone();
+    let prepared = tokio::task::spawn_blocking(move || PreparedNode::new(&opened)).await;
+    let prepared = prepared.map_err(|error| NodeError::State(error.to_string()))??;
     run_prepared(config, prepared, listener, shutdown).await
 }
 

@@ -4,7 +4,7 @@ use crate::api::key_service::KeyService;
 use crate::api::name::NodeName;
 use crate::api::threshold::ThresholdKey;
 use crate::camera::audit::{Auditor, CameraAudit};
-use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
+use crate::camera::clip::{ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Detections, PublishingThread};
 use crate::camera::{AnswerTime, AtOnce, Camera, Decider, SettledStream};
@@ -26,7 +26,7 @@ use albireo_service::session;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
+use albireo_vision::screen::{CameraScreen, ScreenHandle};
 use albireo_wire::{CameraKeys, NodeKeys, stream_of_token, stream_tokens};
 use std::fmt;
 use std::sync::Arc;
@@ -221,22 +221,25 @@ impl PreparedNode {
             watched.watch(LOOK_EVERY).await;
         });
         tasks.until_shutdown("power sampler", tracing::info_span!("power"), sampler);
+        let hurry = CancellationToken::new();
         let mut parts = Parts {
-            config,
+            shared: Arc::new(Shared {
+                config: config.clone(),
+                power: power.clone(),
+                pixels: PixelWork::new(
+                    detector.preparation().clone(),
+                    config.frame,
+                    config.detector.batch_size,
+                ),
+                detector: detector.clone(),
+                screen: screen.clone(),
+                policies,
+                hurry: hurry.clone(),
+            }),
             session: &session,
-            power: &power,
-            detector: &detector,
-            pixels: PixelWork::new(
-                detector.preparation().clone(),
-                config.frame,
-                config.detector.batch_size,
-            ),
-            screen: screen.as_ref(),
             board: &board,
             publishing: &publishing,
             tasks,
-            policies: &policies,
-            hurry: CancellationToken::new(),
             subscriptions: Subscriptions::default(),
             shutdown: shutdown.clone(),
         };
@@ -267,7 +270,6 @@ impl PreparedNode {
         let Parts {
             mut tasks,
             subscriptions,
-            hurry,
             ..
         } = parts;
         let alive = NodeName::default();
@@ -425,19 +427,24 @@ impl Subscriptions {
     }
 }
 
-/// What the cameras are made from, and what has been made so far.
-struct Parts<'a> {
-    config: &'a NodeConfig,
-    session: &'a Session,
-    power: &'a PowerHandle,
-    detector: &'a DetectorHandle,
+/// What all cameras are made from.
+struct Shared {
+    config: NodeConfig,
+    power: PowerHandle,
     pixels: PixelWork,
-    screen: Option<&'a ScreenHandle>,
+    detector: DetectorHandle,
+    screen: Option<ScreenHandle>,
+    policies: PolicyMaker,
+    hurry: CancellationToken,
+}
+
+/// Where the cameras are added, and what has been made so far.
+struct Parts<'a> {
+    shared: Arc<Shared>,
+    session: &'a Session,
     board: &'a Arc<Board>,
     publishing: &'a PublishingThread,
     tasks: Supervisor,
-    policies: &'a PolicyMaker,
-    hurry: CancellationToken,
     subscriptions: Subscriptions,
     shutdown: CancellationToken,
 }
@@ -454,26 +461,26 @@ impl Parts<'_> {
             .camera(&config.name)
             .ok_or_else(|| NodeError::State("it is not on the board".to_owned()))?;
         let name = &config.name;
+        let shared = Arc::clone(&self.shared);
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
         let (sender, ring) = frame_ring(RingLimits::new(
             config.delivery,
             config.ring,
-            self.config.frame.max_payload_bytes,
+            shared.config.frame.max_payload_bytes,
         ));
         let (closed, clips) = mpsc::unbounded_channel();
 
-        let answer = self.config.answer_time(config);
         let detections = self
             .publisher(config, keys.detections(), WAITING_ANSWERS, board)
             .await?;
-        let late = match answer {
+        let late = match shared.config.answer_time(config) {
             AnswerTime::WhenKnown => None,
             AnswerTime::AtOnce => Some(
                 self.publisher(config, keys.late(), WAITING_ANSWERS, board)
                     .await?,
             ),
         };
-        let settled = match self.config.settle.enabled {
+        let settled = match shared.config.settle.enabled {
             true => Some(
                 self.publisher(config, keys.settled(), WAITING_SETTLED, board)
                     .await?,
@@ -492,38 +499,24 @@ impl Parts<'_> {
             .map_err(refused("clip reports cannot be published"))?;
 
         let audit = Arc::new(CameraAudit::new(
-            self.config.audit.draw(),
-            self.config.audit.share,
+            shared.config.audit.draw(),
+            shared.config.audit.share,
             Arc::clone(board),
         ));
         self.add_auditor(name, &audit);
         let maker = CameraMaker {
-            audit,
-            name: config.name.clone(),
+            shared: Arc::clone(&shared),
+            config: config.clone(),
             slot,
             board: Arc::clone(board),
             drops: Arc::clone(&drops),
             first_ring: Mutex::new(Some(ring)),
             sender: sender.clone(),
-            policies: Arc::clone(self.policies),
-            detector: self.detector.clone(),
-            screen: self.screen.cloned(),
-            screen_config: self.config.screen.clone(),
-            pixels: self.pixels.clone(),
-            clip: self.config.clip,
-            power: self.power.clone(),
-            answer,
+            audit,
             detections,
             late,
             settled,
-            longest_delay: self.config.settle.longest(),
-            min_confidence: MinConfidence::new(
-                self.config.report.confidence,
-                self.config.detector.confidence,
-            ),
             closed,
-            reset_at_clip: config.reset_at_clip,
-            hurry: self.hurry.clone(),
         };
         let (maker, stop) = (Arc::new(maker), self.shutdown.clone());
         self.tasks.restarting(
@@ -542,7 +535,7 @@ impl Parts<'_> {
         let reporter = Reporter {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
-            detector: self.detector.clone(),
+            detector: shared.detector.clone(),
             listeners: self
                 .publishing
                 .lane(reports, CACHED_REPORTS, board.unpublished()),
@@ -568,9 +561,9 @@ impl Parts<'_> {
             drops,
             sender,
             config.format,
-            self.config.frame,
+            shared.config.frame,
         );
-        if let Some(settings) = config.source_settings(self.config.frame) {
+        if let Some(settings) = config.source_settings(shared.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
         let key = board.key();
@@ -659,7 +652,7 @@ impl Parts<'_> {
             tracing::info_span!("target_requests"),
             served.run(self.shutdown.clone()),
         );
-        let task = TargetTask::new(Arc::clone(self.board), self.power.clone());
+        let task = TargetTask::new(Arc::clone(self.board), self.shared.power.clone());
         self.tasks.essential(
             "target",
             tracing::info_span!("target"),
@@ -673,12 +666,13 @@ impl Parts<'_> {
         if audit.share().is_none() {
             return;
         }
+        let shared = &self.shared;
         let auditor = Auditor {
             audit: Arc::clone(audit),
-            detector: self.detector.clone(),
-            screen: self.screen.map(ScreenHandle::input_format),
-            pixels: self.pixels.clone(),
-            energy: self.power.camera(name),
+            detector: shared.detector.clone(),
+            screen: shared.screen.as_ref().map(ScreenHandle::input_format),
+            pixels: shared.pixels.clone(),
+            energy: shared.power.camera(name),
         };
         self.tasks.essential(
             format!("audit {name}"),
@@ -717,66 +711,61 @@ impl Parts<'_> {
 
 /// What a camera's loop is made from, as often as that is needed.
 struct CameraMaker {
-    name: String,
+    shared: Arc<Shared>,
+    config: CameraConfig,
     slot: CameraSlot,
     board: Arc<CameraBoard>,
     drops: Arc<DropCounts>,
     /// The ring as it was made: no frame between that and the loop's start is lost.
     first_ring: Mutex<Option<RingReceiver<SequencedFrame>>>,
     sender: RingSender<SequencedFrame>,
-    policies: PolicyMaker,
-    detector: DetectorHandle,
-    screen: Option<ScreenHandle>,
-    screen_config: ScreenConfig,
-    pixels: PixelWork,
-    clip: ClipConfig,
-    power: PowerHandle,
     audit: Arc<CameraAudit>,
-    answer: AnswerTime,
     detections: Arc<Detections>,
+    /// Only where frames are answered at once.
     late: Option<Arc<Detections>>,
     settled: Option<Arc<Detections>>,
-    longest_delay: Duration,
-    min_confidence: MinConfidence,
     closed: mpsc::UnboundedSender<ClosedClip>,
-    reset_at_clip: bool,
-    hurry: CancellationToken,
 }
 
 impl CameraMaker {
     /// A loop that knows nothing of the frames before; the clip begins again with it. The loop takes over the
     /// threshold in force with its first frame.
     async fn make(&self) -> Result<Camera, NodeError> {
-        let policy = (self.policies)(&self.name)?;
+        let Shared {
+            config, detector, ..
+        } = &*self.shared;
+        let policy = (self.shared.policies)(&self.config.name)?;
         let evidence = LiveEvidence::new(
-            self.detector.clone(),
-            CameraScreen::new(&self.screen_config, self.screen.clone()),
+            detector.clone(),
+            CameraScreen::new(&config.screen, self.shared.screen.clone()),
             self.slot,
-            self.pixels.clone(),
+            self.shared.pixels.clone(),
         )
-        .hurried_by(self.hurry.clone());
-        let decider = match self.answer {
-            AnswerTime::WhenKnown => Decider::WhenKnown {
+        .hurried_by(self.shared.hurry.clone());
+        let decider = if self.late.is_some() {
+            let at_once = AtOnce::new(policy, evidence)
+                .map_err(|error| NodeError::State(error.to_string()))?;
+            Decider::AtOnce(Box::new(at_once))
+        } else {
+            Decider::WhenKnown {
                 policy,
                 evidence: Box::new(evidence),
-            },
-            AnswerTime::AtOnce => {
-                let at_once = AtOnce::new(policy, evidence)
-                    .map_err(|error| NodeError::State(error.to_string()))?;
-                Decider::AtOnce(Box::new(at_once))
             }
         };
-        let class_names: Arc<[String]> = self.detector.class_names().into();
+        let class_names: Arc<[String]> = detector.class_names().into();
+        let min_confidence =
+            MinConfidence::new(config.report.confidence, config.detector.confidence);
         let settled = self.settled.as_ref().map(|publisher| {
             SettledStream::new(
-                self.longest_delay,
+                config.settle.longest(),
                 Arc::clone(publisher),
-                self.min_confidence,
+                min_confidence,
                 Arc::clone(&class_names),
             )
         });
         let ring = self.first_ring.lock().await.take();
-        let mut tracker = ClipTracker::new(self.clip, self.power.camera(&self.name));
+        let energy = self.shared.power.camera(&self.config.name);
+        let mut tracker = ClipTracker::new(config.clip, energy);
         if let Some(share) = self.audit.share() {
             tracker = tracker.audited_with(share);
         }
@@ -788,7 +777,7 @@ impl CameraMaker {
             detections: Arc::clone(&self.detections),
             late: self.late.clone(),
             settled,
-            min_confidence: self.min_confidence,
+            min_confidence,
             class_names,
             accounts: ClipAccounts::new(
                 tracker,
@@ -797,7 +786,7 @@ impl CameraMaker {
                 self.closed.clone(),
             ),
             audit: Arc::clone(&self.audit),
-            reset_at_clip: self.reset_at_clip,
+            reset_at_clip: self.config.reset_at_clip,
         })
     }
 }
