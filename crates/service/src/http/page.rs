@@ -5,14 +5,13 @@ use super::Problem;
 use axum::Router;
 use axum::extract::Path;
 use axum::http::header::{
-    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG,
-    IF_NONE_MATCH, REFERRER_POLICY, VARY, X_CONTENT_TYPE_OPTIONS,
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE,
+    REFERRER_POLICY, VARY, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use rust_embed::{Embed, EmbeddedFile};
-use std::fmt::Write as _;
+use rust_embed::Embed;
 
 /// Where the parts of a page lie; open to all, as the page itself: they are the same wherever this version runs.
 pub(super) const ASSETS: &str = "/assets/";
@@ -106,20 +105,8 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         .flatten();
     let encoding = compressed.is_some().then_some("gzip");
     let found = compressed.or_else(|| Built::get(name))?;
-    let etag = etag(&found);
-    let known = headers
-        .get_all(IF_NONE_MATCH)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .any(|value| value.trim().trim_start_matches("W/") == etag.to_str().unwrap_or_default());
-    let mut response = if known {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        ([(CONTENT_TYPE, media_type)], found.data).into_response()
-    };
+    let mut response = ([(CONTENT_TYPE, media_type)], found.data).into_response();
     let headers = response.headers_mut();
-    headers.insert(ETAG, etag);
     for (name, value) in [
         (CACHE_CONTROL, caching),
         (VARY, "accept-encoding"),
@@ -127,7 +114,7 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
-    if let Some(encoding) = encoding.filter(|_| !known) {
+    if let Some(encoding) = encoding {
         headers.insert(CONTENT_ENCODING, HeaderValue::from_static(encoding));
     }
     Some(response)
@@ -142,16 +129,6 @@ fn media_type(name: &str) -> Option<&'static str> {
         "svg" => Some("image/svg+xml"),
         _ => None,
     }
-}
-
-fn etag(found: &EmbeddedFile) -> HeaderValue {
-    let mut tag = String::from("\"");
-    for byte in found.metadata.sha256_hash().iter().take(16) {
-        // Writing to a text does not fail.
-        let _ = write!(tag, "{byte:02x}");
-    }
-    tag.push('"');
-    HeaderValue::from_str(&tag).unwrap_or(HeaderValue::from_static("\"\""))
 }
 
 /// Whether `Accept-Encoding` has gzip, and not only to refuse it.

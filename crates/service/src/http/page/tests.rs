@@ -49,7 +49,7 @@ fn only_parts_of_pages_are_served() {
 
 /// What the embedded build holds, if there is one: every check is of real files.
 #[test]
-fn what_was_built_is_compressed_and_known_again_by_its_tag() {
+fn what_was_built_is_sent_compressed_to_those_who_take_it() {
     let names: Vec<_> = Built::iter()
         .filter(|name| media_type(name).is_some())
         .collect();
@@ -58,10 +58,5 @@ fn what_was_built_is_compressed_and_known_again_by_its_tag() {
         let packed = file(&name, &asking(ACCEPT_ENCODING, "gzip"), "no-cache").unwrap();
         assert!(!plain.headers().contains_key(CONTENT_ENCODING), "{name}");
         assert_eq!(packed.headers()[CONTENT_ENCODING], "gzip", "{name}");
-        assert_ne!(plain.headers()[ETAG], packed.headers()[ETAG], "{name}");
-        let mut again = asking(ACCEPT_ENCODING, "gzip");
-        again.insert(IF_NONE_MATCH, packed.headers()[ETAG].clone());
-        let again = file(&name, &again, "no-cache").unwrap();
-        assert_eq!(again.status(), StatusCode::NOT_MODIFIED, "{name}");
     }
 }
