@@ -188,13 +188,12 @@ impl PreparedNode {
             .map_err(NodeError::Screen)?;
 
         if let Some(screen) = &screen {
-            board.attach_screen(screen.meter());
             let status = screen.status();
             (board.readiness()).probe(readiness::SCREEN, "", move || {
                 readiness::of_screen(&status.borrow())
             });
         }
-        board.attach_detector(detector.meter());
+        board.attach_meters(detector.meter(), screen.as_ref().map(ScreenHandle::meter));
         let mut tasks = Supervisor::new(
             board.readiness().clone(),
             board.tasks().clone(),

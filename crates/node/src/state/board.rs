@@ -134,8 +134,7 @@ pub struct Board {
     events: broadcast::Sender<SharedEvent>,
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
-    detector_meter: OnceLock<DetectorMeter>,
-    screen_meter: OnceLock<WorkerMeter>,
+    meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerSnapshot>,
     power_past: Mutex<PowerPast>,
     savings: Mutex<SavingsSince>,
@@ -192,8 +191,7 @@ impl Board {
             events,
             detector: setup.detector,
             detector_status: setup.detector_status,
-            detector_meter: OnceLock::new(),
-            screen_meter: OnceLock::new(),
+            meters: OnceLock::new(),
             power: Mutex::default(),
             power_past: Mutex::default(),
             savings: Mutex::new(SavingsSince::new()),
@@ -214,30 +212,21 @@ impl Board {
         self.policy
     }
 
-    /// Where to read what the screen counts, once it has started. The first one stays.
-    pub(crate) fn attach_screen(&self, meter: WorkerMeter) {
-        let _ = self.screen_meter.set(meter);
-    }
-
-    /// What the screen has counted; all 0 before it has started, and where there is none.
-    pub(crate) fn screen_counters(&self) -> WorkerCounts {
-        self.screen_meter
-            .get()
-            .map(WorkerMeter::read)
-            .unwrap_or_default()
-    }
-
-    /// Where to read what the detector counts, once it has started. The first one stays.
-    pub(crate) fn attach_detector(&self, meter: DetectorMeter) {
-        let _ = self.detector_meter.set(meter);
+    /// Where to read what the detector and the screen count, once they have started. The first ones stay.
+    pub(crate) fn attach_meters(&self, detector: DetectorMeter, screen: Option<WorkerMeter>) {
+        let _ = self.meters.set((detector, screen));
     }
 
     /// What the detector has counted; all 0 before it has started.
     pub(crate) fn detector_counters(&self) -> DetectorCounts {
-        self.detector_meter
-            .get()
-            .map(DetectorMeter::read)
-            .unwrap_or_default()
+        let detector = self.meters.get().map(|(detector, _)| detector.read());
+        detector.unwrap_or_default()
+    }
+
+    /// What the screen has counted; all 0 before it has started, and where there is none.
+    pub(crate) fn screen_counters(&self) -> WorkerCounts {
+        let screen = self.meters.get().and_then(|(_, screen)| screen.as_ref());
+        screen.map(WorkerMeter::read).unwrap_or_default()
     }
 
     /// Time since the board was made.

@@ -124,21 +124,12 @@ pub(crate) struct CameraWork {
 
 #[derive(Debug, Default)]
 struct Counts {
-    states: FrameStates,
-    degraded_frames: u64,
-    calls: DetectorCalls,
-    dropped: DroppedFrames,
-    looks: u64,
-    audit: AuditCount,
-    /// What of it the target has not heard of.
+    /// What is shown of them; what is known elsewhere is added when it is asked for.
+    shown: CameraSnapshot,
+    /// What of the audit the target has not heard of.
     untold_audit: AuditSums,
     /// Time the detector worked for frames, microseconds.
     detector_us: u64,
-    audit_joules: f64,
-    clips: u64,
-    clip_joules: f64,
-    boxes: BTreeMap<(Arc<str>, &'static str), u64>,
-    latest: Option<Arc<DetectionsMessage>>,
     last_frame: Option<Instant>,
     watch: SkipWatch,
 }
@@ -148,11 +139,14 @@ impl Counts {
         for one in boxes {
             let source = source_name(one.source);
             // A class is seen thousands of times: its name is copied the first time only.
-            let known = (self.boxes.iter_mut())
+            let known = (self.shown.boxes.iter_mut())
                 .find(|((class, known), _)| **class == *one.class && *known == source);
             match known {
                 Some((_, count)) => *count += 1,
-                None => drop(self.boxes.insert((one.class.as_str().into(), source), 1)),
+                None => {
+                    let key = (one.class.as_str().into(), source);
+                    self.shown.boxes.insert(key, 1);
+                }
             }
         }
     }
@@ -171,11 +165,8 @@ const fn source_name(source: BoxSource) -> &'static str {
 #[derive(Debug)]
 pub struct CameraBoard {
     name: Arc<str>,
-    key: String,
-    opened: Option<String>,
+    setup: CameraSetup,
     policy: &'static str,
-    knob: Option<Knob>,
-    sizeless: bool,
     configured: Option<f64>,
     threshold: watch::Sender<Option<f64>>,
     /// Makes changes of the threshold that are kept one at a time, so that file, loop and events see the same order.
@@ -187,8 +178,6 @@ pub struct CameraBoard {
     /// The node's start: times of the past are counted from there.
     started: Instant,
     target: Arc<NodeTarget>,
-    longest_pause: Option<u32>,
-    audited: bool,
     history: Mutex<History>,
     latest_frame: Mutex<Option<LatestFrame>>,
     shared_frames: AtomicU64,
@@ -228,12 +217,9 @@ impl CameraBoard {
             Some((value, source))
         });
         Self {
-            name: setup.name.into(),
-            key: setup.key,
-            opened: setup.source,
+            name: setup.name.as_str().into(),
+            setup,
             policy,
-            knob: setup.knob,
-            sizeless: setup.sizeless,
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             source: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
@@ -242,8 +228,6 @@ impl CameraBoard {
             counts: Mutex::default(),
             started,
             target,
-            longest_pause: setup.longest_pause,
-            audited: setup.audited,
             history: Mutex::default(),
             latest_frame: Mutex::default(),
             shared_frames: AtomicU64::new(0),
@@ -262,12 +246,12 @@ impl CameraBoard {
 
     /// Zenoh key its frames come on, unless it has a source.
     pub fn key(&self) -> &str {
-        &self.key
+        &self.setup.key
     }
 
     /// The source that the node opens for it, without credentials.
     pub(crate) fn source(&self) -> Option<&str> {
-        self.opened.as_deref()
+        self.setup.source.as_deref()
     }
 
     /// Name of its policy.
@@ -277,33 +261,38 @@ impl CameraBoard {
 
     /// What the policy lets a user turn.
     pub fn knob(&self) -> Option<Knob> {
-        self.knob
+        self.setup.knob
     }
 
     /// Whether some of its skipped frames are looked at afterwards.
     pub(crate) fn audit_is_on(&self) -> bool {
-        self.audited
+        self.setup.audited
     }
 
     /// What the audit has found since the node started.
     pub(crate) fn audit(&self) -> AuditCount {
-        self.counts.lock().audit.clone()
+        self.counts.lock().shown.audit.clone()
     }
 
     /// Adds what the audit has found.
     pub(crate) fn record_audit(&self, more: &AuditCount) {
         let mut counts = self.counts.lock();
-        counts.audit.merge(more);
+        counts.shown.audit.merge(more);
         counts.untold_audit.merge(&more.sums);
     }
 
     /// What the target needs: sums since the start, and of the audit what was not taken before.
     pub(crate) fn take_work(&self) -> CameraWork {
         let mut counts = self.counts.lock();
+        let CameraSnapshot {
+            states,
+            degraded_frames,
+            ..
+        } = counts.shown;
         CameraWork {
-            frames: counts.states.frames(),
-            skipped: counts.states.skipped(counts.degraded_frames),
-            degraded: counts.degraded_frames,
+            frames: states.frames(),
+            skipped: states.skipped(degraded_frames),
+            degraded: degraded_frames,
             detector_us: counts.detector_us,
             audit: std::mem::take(&mut counts.untold_audit),
         }
@@ -323,14 +312,14 @@ impl CameraBoard {
         }
         let used = frame.detector_run.map_or(0, |run| run.used.as_micros());
         let mut counts = self.counts.lock();
-        counts.states.count(detections.state);
-        counts.degraded_frames += u64::from(detections.degraded);
-        counts.looks += u64::from(frame.looked);
+        counts.shown.states.count(detections.state);
+        counts.shown.degraded_frames += u64::from(detections.degraded);
+        counts.shown.looks += u64::from(frame.looked);
         counts.detector_us =
             (counts.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
         counts.count_boxes(&detections.boxes);
         if let Some(cause) = detections.cause {
-            counts.calls.count(cause);
+            counts.shown.calls.count(cause);
         }
         let clear = counts.watch.count(detections);
         let advice = clear.then(|| self.advice(&counts)).flatten();
@@ -346,7 +335,11 @@ impl CameraBoard {
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
         counts.last_frame = Some(Instant::now());
-        let first = counts.latest.replace(Arc::clone(&detections)).is_none();
+        let first = counts
+            .shown
+            .latest
+            .replace(Arc::clone(&detections))
+            .is_none();
         drop(counts);
         if first {
             self.tell_first_frame(&detections);
@@ -370,7 +363,7 @@ impl CameraBoard {
     }
 
     fn advice(&self, counts: &Counts) -> Option<Advice> {
-        counts.watch.advice(self.knob.as_ref()?)
+        counts.watch.advice(self.setup.knob.as_ref()?)
     }
 
     fn tell_first_frame(&self, first: &DetectionsMessage) {
@@ -378,7 +371,7 @@ impl CameraBoard {
         let published = self.published_threshold(picture);
         tracing::info!(
             camera = %self.name,
-            from = self.source().unwrap_or(&self.key),
+            from = self.source().unwrap_or(self.key()),
             picture = %picture,
             threshold = first.threshold.map(|threshold| threshold.to_string()),
             as_published = published.map(short),
@@ -389,7 +382,8 @@ impl CameraBoard {
     /// The equivalent of `u` in the published code, in pictures of this size, where that is another
     /// number, to three digits.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
-        let knob = self.knob.filter(|knob| self.sizeless && knob.name == "u")?;
+        let CameraSetup { knob, sizeless, .. } = self.setup;
+        let knob = knob.filter(|knob| sizeless && knob.name == "u")?;
         let in_force = self
             .threshold()
             .filter(|value| knob.check(*value).is_ok())?;
@@ -410,38 +404,27 @@ impl CameraBoard {
 
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
-        self.counts.lock().dropped += more;
+        self.counts.lock().shown.dropped += more;
     }
 
     /// Counts a clip that ended, and its energy where it has a figure.
     pub(super) fn count_clip(&self, joules: Option<f64>, audit_joules: Option<f64>) {
-        let mut counts = self.counts.lock();
-        counts.clips += 1;
-        counts.audit_joules += audit_joules
-            .filter(|joules| *joules > 0.0)
-            .unwrap_or_default();
-        counts.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
+        let shown = &mut self.counts.lock().shown;
+        let known = |joules: Option<f64>| joules.filter(|joules| *joules > 0.0).unwrap_or_default();
+        shown.clips += 1;
+        shown.audit_joules += known(audit_joules);
+        shown.clip_joules += known(joules);
     }
 
     /// The camera's state.
     pub fn snapshot(&self) -> CameraSnapshot {
         let counts = self.counts.lock();
         CameraSnapshot {
-            states: counts.states,
-            degraded_frames: counts.degraded_frames,
-            calls: counts.calls,
-            dropped: counts.dropped,
-            looks: counts.looks,
-            audit: counts.audit.clone(),
-            audit_joules: counts.audit_joules,
-            clips: counts.clips,
-            clip_joules: counts.clip_joules,
-            boxes: counts.boxes.clone(),
-            latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
             shared_frames: self.shared_frames.load(Ordering::Relaxed),
             unpublished: self.unpublished.get(),
             advice: self.advice(&counts),
+            ..counts.shown.clone()
         }
     }
 
@@ -457,7 +440,7 @@ impl CameraBoard {
     pub(crate) fn skip_estimate(&self) -> SkipEstimate {
         let frames = self.history.lock().frames(usize::MAX);
         // After the lock: this takes longer than a frame may wait.
-        SkipEstimate::new(&frames, self.longest_pause)
+        SkipEstimate::new(&frames, self.setup.longest_pause)
     }
 
     /// Time from reception to publication of the frames with `state`.
@@ -494,7 +477,7 @@ impl CameraBoard {
 
     /// The same with its name.
     pub fn threshold_in_force(&self) -> Option<Threshold> {
-        Some(Threshold::new(self.knob?.name, self.threshold()?))
+        Some(Threshold::new(self.setup.knob?.name, self.threshold()?))
     }
 
     /// Who set the threshold in force.
@@ -528,7 +511,7 @@ impl CameraBoard {
     /// # Errors
     /// [`KnobError`] when the policy has no knob or the value is outside its range.
     pub(crate) fn check_threshold(&self, value: f64) -> Result<Knob, KnobError> {
-        let knob = self.knob.ok_or(KnobError::Absent {
+        let knob = self.setup.knob.ok_or(KnobError::Absent {
             policy: self.policy,
         })?;
         knob.check(value)?;
