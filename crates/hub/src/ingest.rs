@@ -24,9 +24,10 @@ pub(crate) use replies::{Replies, refusal};
 pub(crate) use writer::{WriterSetup, start};
 
 use crate::config::IngestConfig;
+use crate::per_node::Place;
 use albireo_wire::{FleetKeys, RefusalReason};
 use bytes::Bytes;
-use limits::{Admission, NodeLimits, Place};
+use limits::{Admission, NodeLimits};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};

@@ -43,6 +43,13 @@ impl PerNode {
     }
 }
 
+impl Place {
+    /// The node.
+    pub(crate) fn node(&self) -> &str {
+        &self.node
+    }
+}
+
 impl Drop for Place {
     fn drop(&mut self) {
         let mut waiting = self.of.waiting.lock();

@@ -4,9 +4,9 @@ use super::HubView;
 use super::body;
 use crate::store::RunRow;
 use crate::tuning::members::Member;
-use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest, What};
+use crate::tuning::rollout::{Command, Entry, Phase, RolloutPlan, RolloutRequest, What};
 use crate::tuning::runs::{LeftOut, Run, RunError, counts};
-use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
+use crate::tuning::trial::{TrialPhase, TrialPlan, TrialResult};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::Threshold;
@@ -148,8 +148,21 @@ pub(super) struct Trials {
     next: Option<i64>,
 }
 
-impl RolloutView {
-    fn new(row: RunRow, rollout: Rollout, whole: bool) -> Self {
+/// A rollout or a trial as it is shown.
+trait RunView: Sized {
+    const KIND: &'static str;
+
+    /// With its nodes and its record if it is the `whole`; `None` of a run of the other kind.
+    fn new(row: RunRow, run: Run, whole: bool) -> Option<Self>;
+}
+
+impl RunView for RolloutView {
+    const KIND: &'static str = "rollout";
+
+    fn new(row: RunRow, run: Run, whole: bool) -> Option<Self> {
+        let Run::Rollout(rollout) = run else {
+            return None;
+        };
         let stage = |group: usize| {
             let members: Vec<Member> = rollout
                 .members
@@ -167,7 +180,7 @@ impl RolloutView {
             Phase::Returned => returned.map(|entry| entry.text.clone()),
             _ => None,
         };
-        Self {
+        Some(Self {
             id: row.id,
             who: row.who,
             begun_ms: row.begun_ms,
@@ -183,13 +196,18 @@ impl RolloutView {
             record: whole.then_some(rollout.record),
             nodes: whole.then_some(rollout.members),
             left_out: Vec::new(),
-        }
+        })
     }
 }
 
-impl TrialView {
-    fn new(row: RunRow, trial: Trial, whole: bool) -> Self {
-        Self {
+impl RunView for TrialView {
+    const KIND: &'static str = "trial";
+
+    fn new(row: RunRow, run: Run, whole: bool) -> Option<Self> {
+        let Run::Trial(trial) = run else {
+            return None;
+        };
+        Some(Self {
             id: row.id,
             who: row.who,
             begun_ms: row.begun_ms,
@@ -202,35 +220,32 @@ impl TrialView {
             result: trial.result,
             nodes: whole.then_some(trial.members),
             left_out: Vec::new(),
-        }
+        })
     }
 }
 
 /// A page of rollouts or trials, and where the next one begins.
-async fn page(
-    view: &HubView,
-    kind: &str,
-    which: &Which,
-) -> Result<(Vec<(RunRow, Run)>, Option<i64>), Problem> {
+async fn page<V: RunView>(view: &HubView, which: &Which) -> Result<(Vec<V>, Option<i64>), Problem> {
     let limit = which.limit.unwrap_or(20).clamp(1, MOST);
     let found = view
         .tuner()?
-        .list_runs(kind, which.before.unwrap_or(i64::MAX), limit)
+        .list_runs(V::KIND, which.before.unwrap_or(i64::MAX), limit)
         .await?;
     let next = found
         .last()
         .filter(|_| found.len() as i64 == limit)
         .map(|(row, _)| row.id);
-    Ok((found, next))
+    let shown = (found.into_iter()).filter_map(|(row, run)| V::new(row, run, false));
+    Ok((shown.collect(), next))
 }
 
-const NOT_OF_ITS_KIND: &str = "the database has something else under that number";
-
-async fn rollout(view: &HubView, id: i64) -> Result<RolloutView, Problem> {
-    match view.tuner()?.run("rollout", id).await? {
-        (row, Run::Rollout(rollout)) => Ok(RolloutView::new(row, rollout, true)),
-        _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
-    }
+/// One rollout or trial with its record and its nodes.
+async fn whole<V: RunView>(view: &HubView, id: i64) -> Result<V, Problem> {
+    let (row, run) = view.tuner()?.run(V::KIND, id).await?;
+    V::new(row, run, true).ok_or_else(|| {
+        let detail = "the database has something else under that number";
+        Problem::new(StatusCode::NOT_FOUND, detail)
+    })
 }
 
 /// Begins a rollout
@@ -257,7 +272,7 @@ pub(super) async fn begin_rollout(
         .await?;
     let begun = RolloutView {
         left_out,
-        ..rollout(&view, id).await?
+        ..whole(&view, id).await?
     };
     Ok((StatusCode::CREATED, Json(begun)))
 }
@@ -271,15 +286,8 @@ pub(super) async fn rollouts(
     State(view): State<HubView>,
     Query(which): Query<Which>,
 ) -> Result<Json<Rollouts>, Problem> {
-    let (found, next) = page(&view, "rollout", &which).await?;
-    let rollouts = found.into_iter().filter_map(|(row, run)| match run {
-        Run::Rollout(rollout) => Some(RolloutView::new(row, rollout, false)),
-        Run::Trial(_) => None,
-    });
-    Ok(Json(Rollouts {
-        rollouts: rollouts.collect(),
-        next,
-    }))
+    let (rollouts, next) = page(&view, &which).await?;
+    Ok(Json(Rollouts { rollouts, next }))
 }
 
 /// A rollout with its record and its nodes
@@ -294,7 +302,7 @@ pub(super) async fn one_rollout(
     State(view): State<HubView>,
     Path(id): Path<i64>,
 ) -> Result<Json<RolloutView>, Problem> {
-    Ok(Json(rollout(&view, id).await?))
+    Ok(Json(whole(&view, id).await?))
 }
 
 /// Pauses, resumes, advances, returns or stops a rollout
@@ -321,7 +329,7 @@ pub(super) async fn command_rollout(
     view.tuner()?
         .command_rollout(id, command, &caller.name, unix_milliseconds())
         .await?;
-    Ok(Json(rollout(&view, id).await?))
+    Ok(Json(whole(&view, id).await?))
 }
 
 /// Begins a trial
@@ -350,7 +358,7 @@ pub(super) async fn begin_trial(
         .await?;
     let begun = TrialView {
         left_out,
-        ..trial(&view, id).await?
+        ..whole(&view, id).await?
     };
     Ok((StatusCode::CREATED, Json(begun)))
 }
@@ -364,22 +372,8 @@ pub(super) async fn trials(
     State(view): State<HubView>,
     Query(which): Query<Which>,
 ) -> Result<Json<Trials>, Problem> {
-    let (found, next) = page(&view, "trial", &which).await?;
-    let trials = found.into_iter().filter_map(|(row, run)| match run {
-        Run::Trial(trial) => Some(TrialView::new(row, trial, false)),
-        Run::Rollout(_) => None,
-    });
-    Ok(Json(Trials {
-        trials: trials.collect(),
-        next,
-    }))
-}
-
-async fn trial(view: &HubView, id: i64) -> Result<TrialView, Problem> {
-    match view.tuner()?.run("trial", id).await? {
-        (row, Run::Trial(trial)) => Ok(TrialView::new(row, trial, true)),
-        _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
-    }
+    let (trials, next) = page(&view, &which).await?;
+    Ok(Json(Trials { trials, next }))
 }
 
 /// A trial with its result and its nodes
@@ -394,7 +388,7 @@ pub(super) async fn one_trial(
     State(view): State<HubView>,
     Path(id): Path<i64>,
 ) -> Result<Json<TrialView>, Problem> {
-    Ok(Json(trial(&view, id).await?))
+    Ok(Json(whole(&view, id).await?))
 }
 
 /// Ends a trial before its time
@@ -415,5 +409,5 @@ pub(super) async fn end_trial(
     view.tuner()?
         .end_trial(id, &caller.name, unix_milliseconds())
         .await?;
-    Ok(Json(trial(&view, id).await?))
+    Ok(Json(whole(&view, id).await?))
 }

@@ -1,5 +1,6 @@
 //! What one node may send: enough for every honest node, too little for another to stop the rest.
 
+use crate::per_node::{PerNode, Place};
 use crate::store::record::text;
 use crate::store::tables::EventRow;
 use parking_lot::Mutex;
@@ -42,12 +43,12 @@ pub(crate) struct NodeLimits {
     /// Bytes of reports a day for each camera of a node.
     camera_bytes: f64,
     busy_retry: Duration,
-    shares: Mutex<HashMap<Arc<str>, Share>>,
+    waiting: Arc<PerNode>,
+    shares: Mutex<HashMap<String, Share>>,
 }
 
 #[derive(Debug)]
 struct Share {
-    waiting: u32,
     /// Cameras of the node.
     cameras: f64,
     /// Bytes that it may still send; below zero until a batch that was taken is paid for.
@@ -66,6 +67,15 @@ impl Share {
         self.refusals = (self.refusals + REFUSALS_PER_S * seconds).min(REFUSALS_PER_S);
         self.seen = now;
     }
+
+    /// Whether one more refusal is answered.
+    fn may_be_told(&mut self) -> bool {
+        let may = self.refusals >= 1.0;
+        if may {
+            self.refusals -= 1.0;
+        }
+        may
+    }
 }
 
 impl NodeLimits {
@@ -73,55 +83,59 @@ impl NodeLimits {
         Arc::new(Self {
             camera_bytes: camera_bytes as f64,
             busy_retry,
+            waiting: PerNode::new(MOST_WAITING),
             shares: Mutex::default(),
         })
     }
 
     /// Whether a batch of `node` may wait.
-    pub(crate) fn admit(self: &Arc<Self>, node: &str, now: Instant) -> Admission {
+    pub(crate) fn admit(&self, node: &str, now: Instant) -> Admission {
         let mut shares = self.shares.lock();
         if shares.len() >= MOST_NODES && !shares.contains_key(node) {
             let camera_bytes = self.camera_bytes;
             shares.retain(|_, share| {
                 share.refill(camera_bytes, now);
-                share.waiting > 0 || share.left < camera_bytes * share.cameras
+                share.left < camera_bytes * share.cameras
             });
             if shares.len() >= MOST_NODES {
                 return Admission::Later(None);
             }
         }
-        let (name, share) = entry(&mut shares, node, self.camera_bytes, now);
-        share.refill(self.camera_bytes, now);
+        let share = self.share(&mut shares, node, now);
         let refused = if share.left <= 0.0 {
             let per_s = self.camera_bytes * share.cameras / DAY_S;
             let wait = (LEAST_COST as f64 - share.left) / per_s;
             let wait = Duration::try_from_secs_f64(wait).unwrap_or(LONGEST_WAIT);
             let wait = wait.clamp(self.busy_retry, LONGEST_WAIT.max(self.busy_retry));
-            Some((wait, "the node has sent more than its share of today"))
-        } else if share.waiting >= MOST_WAITING {
-            Some((self.busy_retry, "batches of this node wait already"))
+            (wait, "the node has sent more than its share of today")
+        } else if let Some(place) = self.waiting.place(node) {
+            return Admission::Taken(place);
         } else {
-            None
+            (self.busy_retry, "batches of this node wait already")
         };
-        match refused {
-            None => {
-                share.waiting += 1;
-                Admission::Taken(Place {
-                    limits: Arc::clone(self),
-                    node: name,
-                })
-            }
-            Some(_) if !share.may_be_told() => Admission::Later(None),
-            refused => Admission::Later(refused),
-        }
+        Admission::Later(share.may_be_told().then_some(refused))
     }
 
     /// Whether one more refusal of `node` is answered.
     pub(crate) fn may_refuse(&self, node: &str, now: Instant) -> bool {
-        let mut shares = self.shares.lock();
-        let (_, share) = entry(&mut shares, node, self.camera_bytes, now);
+        self.share(&mut self.shares.lock(), node, now).may_be_told()
+    }
+
+    /// The share of `node` as it is now.
+    fn share<'s>(
+        &self,
+        shares: &'s mut HashMap<String, Share>,
+        node: &str,
+        now: Instant,
+    ) -> &'s mut Share {
+        let share = shares.entry(node.to_owned()).or_insert(Share {
+            cameras: 1.0,
+            left: self.camera_bytes,
+            refusals: REFUSALS_PER_S,
+            seen: now,
+        });
         share.refill(self.camera_bytes, now);
-        share.may_be_told()
+        share
     }
 
     /// Takes what a batch of `node` costs from its share.
@@ -139,58 +153,6 @@ impl NodeLimits {
                 share.cameras += more;
                 share.left += more * self.camera_bytes;
             }
-        }
-    }
-}
-
-impl Share {
-    fn may_be_told(&mut self) -> bool {
-        let may = self.refusals >= 1.0;
-        if may {
-            self.refusals -= 1.0;
-        }
-        may
-    }
-}
-
-fn entry<'s>(
-    shares: &'s mut HashMap<Arc<str>, Share>,
-    node: &str,
-    camera_bytes: f64,
-    now: Instant,
-) -> (Arc<str>, &'s mut Share) {
-    let name = match shares.get_key_value(node) {
-        Some((name, _)) => Arc::clone(name),
-        None => Arc::from(node),
-    };
-    let share = shares.entry(Arc::clone(&name)).or_insert(Share {
-        waiting: 0,
-        cameras: 1.0,
-        left: camera_bytes,
-        refusals: REFUSALS_PER_S,
-        seen: now,
-    });
-    (name, share)
-}
-
-/// The place of a batch among those of its node that wait; free again when dropped.
-#[derive(Debug)]
-pub(crate) struct Place {
-    limits: Arc<NodeLimits>,
-    node: Arc<str>,
-}
-
-impl Place {
-    /// The node.
-    pub(crate) fn node(&self) -> &str {
-        &self.node
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if let Some(share) = self.limits.shares.lock().get_mut(&self.node) {
-            share.waiting = share.waiting.saturating_sub(1);
         }
     }
 }

@@ -69,52 +69,28 @@ record! {
 /// A column of sums, and what a clip adds to it.
 type Summed = (&'static str, fn(&ClipRow) -> i64);
 
-/// What is summed over clips: the column, and what a clip adds to it. A long clip is counted at its first part.
-const SUMMED: [Summed; 34] = [
-    ("clips", |clip| i64::from(clip.part == 0)),
-    ("duration_us", |clip| clip.duration_us),
-    ("frames", |clip| clip.frames),
-    ("frames_e", |clip| clip.frames_e),
-    ("frames_p", |clip| clip.frames_p),
-    ("frames_ei", |clip| clip.frames_ei),
-    ("frames_i", |clip| clip.frames_i),
-    ("frames_ai", |clip| clip.frames_ai),
-    ("degraded", |clip| clip.degraded),
-    ("dropped", |clip| clip.dropped),
-    ("latency_us", |clip| clip.latency_us),
-    ("detector_calls", |clip| clip.detector_calls),
-    ("detector_us", |clip| clip.detector_us),
-    ("avoided_calls", |clip| clip.avoided_calls),
-    ("unpriced_calls", |clip| match clip.avoided_uj {
-        Some(_) => 0,
-        None => clip.avoided_calls,
-    }),
-    ("avoided_uj", |clip| clip.avoided_uj.unwrap_or(0)),
-    ("energy_uj", |clip| clip.energy_uj.unwrap_or(0)),
-    ("gpu_uj", |clip| clip.gpu_uj.unwrap_or(0)),
-    ("cpu_uj", |clip| clip.cpu_uj.unwrap_or(0)),
-    ("io_mem_uj", |clip| clip.io_mem_uj.unwrap_or(0)),
-    ("audit_frames", |clip| clip.audit_frames.unwrap_or(0)),
-    ("audit_missed", |clip| clip.audit_missed.unwrap_or(0)),
-    ("audit_missed_boxes", |clip| {
-        clip.audit_missed_boxes.unwrap_or(0)
-    }),
-    ("audit_calls", |clip| clip.audit_calls.unwrap_or(0)),
-    ("audit_us", |clip| clip.audit_us.unwrap_or(0)),
-    ("audit_uj", |clip| clip.audit_uj.unwrap_or(0)),
-    ("audit_detected", |clip| clip.audit_detected.unwrap_or(0)),
-    ("audit_shown", |clip| clip.audit_shown.unwrap_or(0)),
-    ("audit_paired", |clip| clip.audit_paired.unwrap_or(0)),
-    ("audit_detected_sq", |clip| {
-        clip.audit_detected_sq.unwrap_or(0)
-    }),
-    ("audit_detected_x", |clip| {
-        clip.audit_detected_x.unwrap_or(0)
-    }),
-    ("audit_shown_sq", |clip| clip.audit_shown_sq.unwrap_or(0)),
-    ("audit_paired_sq", |clip| clip.audit_paired_sq.unwrap_or(0)),
-    ("audit_shown_x", |clip| clip.audit_shown_x.unwrap_or(0)),
-];
+/// What is summed over clips. A clip without a value adds nothing; a long clip is counted at its first part.
+macro_rules! summed {
+    ($($column:ident)+) => {
+        const SUMMED: &[Summed] = &[
+            ("clips", |clip| i64::from(clip.part == 0)),
+            ("unpriced_calls", |clip| match clip.avoided_uj {
+                Some(_) => 0,
+                None => clip.avoided_calls,
+            }),
+            $((stringify!($column), |clip| Option::from(clip.$column).unwrap_or(0)),)+
+        ];
+    };
+}
+
+summed! {
+    duration_us frames frames_e frames_p frames_ei frames_i frames_ai degraded dropped
+    latency_us detector_calls detector_us avoided_calls
+    avoided_uj energy_uj gpu_uj cpu_uj io_mem_uj
+    audit_frames audit_missed audit_missed_boxes audit_calls audit_us audit_uj
+    audit_detected audit_shown audit_paired
+    audit_detected_sq audit_detected_x audit_shown_sq audit_paired_sq audit_shown_x
+}
 
 /// The largest sum: there it stays, so that no sum is ever too large for a column.
 pub(crate) const LARGEST_SUM: i64 = 1 << 62;
@@ -124,7 +100,7 @@ pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 pub(crate) struct SumRow {
     /// The beginning of the span in seconds since the Unix epoch, camera, setup, quality.
     pub(crate) key: [i64; 4],
-    sums: [i64; SUMMED.len()],
+    sums: Vec<i64>,
 }
 
 impl SumRow {
@@ -135,14 +111,14 @@ impl SumRow {
     pub(crate) fn of(clip: &ClipRow, bucket_s: i64) -> Self {
         Self {
             key: [bucket_s, clip.camera_id, clip.setup_id, clip.quality],
-            sums: SUMMED.map(|(_, of)| of(clip)),
+            sums: SUMMED.iter().map(|(_, of)| of(clip)).collect(),
         }
     }
 
     /// Adds the sums of more clips of the same key.
     pub(crate) fn add(&mut self, more: &Self) {
-        for (sum, more) in self.sums.iter_mut().zip(more.sums) {
-            *sum = sum.saturating_add(more).min(LARGEST_SUM);
+        for (sum, more) in self.sums.iter_mut().zip(&more.sums) {
+            *sum = sum.saturating_add(*more).min(LARGEST_SUM);
         }
     }
 

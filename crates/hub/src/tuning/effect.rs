@@ -47,6 +47,13 @@ impl Scale {
         change.is_finite().then_some(change)
     }
 
+    /// The changes of nodes from their means, where they are defined.
+    pub(crate) fn changes(self, means: &[(f64, f64)]) -> Vec<f64> {
+        (means.iter())
+            .filter_map(|(before, after)| self.change(*before, *after))
+            .collect()
+    }
+
     /// An estimate on this scale as people read it: a share of the value before, or the figure's unit.
     fn shown(self, change: f64) -> f64 {
         match self {

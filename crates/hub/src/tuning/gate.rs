@@ -237,21 +237,12 @@ fn judge_one(gate: Gate, figure: Figure, measured: Measured<'_>, rates: ErrorRat
     } else {
         Scale::Absolute
     };
-    let means = |nodes: &[BeforeAfter]| -> Vec<(f64, f64)> {
-        let mean = |figures: &super::metric::Figures| {
-            figures.get(&figure)?.of_at_least(measured.fewest_clips)
-        };
-        (nodes.iter())
-            .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
-            .collect()
-    };
-    let changes = |means: &[(f64, f64)]| -> Vec<f64> {
-        (means.iter())
-            .filter_map(|(before, after)| scale.change(*before, *after))
-            .collect()
-    };
+    let means = |nodes| BeforeAfter::means(nodes, figure, measured.fewest_clips);
     let own = means(measured.changed);
-    let (changed, unchanged) = (changes(&own), changes(&means(measured.unchanged)));
+    let (changed, unchanged) = (
+        scale.changes(&own),
+        scale.changes(&means(measured.unchanged)),
+    );
     let average = |side: fn(&(f64, f64)) -> f64| {
         (!own.is_empty()).then(|| own.iter().map(side).sum::<f64>() / own.len() as f64)
     };

@@ -112,6 +112,18 @@ pub struct BeforeAfter {
 }
 
 impl BeforeAfter {
+    /// Means of `figure` before and after, of the nodes with at least `fewest` clips in both.
+    pub(crate) fn means<'a>(
+        nodes: impl IntoIterator<Item = &'a Self>,
+        figure: Figure,
+        fewest: u64,
+    ) -> Vec<(f64, f64)> {
+        let mean = |figures: &Figures| figures.get(&figure)?.of_at_least(fewest);
+        (nodes.into_iter())
+            .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
+            .collect()
+    }
+
     /// Whether the node made clips before and none since.
     pub fn fell_silent(&self) -> bool {
         let clips = |figures: &Figures| figures.values().map(|mean| mean.clips).max();

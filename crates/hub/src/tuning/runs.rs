@@ -36,6 +36,17 @@ pub(crate) struct Runs {
     claimed_ms: Millis,
 }
 
+impl Runs {
+    /// A kept run as it is now: from memory where this hub drives it.
+    fn as_it_is(&self, row: RunRow) -> Result<(RunRow, Run), StoreError> {
+        let run = match self.running.get(&(row.kind.clone(), row.id)) {
+            Some(active) => active.run.clone(),
+            None => serde_json::from_str(&row.state)?,
+        };
+        Ok((row, run))
+    }
+}
+
 #[derive(Debug)]
 struct Active {
     run: Run,
@@ -290,16 +301,11 @@ impl Tuner {
         Ok(id)
     }
 
-    /// A rollout or trial as it is now: from memory where this hub drives it.
+    /// A rollout or trial as it is now.
     pub(crate) async fn run(&self, kind: &'static str, id: i64) -> Result<(RunRow, Run), RunError> {
         let row = self.store.run(kind, id).await?;
         let row = row.ok_or(RunError::Unknown { kind, id })?;
-        let runs = self.runs.lock().await;
-        let run = match runs.running.get(&(kind.to_owned(), id)) {
-            Some(active) => active.run.clone(),
-            None => serde_json::from_str(&row.state).map_err(StoreError::from)?,
-        };
-        Ok((row, run))
+        Ok(self.runs.lock().await.as_it_is(row)?)
     }
 
     /// The newest rollouts or trials.
@@ -311,13 +317,7 @@ impl Tuner {
     ) -> Result<Vec<(RunRow, Run)>, RunError> {
         let rows = self.store.runs(kind, before, limit).await?;
         let runs = self.runs.lock().await;
-        let read = |row: RunRow| {
-            let run = match runs.running.get(&(row.kind.clone(), row.id)) {
-                Some(active) => active.run.clone(),
-                None => serde_json::from_str(&row.state).map_err(StoreError::from)?,
-            };
-            Ok((row, run))
-        };
+        let read = |row| Ok(runs.as_it_is(row)?);
         rows.into_iter().map(read).collect()
     }
 

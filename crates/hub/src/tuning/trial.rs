@@ -355,22 +355,11 @@ impl Trial {
                 .map(|(_, clips)| clips)
         };
         let figure = |arm: usize, figure: Figure| {
-            let pairs = |arm: usize| -> Vec<(f64, f64)> {
-                let mean = |side: &super::metric::Figures| {
-                    side.get(&figure)?.of_at_least(self.plan.fewest_clips)
-                };
-                (nodes(arm))
-                    .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
-                    .collect()
-            };
-            let changes = |arm: usize| -> Vec<f64> {
-                (pairs(arm).into_iter())
-                    .filter_map(|(before, after)| figure.scale().change(before, after))
-                    .collect()
-            };
-            let own = pairs(arm);
+            let means = |arm| BeforeAfter::means(nodes(arm), figure, self.plan.fewest_clips);
+            let (own, scale) = (means(arm), figure.scale());
             let count = own.len() as f64;
-            let effect = (arm > 0).then(|| Effect::of(figure.scale(), &changes(arm), &changes(0)));
+            let effect = (arm > 0)
+                .then(|| Effect::of(scale, &scale.changes(&own), &scale.changes(&means(0))));
             (!own.is_empty()).then(|| ArmFigure {
                 figure,
                 nodes: own.len(),
