@@ -68,8 +68,11 @@ pub fn access_control(
 
 fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessError> {
     let all = FleetKeys::all(prefix)?;
-    let counters = format!("{prefix}/*/*/counters");
-    let picture = format!("{prefix}/*/*/picture");
+    let asked = [all.report(), all.pull()];
+    let told = [all.status(), format!("{prefix}/*/*/counters")];
+    let changed = [all.changed()];
+    let picture = [format!("{prefix}/*/*/picture")];
+    let answers = ["declare_queryable", "reply"];
     let every = [
         all.report(),
         all.pull(),
@@ -87,53 +90,28 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
     };
 
     let mut to_nodes = vec![
-        rule("to nodes", "egress", &["put"], &[all.changed()]),
-        rule(
-            "answers to nodes",
-            "egress",
-            &["reply"],
-            &[all.report(), all.pull()],
-        ),
+        rule("to nodes", "egress", &["put"], &changed),
+        rule("answers to nodes", "egress", &["reply"], &asked),
         // Of what is declared, nodes learn the hub's side: whether somebody takes what they send.
         rule(
             "declarations to nodes",
             "egress",
             &["declare_subscriber", "declare_queryable"],
-            &[all.report(), all.pull(), all.status(), counters.clone()],
+            &[&asked[..], &told].concat(),
         ),
     ];
     let mut hubs = vec![
-        rule("hub notices", "ingress", &["put"], &[all.changed()]),
-        rule(
-            "hub answers",
-            "ingress",
-            &["declare_queryable", "reply"],
-            &[all.report(), all.pull()],
-        ),
-        rule(
-            "hub hears",
-            "ingress",
-            &["declare_subscriber"],
-            &[all.status(), counters.clone()],
-        ),
+        rule("hub notices", "ingress", &["put"], &changed),
+        rule("hub answers", "ingress", &answers, &asked),
+        rule("hub hears", "ingress", &["declare_subscriber"], &told),
         rule(
             "hub watches",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
             &[all.alive()],
         ),
-        rule(
-            "to hubs",
-            "egress",
-            &["put"],
-            &[all.status(), counters.clone()],
-        ),
-        rule(
-            "questions to hubs",
-            "egress",
-            &["query"],
-            &[all.report(), all.pull()],
-        ),
+        rule("to hubs", "egress", &["put"], &told),
+        rule("questions to hubs", "egress", &["query"], &asked),
         rule(
             "declarations to hubs",
             "egress",
@@ -142,20 +120,14 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
         ),
     ];
     if pictures {
-        let picture = std::slice::from_ref(&picture);
-        to_nodes.push(rule("picture queries", "egress", &["query"], picture));
+        to_nodes.push(rule("picture queries", "egress", &["query"], &picture));
         hubs.push(rule(
             "hub asks for pictures",
             "ingress",
             &["query"],
-            picture,
+            &picture,
         ));
-        hubs.push(rule(
-            "pictures to hubs",
-            "egress",
-            &["declare_queryable", "reply"],
-            picture,
-        ));
+        hubs.push(rule("pictures to hubs", "egress", &answers, &picture));
     }
     let everything = [
         "put",
@@ -179,40 +151,19 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
             Role::Router => routers.clone(),
             Role::Node => {
                 let keys = FleetKeys::new(prefix, name)?;
-                let own_counters = format!("{prefix}/{name}/*/counters");
+                let counters = format!("{prefix}/{name}/*/counters");
+                let mut may = |what: &str, messages: &[&str], keys: &[String]| {
+                    rule(&format!("{name} {what}"), "ingress", messages, keys)
+                };
                 let mut own = vec![
-                    rule(
-                        &format!("{name} tells"),
-                        "ingress",
-                        &["put"],
-                        &[keys.status(), own_counters],
-                    ),
-                    rule(
-                        &format!("{name} asks"),
-                        "ingress",
-                        &["query"],
-                        &[keys.report(), keys.pull()],
-                    ),
-                    rule(
-                        &format!("{name} hears"),
-                        "ingress",
-                        &["declare_subscriber"],
-                        &[keys.changed()],
-                    ),
-                    rule(
-                        &format!("{name} lives"),
-                        "ingress",
-                        &["liveliness_token"],
-                        &[keys.alive()],
-                    ),
+                    may("tells", &["put"], &[keys.status(), counters]),
+                    may("asks", &["query"], &[keys.report(), keys.pull()]),
+                    may("hears", &["declare_subscriber"], &[keys.changed()]),
+                    may("lives", &["liveliness_token"], &[keys.alive()]),
                 ];
                 if pictures {
-                    own.push(rule(
-                        &format!("{name} shows pictures"),
-                        "ingress",
-                        &["declare_queryable", "reply"],
-                        &[format!("{prefix}/{name}/*/picture")],
-                    ));
+                    let picture = [format!("{prefix}/{name}/*/picture")];
+                    own.push(may("shows pictures", &answers, &picture));
                 }
                 own.extend(to_nodes.iter().cloned());
                 own

@@ -202,12 +202,12 @@ impl Authority {
     pub fn issue(&mut self, request: &Request<'_>) -> Result<Issued, AuthorityError> {
         albireo_wire::check_segment("name", request.name)?;
         let (role, name) = (request.role, request.name);
-        if self.list.good(role, name).is_some() {
+        if self.list.good(role, name).is_ok() {
             let name = name.to_owned();
             return Err(AuthorityError::Issued { role, name });
         }
         let issue = self.list.last_issue(role, name) + 1;
-        self.make(request, issue, request.hosts)
+        self.make(request, issue)
     }
 
     /// Replaces a certificate that is good by one with a new key. The old one stays good until it ends.
@@ -220,16 +220,9 @@ impl Authority {
         name: &str,
         lasts: Duration,
     ) -> Result<Issued, AuthorityError> {
-        let old = self
-            .list
-            .good(role, name)
-            .ok_or_else(|| AuthorityError::Unknown {
-                role,
-                name: name.to_owned(),
-            })?;
-        let (issue, hosts) = (old.issue, old.hosts.clone());
-        let request = Request::lasting(role, name, &hosts, lasts)?;
-        self.make(&request, issue, &hosts)
+        let old = self.list.good(role, name)?.clone();
+        let request = Request::lasting(role, name, &old.hosts, lasts)?;
+        self.make(&request, old.issue)
     }
 
     /// Takes a certificate, and all with its common name, out of the access control that is generated from now on.
@@ -237,25 +230,14 @@ impl Authority {
     /// # Errors
     /// When there is no good one, or the list cannot be written.
     pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, AuthorityError> {
-        let revoked = self
-            .list
-            .revoke(role, name)
-            .ok_or_else(|| AuthorityError::Unknown {
-                role,
-                name: name.to_owned(),
-            })?;
+        let revoked = self.list.revoke(role, name)?;
         self.list.write()?;
         Ok(revoked)
     }
 
-    fn make(
-        &mut self,
-        request: &Request<'_>,
-        issue: u32,
-        hosts: &[String],
-    ) -> Result<Issued, AuthorityError> {
+    fn make(&mut self, request: &Request<'_>, issue: u32) -> Result<Issued, AuthorityError> {
         let (role, name) = (request.role, request.name);
-        let mut params = CertificateParams::new(hosts.to_vec())?;
+        let mut params = CertificateParams::new(request.hosts.to_vec())?;
         set_validity(&mut params, request.begins, request.ends)?;
         params.distinguished_name = common_name(&role.common_name(name, issue));
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
@@ -284,7 +266,7 @@ impl Authority {
             role,
             name: name.to_owned(),
             issue,
-            hosts: hosts.to_vec(),
+            hosts: request.hosts.to_vec(),
             ends_s: seconds(request.ends)?,
             revoked_s: None,
         };

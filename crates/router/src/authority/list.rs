@@ -68,6 +68,10 @@ pub struct Entry {
 }
 
 impl Entry {
+    fn is_of(&self, role: Role, name: &str) -> bool {
+        self.role == role && self.name == name
+    }
+
     /// Its common name.
     pub fn common_name(&self) -> String {
         self.role.common_name(&self.name, self.issue)
@@ -145,16 +149,19 @@ impl List {
     }
 
     /// The one of that name that is not revoked.
-    pub(super) fn good(&self, role: Role, name: &str) -> Option<&Entry> {
-        self.issued
-            .iter()
-            .find(|entry| entry.role == role && entry.name == name && entry.revoked_s.is_none())
+    pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, AuthorityError> {
+        (self.issued.iter())
+            .find(|entry| entry.is_of(role, name) && entry.revoked_s.is_none())
+            .ok_or_else(|| AuthorityError::Unknown {
+                role,
+                name: name.to_owned(),
+            })
     }
 
     /// The highest issue of that name; 0 when there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
         (self.issued.iter())
-            .filter(|entry| entry.role == role && entry.name == name)
+            .filter(|entry| entry.is_of(role, name))
             .map(|entry| entry.issue)
             .max()
             .unwrap_or(0)
@@ -162,22 +169,21 @@ impl List {
 
     /// Adds an entry; one with the same common name is replaced.
     pub(super) fn put(&mut self, entry: Entry) {
-        let same = |known: &Entry| {
-            known.role == entry.role && known.name == entry.name && known.issue == entry.issue
-        };
+        let same =
+            |known: &Entry| known.is_of(entry.role, &entry.name) && known.issue == entry.issue;
         self.issued.retain(|known| !same(known));
         self.issued.push(entry);
         self.issued
             .sort_by(|a, b| (a.role, &a.name, a.issue).cmp(&(b.role, &b.name, b.issue)));
     }
 
-    pub(super) fn revoke(&mut self, role: Role, name: &str) -> Option<Entry> {
-        let entry = (self.issued.iter_mut())
-            .find(|entry| entry.role == role && entry.name == name && entry.revoked_s.is_none())?;
+    pub(super) fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, AuthorityError> {
+        let mut entry = self.good(role, name)?.clone();
         let now = SystemTime::now()
             .duration_since(UNIX_EPOCH)
             .unwrap_or_default();
         entry.revoked_s = Some(i64::try_from(now.as_secs()).unwrap_or(i64::MAX));
-        Some(entry.clone())
+        self.put(entry.clone());
+        Ok(entry)
     }
 }
