@@ -11,7 +11,7 @@ mod units;
 
 use super::in_words;
 use clap::Subcommand;
-use client::{Client, Failure};
+use client::Client;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
@@ -138,12 +138,9 @@ impl Context {
         &self,
         value: &serde_json::Value,
         text: impl FnOnce(&serde_json::Value) -> String,
-    ) -> Result<(), Failure> {
+    ) -> anyhow::Result<()> {
         if self.json {
-            println!(
-                "{}",
-                serde_json::to_string_pretty(value).map_err(anyhow::Error::from)?
-            );
+            println!("{}", serde_json::to_string_pretty(value)?);
         } else {
             print!("{}", text(value));
         }
@@ -152,20 +149,20 @@ impl Context {
 }
 
 pub(super) fn run(arguments: Arguments) -> ExitCode {
-    let ended = tokio::runtime::Builder::new_current_thread()
+    let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build();
-    let ended = ended.map_err(|error| Failure::from(anyhow::Error::new(error)));
+    let ended = runtime.map_err(anyhow::Error::from);
     match ended.and_then(|runtime| runtime.block_on(follow(arguments))) {
         Ok(ended) => ended.into(),
-        Err(failure) => {
-            eprintln!("albireo: {}", in_words(&failure.0));
+        Err(error) => {
+            eprintln!("albireo: {}", in_words(&error));
             ExitCode::FAILURE
         }
     }
 }
 
-async fn follow(arguments: Arguments) -> Result<Ended, Failure> {
+async fn follow(arguments: Arguments) -> anyhow::Result<Ended> {
     let context = Context {
         client: Client::new(&arguments.hub, arguments.token)?,
         json: arguments.json,

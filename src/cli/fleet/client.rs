@@ -1,6 +1,6 @@
 //! Talks to a hub over HTTP.
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, bail};
 use reqwest::header::{ACCEPT, AUTHORIZATION};
 use reqwest::{Method, RequestBuilder, Response, Url};
 use serde_json::Value;
@@ -11,16 +11,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(30);
 /// Longest line of a stream.
 const LONGEST_LINE: usize = 1 << 20;
 
-/// Why a command failed, for people.
-#[derive(Debug)]
-pub(super) struct Failure(pub(super) anyhow::Error);
-
-impl<E: Into<anyhow::Error>> From<E> for Failure {
-    fn from(error: E) -> Self {
-        Self(error.into())
-    }
-}
-
 /// A hub.
 pub(super) struct Client {
     base: Url,
@@ -29,7 +19,7 @@ pub(super) struct Client {
 }
 
 impl Client {
-    pub(super) fn new(hub: &str, token: Option<String>) -> Result<Self, Failure> {
+    pub(super) fn new(hub: &str, token: Option<String>) -> anyhow::Result<Self> {
         let base = Url::parse(hub)
             .with_context(|| format!("`{hub}` is no address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
@@ -45,7 +35,7 @@ impl Client {
         method: Method,
         path: &str,
         query: &[(&str, String)],
-    ) -> Result<RequestBuilder, Failure> {
+    ) -> anyhow::Result<RequestBuilder> {
         let mut url = self.base.join(path)?;
         if !query.is_empty() {
             url.query_pairs_mut().extend_pairs(query);
@@ -57,7 +47,7 @@ impl Client {
         })
     }
 
-    async fn send(&self, request: RequestBuilder) -> Result<Response, Failure> {
+    async fn send(&self, request: RequestBuilder) -> anyhow::Result<Response> {
         let response = request
             .send()
             .await
@@ -71,52 +61,51 @@ impl Client {
         let detail = problem
             .as_ref()
             .and_then(|problem| problem["detail"].as_str());
-        Err(match detail {
-            Some(detail) => anyhow!("{detail}"),
-            None => anyhow!("{} answers {status}; is it a hub?", self.base),
+        match detail {
+            Some(detail) => bail!("{detail}"),
+            None => bail!("{} answers {status}; is it a hub?", self.base),
         }
-        .into())
     }
 
-    async fn json(&self, request: RequestBuilder) -> Result<Value, Failure> {
+    async fn json(&self, request: RequestBuilder) -> anyhow::Result<Value> {
         let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
         let text = response.text().await?;
-        Ok(serde_json::from_str(&text)
-            .with_context(|| format!("{} does not answer as a hub does", self.base))?)
+        serde_json::from_str(&text)
+            .with_context(|| format!("{} does not answer as a hub does", self.base))
     }
 
     /// Asks for something.
-    pub(super) async fn get(&self, path: &str, query: &[(&str, String)]) -> Result<Value, Failure> {
+    pub(super) async fn get(&self, path: &str, query: &[(&str, String)]) -> anyhow::Result<Value> {
         self.json(self.request(Method::GET, path, query)?).await
     }
 
     /// Fetches a file.
-    pub(super) async fn bytes(&self, path: &str) -> Result<Vec<u8>, Failure> {
+    pub(super) async fn bytes(&self, path: &str) -> anyhow::Result<Vec<u8>> {
         let request = self.request(Method::GET, path, &[])?;
         let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
         Ok(response.bytes().await?.to_vec())
     }
 
     /// Orders something.
-    pub(super) async fn post(&self, path: &str, body: &Value) -> Result<Value, Failure> {
+    pub(super) async fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
         self.json(self.request(Method::POST, path, &[])?.json(body))
             .await
     }
 
     /// Deletes something.
-    pub(super) async fn delete(&self, path: &str) -> Result<(), Failure> {
+    pub(super) async fn delete(&self, path: &str) -> anyhow::Result<()> {
         let request = self.request(Method::DELETE, path, &[])?;
         self.send(request.timeout(ANSWER_WITHIN)).await?;
         Ok(())
     }
 
     /// The number of the newest of a list, such as `rollouts`.
-    pub(super) async fn newest(&self, list: &str) -> Result<u64, Failure> {
+    pub(super) async fn newest(&self, list: &str) -> anyhow::Result<u64> {
         let found = self
             .get(&format!("/api/v1/{list}"), &[("limit", "1".to_owned())])
             .await?;
         let id = found[list][0]["id"].as_u64();
-        Ok(id.with_context(|| format!("there are no {list} yet"))?)
+        id.with_context(|| format!("there are no {list} yet"))
     }
 
     /// Sends `body` by PUT and gives each line of the answer to `line` as it comes.
@@ -124,8 +113,8 @@ impl Client {
         &self,
         path: &str,
         body: &Value,
-        mut line: impl FnMut(Value) -> Result<(), Failure>,
-    ) -> Result<(), Failure> {
+        mut line: impl FnMut(Value) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
         let request = self
             .request(Method::PUT, path, &[])?
             .header(ACCEPT, "application/x-ndjson")
@@ -140,9 +129,7 @@ impl Client {
                 line(serde_json::from_slice(&text).context("a line of the answer is no JSON")?)?;
             }
             if held.len() > LONGEST_LINE {
-                return Err(
-                    anyhow!("a line of the answer is longer than {LONGEST_LINE} bytes").into(),
-                );
+                bail!("a line of the answer is longer than {LONGEST_LINE} bytes");
             }
         }
         Ok(())

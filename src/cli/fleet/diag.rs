@@ -1,6 +1,5 @@
 //! `diag`: fetches a hub's diagnostics as one archive.
 
-use super::client::Failure;
 use super::{Context, Ended};
 use std::path::PathBuf;
 
@@ -12,7 +11,7 @@ pub(super) struct Arguments {
     output: PathBuf,
 }
 
-pub(super) async fn fetch(context: &Context, arguments: Arguments) -> Result<Ended, Failure> {
+pub(super) async fn fetch(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
     let archive = context.client.bytes("/api/v1/diag").await?;
     crate::cli::diag::save(&arguments.output, &archive)?;
     let shown = arguments.output.display().to_string();

@@ -1,6 +1,5 @@
 //! `ls`, `show`, `energy`, `watch`.
 
-use super::client::Failure;
 use super::table::{Table, WIDTH, cut};
 use super::units::{
     ago, figure, items, now_ms, seconds, setting, target_words, text_of, threshold,
@@ -46,7 +45,7 @@ pub(super) struct ShowArguments {
     node: String,
 }
 
-pub(super) async fn forget(context: &Context, nodes: &[String]) -> Result<Ended, Failure> {
+pub(super) async fn forget(context: &Context, nodes: &[String]) -> anyhow::Result<Ended> {
     for node in nodes {
         context
             .client
@@ -88,7 +87,7 @@ async fn nodes(
     state: Option<&str>,
     sort: &str,
     limit: usize,
-) -> Result<Vec<Value>, Failure> {
+) -> anyhow::Result<Vec<Value>> {
     let mut found: Vec<Value> = Vec::new();
     while found.len() < limit.min(MOST) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
@@ -109,7 +108,7 @@ async fn nodes(
     Ok(found)
 }
 
-pub(super) async fn list(context: &Context, arguments: ListArguments) -> Result<Ended, Failure> {
+pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow::Result<Ended> {
     let found = nodes(
         context,
         arguments.state.as_deref(),
@@ -169,7 +168,7 @@ fn table(nodes: &[Value]) -> String {
     table.to_string()
 }
 
-pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<Ended, Failure> {
+pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow::Result<Ended> {
     let node = context
         .client
         .get(&format!("/api/v1/nodes/{}", arguments.node), &[])
@@ -275,10 +274,7 @@ fn target(status: &Value) -> String {
     }
 }
 
-pub(super) async fn energy(
-    context: &Context,
-    arguments: EnergyArguments,
-) -> Result<Ended, Failure> {
+pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
     let from = now_ms() - (arguments.since * 1e3) as i64;
     // The hub keeps sums of whole days, which are enough for a long time.
     let from = match arguments.since >= WHOLE_DAYS_FROM {
@@ -348,7 +344,7 @@ fn recall(found: &Value) -> String {
     }
 }
 
-pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Result<Ended, Failure> {
+pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyhow::Result<Ended> {
     let mut looks = 0;
     loop {
         // The hub counts, and puts those that are not well first: a page is enough however large the fleet is.

@@ -1,8 +1,7 @@
 //! `rollout`: changes in stages.
 
-use super::client::Failure;
 use super::table::{Table, WIDTH, cut, wrapped};
-use super::units::{counts, figure, items, seconds, span, text_of, threshold, when};
+use super::units::{counts, figure, finite, items, named, seconds, span, text_of, threshold, when};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -72,6 +71,7 @@ Examples:
 #[command(after_help = START_EXAMPLES)]
 pub(super) struct StartArguments {
     /// The new value.
+    #[arg(value_parser = finite)]
     value: f64,
     /// Which nodes; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
@@ -95,7 +95,7 @@ pub(super) struct StartArguments {
     #[arg(long = "gate", value_name = "GATE")]
     gates: Vec<String>,
     /// How sure a verdict must be.
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", value_parser = finite)]
     confidence: Option<f64>,
     /// Fewest clips of a node before and after.
     #[arg(long, value_name = "N")]
@@ -120,7 +120,7 @@ pub(super) struct StartArguments {
     follow: bool,
 }
 
-pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Failure> {
+pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<Ended> {
     let (id, order) = match command {
         Command::Start(arguments) => return start(context, *arguments).await,
         Command::Ls => {
@@ -157,34 +157,25 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
     Ok(Ended::Well)
 }
 
-async fn start(context: &Context, arguments: StartArguments) -> Result<Ended, Failure> {
-    let mut body = json!({ "select": arguments.select, "why": arguments.why });
-    body[&arguments.knob] = json!(arguments.value);
-    let mut set = |name: &str, value: Option<Value>| {
-        if let Some(value) = value {
-            body[name] = value;
-        }
-    };
-    set(
-        "stages",
-        (!arguments.stages.is_empty()).then(|| json!(arguments.stages)),
-    );
-    set(
-        "gates",
-        (!arguments.gates.is_empty()).then(|| json!(arguments.gates)),
-    );
-    set("soak_s", arguments.soak.map(Value::from));
-    set("patience_s", arguments.patience.map(Value::from));
-    set("baseline_s", arguments.baseline.map(Value::from));
-    set("confidence", arguments.confidence.map(Value::from));
-    set("fewest_clips", arguments.fewest_clips.map(Value::from));
-    set("on_failure", arguments.on_failure.map(Value::from));
-    set("apply_within_s", arguments.apply_within.map(Value::from));
-    set(
-        "offline_deadline_s",
-        arguments.offline_deadline.map(Value::from),
-    );
-    set("seed", arguments.seed.map(Value::from));
+async fn start(context: &Context, arguments: StartArguments) -> anyhow::Result<Ended> {
+    // What is not given has the hub's default.
+    let given = |list: Vec<String>| (!list.is_empty()).then_some(list);
+    let body = named(json!({
+        (arguments.knob): arguments.value,
+        "select": arguments.select,
+        "stages": given(arguments.stages),
+        "soak_s": arguments.soak,
+        "patience_s": arguments.patience,
+        "baseline_s": arguments.baseline,
+        "gates": given(arguments.gates),
+        "confidence": arguments.confidence,
+        "fewest_clips": arguments.fewest_clips,
+        "on_failure": arguments.on_failure,
+        "apply_within_s": arguments.apply_within,
+        "offline_deadline_s": arguments.offline_deadline,
+        "seed": arguments.seed,
+        "why": arguments.why,
+    }));
     let rollout = context.client.post("/api/v1/rollouts", &body).await?;
     let id = rollout["id"].as_u64().unwrap_or(0);
     if arguments.follow {
@@ -205,7 +196,7 @@ async fn start(context: &Context, arguments: StartArguments) -> Result<Ended, Fa
     Ok(Ended::Well)
 }
 
-async fn follow(context: &Context, id: u64) -> Result<Ended, Failure> {
+async fn follow(context: &Context, id: u64) -> anyhow::Result<Ended> {
     let mut printed = 0;
     loop {
         let rollout = context

@@ -1,6 +1,5 @@
 //! `set-u`, `set-target`, `changes`, `drift`.
 
-use super::client::Failure;
 use super::table::Table;
 use super::units::{counts, items, seconds, setting, target, text_of, when};
 use super::{Context, Ended};
@@ -46,7 +45,7 @@ struct Order {
     wait: f64,
 }
 
-pub(super) async fn set(context: &Context, arguments: Arguments) -> Result<Ended, Failure> {
+pub(super) async fn set(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
     let what = (arguments.knob.as_str(), json!(arguments.value));
     order(context, "/api/v1/threshold", what, arguments.order).await
 }
@@ -54,7 +53,7 @@ pub(super) async fn set(context: &Context, arguments: Arguments) -> Result<Ended
 pub(super) async fn set_target(
     context: &Context,
     arguments: TargetArguments,
-) -> Result<Ended, Failure> {
+) -> anyhow::Result<Ended> {
     let what = ("target", arguments.target);
     order(context, "/api/v1/target", what, arguments.order).await
 }
@@ -65,7 +64,7 @@ async fn order(
     path: &str,
     (name, value): (&str, Value),
     order: Order,
-) -> Result<Ended, Failure> {
+) -> anyhow::Result<Ended> {
     let mut body = json!({
         "select": order.select,
         "dry_run": order.dry_run,
@@ -73,34 +72,27 @@ async fn order(
         "wait_s": order.wait,
     });
     body[name] = value;
-    let (mut counts, mut revision, mut shown) = (Value::Null, Value::Null, 0);
+    let mut last = Value::Null;
     let lines = context.client.put_lines(path, &body, |line| {
         if context.json {
             println!("{line}");
         }
-        if let Some(last) = line.get("counts") {
-            (counts, revision) = (last.clone(), line["revision"].clone());
+        if line.get("counts").is_some() {
+            last = line;
         } else if !context.json {
             println!("{}", outcome(&line));
-            shown += 1;
         }
         Ok(())
     });
     lines.await?;
     if !context.json {
-        let counted: Vec<String> = counts
-            .as_object()
-            .into_iter()
-            .flatten()
-            .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
-            .collect();
-        let number = revision
+        let number = last["revision"]
             .as_u64()
             .map(|n| format!("revision {n}: "))
             .unwrap_or_default();
-        println!("{number}{}", counted.join(", "));
+        println!("{number}{}", counts(&last));
     }
-    Ok(judge(&counts))
+    Ok(judge(&last["counts"]))
 }
 
 /// One node's line.
@@ -144,7 +136,7 @@ pub(super) struct ChangesArguments {
 pub(super) async fn changes(
     context: &Context,
     arguments: ChangesArguments,
-) -> Result<Ended, Failure> {
+) -> anyhow::Result<Ended> {
     if let Some(revision) = arguments.revision {
         let change = context
             .client
@@ -189,7 +181,7 @@ fn list(changes: &Value) -> String {
     table.to_string()
 }
 
-pub(super) async fn drift(context: &Context) -> Result<Ended, Failure> {
+pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
     let drift = context.client.get("/api/v1/drift", &[]).await?;
     context.print(&drift, |drift| {
         let nodes = drift.as_array().map(Vec::as_slice).unwrap_or_default();

@@ -1,8 +1,7 @@
 //! `trial`: values compared on random groups of nodes.
 
-use super::client::Failure;
 use super::table::Table;
-use super::units::{counts, figure, items, seconds, text_of, threshold, when};
+use super::units::{counts, figure, finite, items, named, seconds, text_of, threshold, when};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 
@@ -28,7 +27,7 @@ pub(super) enum Command {
 #[derive(Debug, clap::Args)]
 pub(super) struct StartArguments {
     /// The values, two or more; each is compared with the first.
-    #[arg(required = true, num_args = 2..)]
+    #[arg(required = true, num_args = 2.., value_parser = finite)]
     values: Vec<f64>,
     /// Which nodes; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
@@ -50,27 +49,19 @@ pub(super) struct StartArguments {
     why: String,
 }
 
-pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Failure> {
+pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<Ended> {
     let client = &context.client;
     let trial = match command {
         Command::Start(arguments) => {
-            let value = |value: &f64| {
-                let mut object = json!({});
-                object[&arguments.knob] = json!(value);
-                object
-            };
-            let mut body = json!({
+            let value = |value: &f64| json!({ (arguments.knob.as_str()): value });
+            let body = named(json!({
                 "values": arguments.values.iter().map(value).collect::<Vec<_>>(),
                 "select": arguments.select,
                 "duration_s": arguments.duration,
+                "fewest_clips": arguments.fewest_clips,
+                "seed": arguments.seed,
                 "why": arguments.why,
-            });
-            if let Some(seed) = arguments.seed {
-                body["seed"] = json!(seed);
-            }
-            if let Some(fewest) = arguments.fewest_clips {
-                body["fewest_clips"] = json!(fewest);
-            }
+            }));
             client.post("/api/v1/trials", &body).await?
         }
         Command::Ls => {

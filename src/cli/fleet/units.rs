@@ -18,6 +18,12 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads a number that JSON can hold.
+pub(super) fn finite(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite());
+    number.ok_or_else(|| format!("`{text}` is no number"))
+}
+
 /// Milliseconds since the Unix epoch.
 pub(super) fn now_ms() -> i64 {
     let since = SystemTime::now()
@@ -44,6 +50,14 @@ pub(super) fn text_of(value: &serde_json::Value) -> String {
 /// A list of an answer; empty where it has none.
 pub(super) fn items(list: &serde_json::Value) -> &[serde_json::Value] {
     list.as_array().map(Vec::as_slice).unwrap_or_default()
+}
+
+/// The fields of a request that have a value.
+pub(super) fn named(mut request: serde_json::Value) -> serde_json::Value {
+    if let Some(fields) = request.as_object_mut() {
+        fields.retain(|_, value| !value.is_null());
+    }
+    request
 }
 
 /// How many nodes have which outcome: `3 applied, 1 timed out`.
