@@ -119,12 +119,7 @@ impl HubView {
     /// # Errors
     /// A problem document while the session is not open yet.
     fn reach(&self) -> Result<&live::Reach, Problem> {
-        self.reach.get().ok_or_else(|| {
-            Problem::new(
-                StatusCode::SERVICE_UNAVAILABLE,
-                "the Zenoh session is not open yet; /readyz says why",
-            )
-        })
+        attached(&self.reach, "the Zenoh session is not open yet")
     }
 
     /// How many Zenoh sessions there are to others; `None` before the hub's own is open.
@@ -138,12 +133,7 @@ impl HubView {
     /// # Errors
     /// A problem document while it does not run yet.
     pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
-        self.tuner.get().ok_or_else(|| {
-            Problem::new(
-                StatusCode::SERVICE_UNAVAILABLE,
-                "the hub is not ready yet; /readyz says why",
-            )
-        })
+        attached(&self.tuner, "the hub is not ready yet")
     }
 
     /// The database.
@@ -151,13 +141,15 @@ impl HubView {
     /// # Errors
     /// A problem document while it is not open yet.
     pub fn store(&self) -> Result<&Store, Problem> {
-        self.store.get().ok_or_else(|| {
-            Problem::new(
-                StatusCode::SERVICE_UNAVAILABLE,
-                "the database is not open yet; /readyz says why",
-            )
-        })
+        attached(&self.store, "the database is not open yet")
     }
+}
+
+fn attached<'a, T>(part: &'a OnceLock<T>, missing: &str) -> Result<&'a T, Problem> {
+    part.get().ok_or_else(|| {
+        let detail = format!("{missing}; /readyz says why");
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
+    })
 }
 
 /// The parameters of a query, or what is wrong with them.

@@ -37,6 +37,13 @@ pub(super) struct Selection {
     limit: Option<i64>,
 }
 
+/// Where the next page begins, if more was found than the `limit` of this one; then only that much is kept.
+fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
+    let more = found.len() as i64 > limit;
+    found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
+    found.last().filter(|_| more).map(id)
+}
+
 impl Selection {
     fn query(&self, limit: i64) -> Result<ClipQuery, Problem> {
         if self.camera.is_some() && self.node.is_none() {
@@ -82,9 +89,7 @@ pub(super) async fn list(
     let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
     let wanted = selection.query(limit + 1)?;
     let mut clips = view.store()?.clips(&wanted).await?;
-    let more = clips.len() as i64 > limit;
-    clips.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
-    let next = more.then(|| clips.last().map(|clip| clip.id)).flatten();
+    let next = next(&mut clips, limit, |clip| clip.id);
     Ok(Json(ClipPage { clips, next }))
 }
 
@@ -111,28 +116,22 @@ pub(super) async fn csv(
     // The first page is read before anything is answered: an error can then still be answered.
     let page = store.clips(&first).await?;
     let state = (store, first, Some(page), left, true);
-    let pages = stream::unfold(state, |(store, mut wanted, page, left, head)| async move {
-        let mut clips = page?;
-        let text = match written(&mut clips, head) {
-            Ok(text) => text,
-            Err(error) => return Some((Err(error), (store, wanted, None, 0, false))),
+    let pages = stream::try_unfold(state, |(store, mut wanted, page, left, head)| async move {
+        let Some(mut clips) = page else {
+            return Ok(None);
         };
+        let text = written(&mut clips, head)?;
         let left = left - clips.len() as i64;
         let full = clips.len() as i64 == wanted.limit;
         wanted.before_id = clips.last().map(|clip| clip.id);
         wanted.limit = left.min(MOST);
         let next = if full && left > 0 {
-            match store.clips(&wanted).await {
-                Ok(clips) => Some(clips),
-                Err(error) => {
-                    let error = std::io::Error::other(error.to_string());
-                    return Some((Err(error), (store, wanted, None, 0, false)));
-                }
-            }
+            Some(store.clips(&wanted).await.map_err(std::io::Error::other)?)
         } else {
             None
         };
-        Some((Ok(Bytes::from(text)), (store, wanted, next, left, false)))
+        let state = (store, wanted, next, left, false);
+        Ok::<_, std::io::Error>(Some((Bytes::from(text), state)))
     });
     let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8"),
@@ -199,8 +198,6 @@ pub(super) async fn set_aside(
         .store()?
         .set_aside(selection.node.as_deref(), selection.cursor, limit + 1)
         .await?;
-    let more = reports.len() as i64 > limit;
-    reports.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
-    let next = more.then(|| reports.last().map(|one| one.id)).flatten();
+    let next = next(&mut reports, limit, |report| report.id);
     Ok(Json(AsidePage { reports, next }))
 }

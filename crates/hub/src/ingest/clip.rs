@@ -115,8 +115,14 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
             .ok_or_else(|| "a mean latency times its count is too large".to_owned())
     };
     let edp = energy.edp.filter(|edp| EDP.contains(edp));
-    let audit = report.audit.as_ref().map(audited).transpose()?;
-    let audit = |index: usize| audit.map(|counts| counts[index]);
+    let audit = |name: &str, count: fn(&AuditReport) -> u64| {
+        let count = report.audit.as_ref().map(count);
+        count.map(|count| audited(name, count)).transpose()
+    };
+    let sums = |audit: &AuditReport| (audit.sums.paired, audit.sums.detected.min(audit.sums.shown));
+    if (report.audit.as_ref().map(sums)).is_some_and(|(pairs, boxes)| pairs > boxes) {
+        return Err("audit: more pairs than boxes".to_owned());
+    }
     let audit_uj = joules(
         "audit.joules",
         report.audit.as_ref().and_then(|audit| audit.joules),
@@ -173,20 +179,20 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
         samples: count("energy.samples", energy.samples)?,
         coverage_ppm: micro("energy.coverage", energy.coverage, 1.0 + 1e-6)?,
         threshold_changed: i64::from(report.threshold_changes.len() > 1),
-        audit_frames: audit(0),
-        audit_missed: audit(1),
-        audit_missed_boxes: audit(2),
-        audit_calls: audit(3),
-        audit_us: audit(4),
+        audit_frames: audit("audit_frames", |a| a.sums.frames)?,
+        audit_missed: audit("audit_missed", |a| a.sums.missed)?,
+        audit_missed_boxes: audit("audit_missed_boxes", |a| a.sums.missed_boxes)?,
+        audit_calls: audit("audit_calls", |a| a.calls)?,
+        audit_us: audit("audit_us", |a| a.detector_us)?,
         audit_uj,
-        audit_detected: audit(5),
-        audit_shown: audit(6),
-        audit_paired: audit(7),
-        audit_detected_sq: audit(8),
-        audit_shown_sq: audit(9),
-        audit_paired_sq: audit(10),
-        audit_detected_x: audit(11),
-        audit_shown_x: audit(12),
+        audit_detected: audit("audit_detected", |a| a.sums.detected)?,
+        audit_shown: audit("audit_shown", |a| a.sums.shown)?,
+        audit_paired: audit("audit_paired", |a| a.sums.paired)?,
+        audit_detected_sq: audit("audit_detected_sq", |a| a.sums.squares.detected)?,
+        audit_shown_sq: audit("audit_shown_sq", |a| a.sums.squares.shown)?,
+        audit_paired_sq: audit("audit_paired_sq", |a| a.sums.squares.paired)?,
+        audit_detected_x: audit("audit_detected_x", |a| a.sums.squares.detected_paired)?,
+        audit_shown_x: audit("audit_shown_x", |a| a.sums.squares.shown_paired)?,
     };
     let threshold = report.threshold;
     let setup = SetupKey {
@@ -219,47 +225,18 @@ fn name(what: &str, given: &str) -> Result<String, String> {
     Ok(text(given))
 }
 
-/// The counts of an audit, in the order of the columns.
-fn audited(audit: &AuditReport) -> Result<[i64; 13], String> {
-    let (sums, squares) = (&audit.sums, &audit.sums.squares);
-    let counts = [
-        ("audit_frames", sums.frames),
-        ("audit_missed", sums.missed),
-        ("audit_missed_boxes", sums.missed_boxes),
-        ("audit_calls", audit.calls),
-        ("audit_us", audit.detector_us),
-        ("audit_detected", sums.detected),
-        ("audit_shown", sums.shown),
-        ("audit_paired", sums.paired),
-        ("audit_detected_sq", squares.detected),
-        ("audit_shown_sq", squares.shown),
-        ("audit_paired_sq", squares.paired),
-        ("audit_detected_x", squares.detected_paired),
-        ("audit_shown_x", squares.shown_paired),
-    ];
-    let mut checked = [0; 13];
-    for (place, (name, count)) in checked.iter_mut().zip(counts) {
-        *place = i64::try_from(count)
-            .ok()
-            .filter(|count| *count <= MOST_AUDITED)
-            .ok_or_else(|| format!("{name} is {count}, above {MOST_AUDITED}"))?;
-    }
-    if sums.paired > sums.detected.min(sums.shown) {
-        return Err("audit: more pairs than boxes".to_owned());
-    }
-    Ok(checked)
-}
-
-fn dropped_total(report: &ClipReport) -> Option<u64> {
-    report
-        .dropped
-        .by_kind()
-        .iter()
-        .try_fold(0_u64, |sum, (_, frames)| sum.checked_add(*frames))
+/// A count or a sum of an audit.
+fn audited(name: &str, count: u64) -> Result<i64, String> {
+    i64::try_from(count)
+        .ok()
+        .filter(|count| *count <= MOST_AUDITED)
+        .ok_or_else(|| format!("{name} is {count}, above {MOST_AUDITED}"))
 }
 
 fn dropped(report: &ClipReport) -> Result<i64, String> {
-    match dropped_total(report) {
+    let kinds = report.dropped.by_kind();
+    let mut frames = kinds.iter().map(|(_, frames)| *frames);
+    match frames.try_fold(0_u64, u64::checked_add) {
         Some(total) => count("dropped", total),
         None => Err("dropped: more frames than can be counted".to_owned()),
     }

@@ -281,12 +281,12 @@ pub(crate) fn write(
         }
         committed.counts.set_aside += senseless;
         let off = committed.counts.clock_off - before;
-        for (kind, detail) in [
-            ("set_aside", json!({ "reports": senseless })),
-            ("clock_off", json!({ "clips": off })),
+        for (kind, what, count) in [
+            ("set_aside", "reports", senseless),
+            ("clock_off", "clips", off),
         ] {
-            let happened = if kind == "set_aside" { senseless } else { off };
-            if happened > 0 {
+            if count > 0 {
+                let detail = json!({ what: count });
                 limits.event(&mut committed.events, now_ms, kind, &batch.node, detail);
             }
         }

@@ -1,7 +1,6 @@
 //! What one node may send: enough for every honest node, too little for another to stop the rest.
 
 use crate::per_node::{PerNode, Place};
-use crate::store::record::text;
 use crate::store::tables::EventRow;
 use parking_lot::Mutex;
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -177,12 +176,7 @@ impl EventLimits {
         detail: serde_json::Value,
     ) {
         if self.is_first(node, kind, at_ms) {
-            events.push(EventRow {
-                at_ms,
-                kind: kind.to_owned(),
-                node: Some(node.to_owned()),
-                detail: text(&detail.to_string()),
-            });
+            events.push(EventRow::new(at_ms, kind, node, detail));
         }
     }
 

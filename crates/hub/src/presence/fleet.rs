@@ -1,17 +1,19 @@
 //! Every node, in memory.
 
 use super::entry::{Entry, Run};
-use super::news::{News, Notice};
+use super::news::News;
 use super::settings::NodeSettings;
 use super::state::{Limits, PresenceInput, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
-use crate::store::tables::NodeRow;
+use crate::store::record::text;
+use crate::store::tables::{EventRow, NodeRow};
 use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
+use serde_json::json;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
 use std::sync::Arc;
@@ -70,7 +72,7 @@ pub struct Fleet {
     nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
     /// Nodes to be written.
     dirty: Mutex<VecDeque<Arc<str>>>,
-    notices: Mutex<Vec<Notice>>,
+    notices: Mutex<Vec<EventRow>>,
     /// Where the sweep goes on.
     swept: Mutex<Option<Arc<str>>>,
     statuses: AtomicU64,
@@ -299,10 +301,11 @@ impl Fleet {
 
     /// Notes a batch that cannot be read.
     pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
-        self.note(Notice::new("refused", node, reason, now_ms));
+        let detail = json!({ "reason": text(reason) });
+        self.note(EventRow::new(now_ms, "refused", node, detail));
     }
 
-    fn note(&self, notice: Notice) {
+    fn note(&self, notice: EventRow) {
         let mut notices = self.notices.lock();
         if notices.len() < MOST_NOTICES {
             notices.push(notice);

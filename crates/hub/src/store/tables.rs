@@ -1,6 +1,6 @@
 //! The rows of the tables that grow.
 
-use super::record::{Cell, Record, record};
+use super::record::{Cell, Record, record, text};
 use uuid::Uuid;
 
 record! {
@@ -160,6 +160,18 @@ record! {
         kind: String,
         node: Option<String>,
         detail: String,
+    }
+}
+
+impl EventRow {
+    /// Something that happened to a node.
+    pub(crate) fn new(at_ms: i64, kind: &str, node: &str, detail: serde_json::Value) -> Self {
+        Self {
+            at_ms,
+            kind: kind.to_owned(),
+            node: Some(text(node)),
+            detail: text(&detail.to_string()),
+        }
     }
 }
 

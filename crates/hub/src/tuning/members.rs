@@ -111,6 +111,14 @@ impl Outcome {
         }
     }
 
+    /// Why, where there is something to say.
+    pub(crate) fn detail(&self) -> String {
+        match self {
+            Self::Refused { reason } => reason.clone(),
+            _ => String::new(),
+        }
+    }
+
     /// Its name in messages and tables.
     pub const fn name(&self) -> &'static str {
         match self {

@@ -13,6 +13,7 @@ use crate::store::tables::EventRow;
 use crate::store::{ClipSums, ClipWindow, RunRow, StoreError};
 use albireo_wire::{DesiredSetting, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
 
 /// How long a claim holds.
@@ -187,12 +188,7 @@ impl Tuner {
             let node = node.to_owned();
             return Err(RunError::Taken { node });
         }
-        let event = EventRow {
-            at_ms: now,
-            kind: "forgotten".to_owned(),
-            node: Some(node.to_owned()),
-            detail: serde_json::json!({ "who": who }).to_string(),
-        };
+        let event = EventRow::new(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
         let written = self.store.write(move |writing| {
             writing.forget(&forgotten, now)?;

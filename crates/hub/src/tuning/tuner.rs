@@ -368,11 +368,7 @@ impl Tuner {
                     changed.push((node.clone(), order.clone()));
                 }
                 if next != order.outcome {
-                    let detail = match &next {
-                        Outcome::Refused { reason } => reason.clone(),
-                        _ => String::new(),
-                    };
-                    rows.push(order.row(node, next.name(), now, detail));
+                    rows.push(order.row(node, next.name(), now, next.detail()));
                     order.outcome = next;
                     changed.push((node.clone(), order));
                 }
@@ -397,11 +393,7 @@ impl Tuner {
                     _ => open.insert(node.clone(), order.clone()),
                 };
             }
-            let detail = match &order.outcome {
-                Outcome::Refused { reason } => reason.clone(),
-                _ => String::new(),
-            };
-            self.tell(&order, &node, order.outcome.name(), detail);
+            self.tell(&order, &node, order.outcome.name(), order.outcome.detail());
         }
         Ok(())
     }
@@ -495,12 +487,7 @@ fn drift_event(node: &str, desired: DesiredValue, facts: &NodeSettings, now: Mil
         "desired": desired.setting,
         "in_force": facts.setting(),
     });
-    EventRow {
-        at_ms: now,
-        kind: "drift".to_owned(),
-        node: Some(node.to_owned()),
-        detail: detail.to_string(),
-    }
+    EventRow::new(now, "drift", node, detail)
 }
 
 /// Whether a node has taken what is desired and has something else now.

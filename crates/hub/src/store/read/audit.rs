@@ -4,24 +4,6 @@ use crate::store::StoreError;
 use crate::store::record::Row;
 use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
 
-/// The columns that an audit is summed in.
-pub(super) const COLUMNS: [&str; 14] = [
-    "audit_frames",
-    "audit_missed",
-    "audit_missed_boxes",
-    "audit_calls",
-    "audit_us",
-    "audit_uj",
-    "audit_detected",
-    "audit_shown",
-    "audit_paired",
-    "audit_detected_sq",
-    "audit_shown_sq",
-    "audit_paired_sq",
-    "audit_detected_x",
-    "audit_shown_x",
-];
-
 /// What an audit counted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AuditCounts {

@@ -1,8 +1,9 @@
 //! Sums over time and fleet. Measured, partial and estimated energy are never added.
 
-use super::audit::{self, AuditCounts};
+use super::audit::AuditCounts;
 use super::history::quality_name;
 use crate::store::record::Cell;
+use crate::store::tables::SumRow;
 use crate::store::{Store, StoreError};
 use albireo_wire::AuditFigures;
 use serde::{Deserialize, Serialize};
@@ -160,7 +161,7 @@ impl Store {
             "io_mem_uj",
         ]
         .into_iter()
-        .chain(audit::COLUMNS)
+        .chain(SumRow::summed().filter(|column| column.starts_with("audit_")))
         .map(sum)
         .collect();
         let order = if wanted.largest_first {
