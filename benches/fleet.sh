@@ -77,7 +77,7 @@ elif [ -n "${RESTART:-}" ]; then
      trap 'kill $router $!' EXIT TERM; sleep 1000 > /dev/null 2>&1 & wait) &
     watcher=$!
 fi
-"$albireo" simulate --nodes "$nodes" --sessions "$sessions" --for "$seconds" --connect "$place" \
+"$albireo" simulate --nodes "$nodes" --sessions "$sessions" --seconds "$seconds" --connect "$place" \
     --pid hub=$hub_process --pid router=$router "$@" 2> >(while read -r line; do
         case $line in *'sessions open'*) touch "$folder/open" ;; esac; echo "$line"; done) || true
 if [ -n "${API:-}${SET_U:-}" ]; then wait "$watcher" || true; fi

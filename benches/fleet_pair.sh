@@ -34,7 +34,7 @@ for hub in 1 2; do
     until curl -sf http://127.0.0.1:1809$hub/readyz > /dev/null; do sleep 0.1; done
 done
 for router in 1 2; do
-    "$albireo" simulate --nodes "$nodes" --sessions "$sessions" --for "$seconds" --name "at$router-" --drain 60 \
+    "$albireo" simulate --nodes "$nodes" --sessions "$sessions" --seconds "$seconds" --name "at$router-" --drain 60 \
         --connect tcp/127.0.0.1:1744$router --pid hub1=$hub1 --pid hub2=$hub2 > "$folder/simulate$router.out" 2>&1 &
     eval "playing$router=$!"
     started+=($!)

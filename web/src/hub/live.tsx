@@ -78,7 +78,7 @@ function Held({ report }: { report: TargetReport | null | undefined }) {
   const { state, range } = report;
   return (
     <p class="message" id="held-now">
-      Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "it begins"}. The knob stands at{" "}
+      Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "it begins"}. The threshold is{" "}
       <b>{small(state?.knob)}</b> of {small(range?.least)} to {small(range?.most)}.
       {state && state.unmet > 0 && ` It could not be met for ${duration(state.unmet_s)} in all.`}
     </p>

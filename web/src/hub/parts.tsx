@@ -129,9 +129,12 @@ export function Field({ label, children, wide }: { label: string; children: Comp
   );
 }
 
+/** Whether the energy of any avoided call is known. */
+export const knowsSaved = (group: EnergyGroup) => group.avoided_calls === 0 || group.unpriced_calls < group.avoided_calls;
+
 /** What avoided calls would have added, where nodes know what a call adds. */
 export function Saved({ group }: { group: EnergyGroup }) {
-  if (group.avoided_calls > 0 && group.unpriced_calls === group.avoided_calls) return <>–</>;
+  if (!knowsSaved(group)) return <>–</>;
   const without = group.unpriced_calls > 0 ? `, without ${short(group.unpriced_calls)} calls whose cost is not known` : "";
   return (
     <>

@@ -3,7 +3,7 @@
 import { count, joules, percent, short } from "../shared/format";
 import { Figure, Pill, Quality } from "../shared/parts";
 import { caller } from "../shared/api";
-import { Saved } from "./parts";
+import { knowsSaved, Saved } from "./parts";
 import { href, route } from "./route";
 import { auditToday, byQuality, fleet, lost, today } from "./store";
 
@@ -78,9 +78,13 @@ export function Summary() {
             key={group.quality}
             label="energy today"
             note={
-              <>
-                avoided calls saved <Saved group={group} /> <Quality quality="estimated" />
-              </>
+              knowsSaved(group) ? (
+                <>
+                  avoided calls saved <Saved group={group} /> <Quality quality="estimated" />
+                </>
+              ) : (
+                "what avoided calls saved is not known"
+              )
             }
           >
             <span class="big">{joules(group.joules)}</span> <Quality quality={group.quality} />

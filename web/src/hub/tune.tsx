@@ -147,14 +147,14 @@ export function Tune() {
               onInput={(event) => setSelect(event.currentTarget.value)}
             />
           </Field>
-          <Field label="knob or target">
+          <Field label="threshold or target">
             <select value={knob} onChange={(event) => setKnob(event.currentTarget.value)}>
-              <optgroup label="a knob's value">
+              <optgroup label="a threshold">
                 {["u", "lambda", "n", "skip_rate", "threshold", "component_size", "drift"].map((name) => (
                   <option key={name}>{name}</option>
                 ))}
               </optgroup>
-              <optgroup label="a target in its place">
+              <optgroup label="a target instead">
                 {TARGETS.map((target) => (
                   <option key={target.name} value={HOLD + target.name}>
                     hold {target.name}
@@ -175,17 +175,17 @@ export function Tune() {
               onInput={(event) => setValue(event.currentTarget.value)}
             />
           </Field>
-          <Field label="why; stands in the history" wide>
+          <Field label="why (kept in the history)" wide>
             <input type="text" maxLength={500} value={why} onInput={(event) => setWhy(event.currentTarget.value)} />
           </Field>
         </div>
         <div class="row">
           <button type="button" class="plain" onClick={dry}>
-            Who would change?
+            Show who would change
           </button>
           <button disabled={forbidden !== undefined || said?.running}>{buttonText(knob, number)}</button>
           <span class="quiet">
-            for {chosen.length === 0 ? "nobody yet" : chosen.length > 4 ? plural(chosen.length, "term") : chosen.join(", ")}
+            for {chosen.length === 0 ? "no node yet" : chosen.length > 4 ? plural(chosen.length, "term") : chosen.join(", ")}
           </span>
         </div>
         {forbidden && <p class="message wait">{forbidden}</p>}

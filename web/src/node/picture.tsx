@@ -132,7 +132,7 @@ export function Picture() {
             ◀
           </button>
           <button type="button" class="plain" onClick={hold} aria-pressed={held}>
-            {held ? "Go on" : "Hold"}
+            {held ? "Go on" : "Pause"}
           </button>
           <button type="button" class="plain" onClick={() => step(1)} disabled={!held} aria-label="One frame forward">
             ▶

@@ -99,7 +99,7 @@ export function Ribbon() {
       <p class="hovered">
         {looked
           ? describe(looked, Date.now() / 1000)
-          : "Point at a pixel to see the frame and why the detector ran; click to hold it."}
+          : "Point at a pixel to see the frame and why the detector ran; click to keep it in view."}
       </p>
       <ul class="legend">
         {STATES.map(({ state, name, colour, ran }) => (

@@ -11,7 +11,7 @@ const TICKS = 100;
 
 const port = await freePort();
 const address = `http://127.0.0.1:${port}`;
-const node = start(["demo", "--port", String(port), "--rate", "10", "--seed", "1"]);
+const node = start(["demo", "--port", String(port), "--rate", "10"]);
 await answers(`${address}/readyz`, node);
 
 function processorSeconds() {

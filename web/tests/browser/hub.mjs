@@ -23,8 +23,8 @@ token = "a-token-that-may-look"
 `);
   let hub = start(["hub", "--config", config]);
   await answers(`${address}/readyz`, hub);
-  const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`, "--for", "3000",
-    "--clip-s", "40", "--gather", "1", "--refusing", "0.01", "--status-s", "5", "--seed", "7"]);
+  const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`, "--seconds", "3000",
+    "--clip-seconds", "40", "--gather", "1", "--status-seconds", "5", "--seed", "7"]);
   const headers = { Authorization: "Bearer a-token-that-may-tune" };
   await until("all nodes online", async () => {
     if (fleet.exitCode !== null) throw new Error(fleet.said);
@@ -113,7 +113,7 @@ token = "a-token-that-may-look"
     await page.getByLabel(/for which nodes/).fill("sim-0000*");
     await page.getByLabel("value").fill("4.2e-4");
     await page.getByLabel(/why/).fill("a test of the page");
-    await page.getByRole("button", { name: "Who would change?" }).click();
+    await page.getByRole("button", { name: "Show who would change" }).click();
     await page.getByText("Nothing was changed:").waitFor();
     await until("who would change", async () => /100 would change/.test(await page.textContent(".order")));
     await page.getByRole("button", { name: /^Set u/ }).click();
@@ -129,7 +129,7 @@ token = "a-token-that-may-look"
 
   await test("a target is set in the place of a value, shown at the node, and switched off", async () => {
     await page.goto(`${address}/#/nodes/sim-000005`);
-    await page.getByLabel("knob or target").selectOption("hold skip_rate");
+    await page.getByLabel("threshold or target").selectOption("hold skip_rate");
     await page.getByLabel("value", { exact: true }).fill("0.6");
     await page.getByRole("button", { name: "Hold skip_rate = 0.6" }).click();
     await until("the outcome", async () => /1 in force/.test((await page.textContent(".order")) ?? ""));
@@ -139,7 +139,7 @@ token = "a-token-that-may-look"
     await page.goto(`${address}/#/fleet?search=sim-000005`);
     await page.locator(".fleet-body .c-knob").getByText("hold skip_rate = 0.6").waitFor();
     await page.goto(`${address}/#/nodes/sim-000005`);
-    await page.getByLabel("knob or target").selectOption("hold nothing");
+    await page.getByLabel("threshold or target").selectOption("hold nothing");
     await page.getByRole("button", { name: "Hold nothing" }).click();
     await until("no target", async () => (await page.locator("#held").count()) === 0);
     quiet(page);

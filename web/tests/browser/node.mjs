@@ -111,7 +111,7 @@ export async function nodeTests(browser) {
     assert(/frame \d+ · .* · \d+ box/.test(held), held);
     await page.getByRole("button", { name: "Go on" }).waitFor();
     await page.keyboard.press("Escape");
-    await page.getByRole("group", { name: "Frames" }).getByRole("button", { name: "Hold" }).waitFor();
+    await page.getByRole("group", { name: "Frames" }).getByRole("button", { name: "Pause" }).waitFor();
     quiet(page);
   });
 

@@ -22,7 +22,7 @@ url = "sqlite:${join(folder, "scale.db")}"
 const hub = start(["hub", "--config", config]);
 await answers(`${address}/readyz`, hub);
 const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`,
-  "--for", String(MINUTES * 60 + 900), "--clip-s", CLIP_S, "--status-s", STATUS_S, "--gather", "1", "--no-pokes", "--seed", "7"]);
+  "--seconds", String(MINUTES * 60 + 900), "--clip-seconds", CLIP_S, "--status-seconds", STATUS_S, "--gather", "1", "--no-notices", "--seed", "7"]);
 const read = async (path) => (await fetch(address + path)).json();
 await until("all nodes known", async () => {
   if (fleet.exitCode !== null) throw new Error(fleet.said);
