@@ -280,7 +280,6 @@ impl PreparedNode {
         tasks.until_shutdown("name", tracing::info_span!("name"), holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
-            outbox: board.outbox().clone(),
             config: config.outbox.clone(),
             keys: keys.fleet(),
             labels: config.node.labels.clone(),
@@ -538,7 +537,6 @@ impl Parts<'_> {
             listeners: self
                 .publishing
                 .lane(reports, CACHED_REPORTS, board.unpublished()),
-            outbox: self.board.outbox().clone(),
         };
         self.tasks.essential(
             format!("reporter {name}"),

@@ -5,7 +5,6 @@ use crate::camera::FrameRecord;
 use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, MeasuredClip};
 use crate::camera::publishing::PublishLane;
-use crate::delivery::outbox::Outbox;
 use crate::input::receiver::DropCounts;
 use crate::state::board::Board;
 use albireo_service::clock::Now;
@@ -57,21 +56,13 @@ impl ClipAccounts {
 
     /// Counts the frame that arrived last.
     pub(crate) fn count(&mut self, frame: &FrameRecord) {
-        self.detector_ran(frame);
         self.tracker.count(frame);
     }
 
     /// Counts the pending frame.
     pub(crate) fn count_late(&mut self, frame: &FrameRecord) {
-        self.detector_ran(frame);
         let closed = self.tracker.count_late(frame);
         self.hand_over(closed);
-    }
-
-    fn detector_ran(&mut self, frame: &FrameRecord) {
-        if let Some(run) = frame.detector_run {
-            self.tracker.detector_ran(run.end, run.used);
-        }
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame come before.
@@ -114,7 +105,7 @@ impl ClipAccounts {
 
 /// Keeps and publishes one camera's clip reports.
 pub(crate) struct Reporter {
-    /// Where reports are shown.
+    /// Where reports are shown, and kept until a hub has them.
     pub board: Arc<Board>,
     /// The camera's name.
     pub camera: String,
@@ -122,8 +113,6 @@ pub(crate) struct Reporter {
     pub detector: DetectorHandle,
     /// For subscribers; the hub gets it from the outbox.
     pub listeners: PublishLane,
-    /// Where reports are kept until a hub has them.
-    pub outbox: Outbox,
 }
 
 /// Clips that are kept together when they end faster than a disk syncs.
@@ -144,7 +133,7 @@ impl Reporter {
         for clip in closed {
             measured.push(clip.measured().await);
         }
-        let (outbox, meta) = (self.outbox.clone(), self.meta());
+        let (board, meta) = (Arc::clone(&self.board), self.meta());
         let kept = tokio::task::spawn_blocking(move || {
             let report = |clip: MeasuredClip| {
                 let mut report = clip.into_report(meta.clone());
@@ -152,7 +141,7 @@ impl Reporter {
                 report
             };
             let mut reports: Vec<_> = measured.into_iter().map(report).collect();
-            outbox.insert(&mut reports, Now::system());
+            board.outbox().insert(&mut reports, Now::system());
             reports
         });
         let kept = kept.await.unwrap_or_else(|error| {

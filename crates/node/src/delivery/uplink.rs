@@ -62,10 +62,8 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 
 /// What the uplink works with.
 pub(crate) struct UplinkSetup {
-    /// The state to report.
+    /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// What is delivered.
-    pub outbox: Outbox,
     /// How it is delivered.
     pub config: OutboxConfig,
     /// Keys toward the hub.
@@ -231,17 +229,17 @@ impl Worker {
     /// Tries a disk that failed again.
     async fn retry_disk(&mut self) {
         let setup = Arc::clone(&self.setup);
-        if setup.outbox.counts().failing.is_none() || Instant::now() < self.retry_disk_at {
+        if setup.board.outbox().counts().failing.is_none() || Instant::now() < self.retry_disk_at {
             return;
         }
         self.retry_disk_at = Instant::now() + POLL_EVERY;
-        let tried = spawn_blocking(move || setup.outbox.retry_disk(Now::system()));
+        let tried = spawn_blocking(move || setup.board.outbox().retry_disk(Now::system()));
         let _ = tried.await;
     }
 
     async fn serve(&mut self, session: &Session) -> zenoh::Result<Served> {
         let setup = Arc::clone(&self.setup);
-        let (keys, outbox) = (&setup.keys, &setup.outbox);
+        let (keys, outbox) = (&setup.keys, setup.board.outbox());
         let timeout = Duration::from_millis(setup.config.answer_timeout_ms);
         let querier = async |key: String| -> zenoh::Result<Arc<Querier<'static>>> {
             let querier = session
@@ -368,8 +366,7 @@ impl Worker {
         }
         // It is written down.
         let setup = Arc::clone(&self.setup);
-        let taken =
-            spawn_blocking(move || (setup.desired).take(&desired, &setup.board, &setup.outbox));
+        let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
         if taken.await.unwrap_or(false) {
             self.teller.full_is_due();
         }
@@ -378,13 +375,7 @@ impl Worker {
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
         let period = Duration::from_secs(setup.config.status_s.max(1));
-        let message = (self.teller).due(
-            period,
-            Now::system(),
-            &setup.board,
-            &setup.outbox,
-            &setup.desired,
-        );
+        let message = (self.teller).due(period, Now::system(), &setup.board, &setup.desired);
         match message {
             Ok(Some(payload)) => status.put(payload).await,
             _ => Ok(()),
@@ -396,7 +387,7 @@ impl Worker {
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
     let prepare = Arc::clone(setup);
     let prepared = spawn_blocking(move || {
-        let batch = (prepare.outbox).batch(prepare.board.node(), again, Now::system())?;
+        let batch = (prepare.board.outbox()).batch(prepare.board.node(), again, Now::system())?;
         match batch.to_payload(BatchCompression::Best) {
             Ok(payload) => Some((batch, payload)),
             Err(error) => {
@@ -409,8 +400,8 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
         return Ended::Batch(Outcome::Nothing, None);
     };
     let asked = ask::<ReportAnswer>(reports, payload).await;
-    let outbox = setup.outbox.clone();
-    let taken = spawn_blocking(move || conclude(&outbox, &batch, asked, Now::system()));
+    let board = Arc::clone(&setup.board);
+    let taken = spawn_blocking(move || conclude(board.outbox(), &batch, asked, Now::system()));
     let (outcome, desired) = taken.await.unwrap_or((Outcome::Unanswered, None));
     Ended::Batch(outcome, desired)
 }

@@ -149,7 +149,7 @@ impl ClipTracker {
 
     /// Counts the outcome of the frame that arrived last.
     pub(crate) fn count(&mut self, frame: &FrameRecord) {
-        self.count_avoided(frame);
+        self.count_energy(frame);
         if let Some(open) = &mut self.open {
             let answer = &frame.detections;
             open.clip.note_threshold(answer.seq, answer.threshold);
@@ -159,7 +159,7 @@ impl ClipTracker {
 
     /// Counts the outcome of the pending frame. Gives back its clip if that has ended.
     pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<ClosedClip> {
-        self.count_avoided(frame);
+        self.count_energy(frame);
         match (&mut self.ended, &mut self.open) {
             (Some(ended), _) => ended.clip.count(frame),
             (None, Some(open)) => open.count(frame),
@@ -176,20 +176,12 @@ impl ClipTracker {
         self.ended.take()
     }
 
-    fn count_avoided(&self, frame: &FrameRecord) {
+    fn count_energy(&self, frame: &FrameRecord) {
+        if let Some(run) = frame.detector_run {
+            self.energy.detector_called(run.end, run.used);
+        }
         if frame.detections.state.is_skipped() && !frame.detections.degraded {
             self.energy.call_avoided();
-        }
-    }
-
-    /// Counts a run of the detector that ended at `end`, of which this camera used `used`.
-    pub(crate) fn detector_ran(&mut self, end: Instant, used: Duration) {
-        self.energy.detector_called(end, used);
-        let ended = self.ended.as_mut().map(|ended| &mut ended.clip);
-        // That of the pending frame.
-        let clip = ended.or_else(|| self.open.as_mut().map(|open| &mut open.clip));
-        if let Some(clip) = clip {
-            clip.detector_used += used;
         }
     }
 
@@ -347,6 +339,7 @@ impl Clip {
         if let Some(detector) = frame.detector {
             self.detector.add(detector);
         }
+        self.detector_used += frame.detector_run.map_or(Duration::ZERO, |run| run.used);
     }
 
     fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {

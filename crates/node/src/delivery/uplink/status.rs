@@ -1,7 +1,6 @@
 //! When a status is due, and what it says.
 
 use super::DesiredKeeper;
-use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
 use albireo_service::clock::Now;
 use albireo_wire::{
@@ -59,14 +58,13 @@ impl StatusTeller {
         period: Duration,
         now: Now,
         board: &Board,
-        outbox: &Outbox,
         desired: &DesiredKeeper,
     ) -> Result<Option<Vec<u8>>, serde_json::Error> {
         let since = self.told_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
             return Ok(None);
         }
-        let status = self.status(board, outbox, desired);
+        let status = self.status(board, desired);
         let changed = !self.told.as_ref().is_some_and(|told| same(told, &status));
         if !changed && !self.full_due && since.is_some_and(|since| since < period) {
             return Ok(None);
@@ -97,7 +95,7 @@ impl StatusTeller {
         serde_json::to_vec(&message).map(Some)
     }
 
-    fn status(&self, board: &Board, outbox: &Outbox, desired: &DesiredKeeper) -> NodeStatus {
+    fn status(&self, board: &Board, desired: &DesiredKeeper) -> NodeStatus {
         let cameras = board.cameras().iter().map(|camera| {
             let state = match camera.snapshot().last_frame_age {
                 None => CameraState::NeverSeen,
@@ -123,7 +121,7 @@ impl StatusTeller {
             power_source: power.source,
             power_quality: power.quality,
             health: board.readiness().health().status(),
-            outbox: outbox.counts().status(),
+            outbox: board.outbox().counts().status(),
             refused: desired.refused(),
             target: target.status(),
             target_off: target.off,

@@ -3,6 +3,9 @@
 use super::*;
 use crate::camera::clip::tests::{Camera, ms};
 use crate::camera::clip::{ClipConfig, ClipTracker, FrameArrival};
+use crate::camera::evidence::DetectorRun;
+use crate::camera::{FrameRecord, answer};
+use albireo_core::policy::FrameState;
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
 use albireo_wire::DomainEnergy;
 use albireo_wire::EnergyQuality;
@@ -140,7 +143,11 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
             // The rear camera needs the detector in every third second only. It waits meanwhile for the front
             // camera's run, which costs it nothing.
             if i == 0 || second.is_multiple_of(3) {
-                tracker.detector_ran(Instant::now() + ms(50), ms(50));
+                let end = Instant::now() + ms(50);
+                tracker.count(&FrameRecord {
+                    detector_run: Some(DetectorRun { end, used: ms(50) }),
+                    ..FrameRecord::new(answer(0, FrameState::I, false, None), ms(50))
+                });
             }
         }
         tokio::time::sleep(ms(1000)).await;

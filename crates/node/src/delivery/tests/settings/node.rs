@@ -107,13 +107,7 @@ impl Node {
         let Some(node) = &mut self.started else {
             return (None, false);
         };
-        let status = (node.statuses).due(
-            STATUS_EVERY,
-            now,
-            &node.board,
-            node.board.outbox(),
-            &node.keeper,
-        );
+        let status = (node.statuses).due(STATUS_EVERY, now, &node.board, &node.keeper);
         let pulls = node.schedule.next_pull(now.at);
         if pulls {
             node.asked = Some(question);
@@ -145,7 +139,7 @@ impl Node {
         if desired.send_full_status {
             node.statuses.full_is_due();
         }
-        if !(node.keeper).take(&desired, &node.board, node.board.outbox()) {
+        if !(node.keeper).take(&desired, &node.board) {
             return None;
         }
         node.statuses.full_is_due();

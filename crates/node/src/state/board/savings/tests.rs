@@ -2,6 +2,7 @@
 //! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
 
 use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival};
+use crate::camera::evidence::DetectorRun;
 use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::board::{Board, BoardSetup, PowerSnapshot};
@@ -156,12 +157,10 @@ async fn play(
         decide(&mut *policy, head, &mut frame, &mut outcome)
             .await
             .unwrap();
-        if let Some(end) = frame.ended {
-            tracker.detector_ran(end, CALL);
-        }
         let message = answer(index, outcome.state, outcome.degraded, None);
         tracker.count(&FrameRecord {
             detector: frame.ended.map(|_| arrival.elapsed()),
+            detector_run: frame.ended.map(|end| DetectorRun { end, used: CALL }),
             ..FrameRecord::new(message, arrival.elapsed())
         });
     }
