@@ -10,7 +10,7 @@ use crate::camera::publishing::{self, Detections, PublishingThread};
 use crate::camera::{AnswerTime, AtOnce, Camera, Decider, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
-use crate::delivery::uplink::{DesiredKeeper, Route, Uplink, UplinkSetup};
+use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
 use crate::error::NodeError;
 use crate::input::receiver::{DropCounts, FrameReceiver, SequencedFrame, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
@@ -280,17 +280,10 @@ impl PreparedNode {
         tasks.until_shutdown("name", tracing::info_span!("name"), holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
-            config: config.outbox.clone(),
+            config: config.clone(),
             keys: keys.fleet(),
-            labels: config.node.labels.clone(),
             desired: DesiredKeeper::open(board.outbox()),
-            pictures: config.uplink.pictures,
-            limits: config.frame,
-            route: if config.uplink.is_set() {
-                Route::Own(config.uplink.clone())
-            } else {
-                Route::Local(session.clone())
-            },
+            local: (!config.uplink.is_set()).then(|| session.clone()),
         });
         tasks.until_shutdown("uplink", tracing::info_span!("uplink"), ended);
         drop(starting);

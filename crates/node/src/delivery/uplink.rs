@@ -12,13 +12,12 @@ mod watched;
 
 pub(crate) use desired::DesiredKeeper;
 
-use crate::delivery::outbox::{Outbox, OutboxConfig};
+use crate::config::NodeConfig;
+use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::clock::Now;
-use albireo_service::config::UplinkConfig;
 use albireo_service::session;
-use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
@@ -27,7 +26,6 @@ pub(super) use query::Asked;
 use query::ask;
 pub(super) use schedule::{Outcome, Schedule};
 pub(super) use status::StatusTeller;
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
@@ -64,28 +62,14 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 pub(crate) struct UplinkSetup {
     /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// How it is delivered.
-    pub config: OutboxConfig,
+    /// How they are delivered, and what the hub gets to know and to see.
+    pub config: NodeConfig,
     /// Keys toward the hub.
     pub keys: FleetKeys,
-    /// Labels of the node.
-    pub labels: BTreeMap<String, String>,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
-    /// Whether pictures are sent on request.
-    pub pictures: bool,
-    /// Limits for decoding pictures that are asked for.
-    pub limits: FrameLimits,
-    /// Where the hub is found.
-    pub route: Route,
-}
-
-/// The route to the hub.
-pub(crate) enum Route {
-    /// The local session serves both.
-    Local(Session),
-    /// A separate session, opened again when it is stale.
-    Own(UplinkConfig),
+    /// The local session, where the hub is found by it too; else a separate one is opened, and again when it is stale.
+    pub local: Option<Session>,
 }
 
 /// The running uplink.
@@ -147,10 +131,10 @@ impl Worker {
     fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
         // Each state is keyed by the operating system's random numbers.
         let random = RandomState::new().hash_one("uplink");
-        let config = &setup.config;
+        let config = &setup.config.outbox;
         let run = (random >> 32) as u32;
         Self {
-            teller: StatusTeller::new(setup.labels.clone(), run, Now::system()),
+            teller: StatusTeller::new(setup.config.node.labels.clone(), run, Now::system()),
             watched: Watched::new(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
@@ -163,10 +147,10 @@ impl Worker {
     async fn run(mut self) {
         let part = self.setup.board.readiness().part(readiness::UPLINK);
         loop {
-            let session = match &self.setup.route {
-                Route::Local(session) => Ok(session.clone()),
-                Route::Own(uplink) => {
-                    let uplink = uplink.clone();
+            let session = match &self.setup.local {
+                Some(session) => Ok(session.clone()),
+                None => {
+                    let uplink = self.setup.config.uplink.clone();
                     let opening = spawn_blocking(move || session::open_uplink(&uplink));
                     let Some(opened) = self.unless_stopped(opening).await else {
                         return;
@@ -182,7 +166,7 @@ impl Worker {
                     if began.elapsed() > MIN_UPTIME {
                         self.reconnect.reset();
                     }
-                    if matches!(self.setup.route, Route::Own(_))
+                    if self.setup.local.is_none()
                         && let Err(error) = session.close().await
                     {
                         tracing::debug!(%error, "uplink not closed cleanly");
@@ -240,7 +224,7 @@ impl Worker {
     async fn serve(&mut self, session: &Session) -> zenoh::Result<Served> {
         let setup = Arc::clone(&self.setup);
         let (keys, outbox) = (&setup.keys, setup.board.outbox());
-        let timeout = Duration::from_millis(setup.config.answer_timeout_ms);
+        let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
         let querier = async |key: String| -> zenoh::Result<Arc<Querier<'static>>> {
             let querier = session
                 .declare_querier(key)
@@ -271,16 +255,12 @@ impl Worker {
                 news.notify_one();
             })
             .await?;
-        let _alive = match &setup.route {
-            Route::Own(uplink) if uplink.liveliness => {
-                Some(session.liveliness().declare_token(keys.alive()).await?)
-            }
-            _ => None,
+        let own = setup.local.is_none();
+        let _alive = match own && setup.config.uplink.liveliness {
+            true => Some(session.liveliness().declare_token(keys.alive()).await?),
+            false => None,
         };
-        let stale = match &setup.route {
-            Route::Own(_) => STALE,
-            Route::Local(_) => Duration::MAX,
-        };
+        let stale = if own { STALE } else { Duration::MAX };
         let mut shown = None;
         let mut last_try = None;
         let (sender, mut ended) = mpsc::channel(4);
@@ -374,7 +354,7 @@ impl Worker {
 
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
-        let period = Duration::from_secs(setup.config.status_s.max(1));
+        let period = Duration::from_secs(setup.config.outbox.status_s.max(1));
         let message = (self.teller).due(period, Now::system(), &setup.board, &setup.desired);
         match message {
             Ok(Some(payload)) => status.put(payload).await,

@@ -1,7 +1,7 @@
 //! What a node sends over the uplink while somebody watches it through the hub, and only then: counters once a second, and
 //! pictures that are asked for.
 
-use super::{Route, UplinkSetup};
+use super::UplinkSetup;
 use crate::state::board::{Board, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{PictureFormat, to_jpeg};
@@ -94,7 +94,7 @@ impl Watched {
     }
 
     async fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
-        let own = matches!(setup.route, Route::Own(_));
+        let own = setup.local.is_none();
         let (mut counters, mut pictures) = (Vec::new(), Vec::new());
         for camera in setup.board.cameras() {
             let Ok(keys) = setup.keys.camera(camera.name()) else {
@@ -153,12 +153,12 @@ pub(super) fn answer(camera: &str, query: &Query, setup: &UplinkSetup) {
         .camera(camera)
         .and_then(|camera| camera.latest_frame());
     let answered = match latest {
-        _ if !setup.pictures => query.reply_err(REFUSED).wait(),
+        _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has come yet").wait(),
         Some(LatestFrame { seq, picture }) => {
             let file = match picture.format {
                 PictureFormat::Jpeg => Ok(picture.bytes),
-                _ => to_jpeg(&picture, &setup.limits),
+                _ => to_jpeg(&picture, &setup.config.frame),
             };
             match file {
                 Ok(file) => query
