@@ -1,23 +1,59 @@
 //! What a node is answered when it asks what is desired: from memory.
 
-use crate::tuning::desired::DesiredValues;
-use albireo_wire::Desired;
+use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-/// What is desired of each node, and which of them somebody watches.
+/// What is desired of a node: a value of its knob, or a target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DesiredValue {
+    /// Its number.
+    pub revision: u64,
+    /// The value or the target.
+    pub setting: DesiredSetting,
+}
+
+/// What is desired of each node, as the database has it, and which of them somebody watches.
 #[derive(Debug, Default)]
 pub struct Desires {
-    /// The desired values.
-    pub values: DesiredValues,
+    values: RwLock<HashMap<String, DesiredValue>>,
     watched: RwLock<HashMap<String, Instant>>,
 }
 
 impl Desires {
+    /// Takes a value; one of a lower or the same revision changes nothing. Returns whether it was taken.
+    pub(crate) fn set(&self, node: &str, value: DesiredValue) -> bool {
+        let mut values = self.values.write();
+        let newer = (values.get(node)).is_none_or(|present| present.revision < value.revision);
+        if newer {
+            values.insert(node.to_owned(), value);
+        }
+        newer
+    }
+
+    /// Drops what is desired of a node.
+    pub(crate) fn remove(&self, node: &str) {
+        self.values.write().remove(node);
+    }
+
+    /// The value desired of a node.
+    pub(crate) fn get(&self, node: &str) -> Option<DesiredValue> {
+        self.values.read().get(node).copied()
+    }
+
+    /// All desired values.
+    pub(crate) fn all(&self) -> Vec<(String, DesiredValue)> {
+        let values = self.values.read();
+        values
+            .iter()
+            .map(|(node, value)| (node.clone(), *value))
+            .collect()
+    }
+
     /// What is desired of `node`.
     pub fn of(&self, node: &str) -> Desired {
-        let value = self.values.get(node);
+        let value = self.get(node);
         let until = self.watched.read().get(node).copied();
         let watched = until
             .map(|until| until.saturating_duration_since(Instant::now()))
@@ -37,5 +73,33 @@ impl Desires {
         let mut watched = self.watched.write();
         watched.retain(|_, until| *until > now);
         watched.insert(node.to_owned(), now + time);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_wire::{Target, Threshold};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_lower_revision_never_replaces_a_higher(revisions in prop::collection::vec(0u64..20, 1..30)) {
+            let values = Desires::default();
+            let mut highest = None;
+            for revision in revisions {
+                let value = revision as f64;
+                // A value of the knob and a target take turns: there is one revision for both.
+                let setting = match revision % 2 {
+                    0 => DesiredSetting::Threshold(Threshold::new("u", value)),
+                    _ => DesiredSetting::Target(Some(Target::Watts(value))),
+                };
+                let taken = values.set("n", DesiredValue { revision, setting });
+                prop_assert_eq!(taken, highest.is_none_or(|highest| revision > highest));
+                highest = highest.max(Some(revision));
+                prop_assert_eq!(values.get("n").map(|v| v.revision), highest);
+            }
+            prop_assert_eq!(values.get("other"), None);
+        }
     }
 }

@@ -14,17 +14,6 @@ const STEP: i64 = 1000;
 /// Interval of reading without a notice: other hubs write to the same database.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Says that there are new events in the database.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct EventsChanged(Arc<Notify>);
-
-impl EventsChanged {
-    /// Says it.
-    pub(crate) fn tell(&self) {
-        self.0.notify_one();
-    }
-}
-
 /// Hands out events as they happen.
 #[derive(Clone, Debug)]
 pub struct Events(broadcast::Sender<Arc<StoredEvent>>);
@@ -40,11 +29,11 @@ impl Events {
         self.0.subscribe()
     }
 
-    /// Reads new events from the database until `shutdown`.
+    /// Reads new events from the database until `shutdown`, when `changed` says that there are some or after a while.
     pub(crate) async fn follow(
         self,
         store: Store,
-        changed: EventsChanged,
+        changed: Arc<Notify>,
         shutdown: CancellationToken,
     ) {
         let mut last = None;
@@ -55,7 +44,7 @@ impl Events {
                 Err(error) => tracing::debug!(%error, "events cannot be read"),
             }
             tokio::select! {
-                () = changed.0.notified() => {}
+                () = changed.notified() => {}
                 () = tokio::time::sleep(LOOK) => {}
                 () = shutdown.cancelled() => return,
             }

@@ -36,7 +36,26 @@ macro_rules! named {
         }
     };
 }
-pub(crate) use named;
+/// Makes what reads from a text and shows itself as one a text in JSON too.
+macro_rules! as_text {
+    ($type:ty) => {
+        impl TryFrom<String> for $type {
+            type Error = <$type as std::str::FromStr>::Err;
+
+            fn try_from(text: String) -> Result<Self, Self::Error> {
+                text.parse()
+            }
+        }
+
+        impl From<$type> for String {
+            fn from(value: $type) -> Self {
+                value.to_string()
+            }
+        }
+    };
+}
+
+pub(crate) use {as_text, named};
 
 #[cfg(test)]
 mod tests {

@@ -2,7 +2,6 @@
 
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
-use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{self, Replies, WriterSetup};
 use crate::presence::{Fleet, ListenSetup, Used, day_of, listen};
@@ -19,6 +18,7 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use tracing::Span;
 use zenoh::Session;
@@ -134,15 +134,10 @@ async fn parts(
 ) -> Result<(), HubError> {
     let readiness = &view.readiness;
     // A database may go away again at any moment, also between two questions of the start.
-    let (store, nodes, used) = loop {
-        match remembered(config, &view.fleet).await {
-            Ok(opened) => break opened,
-            Err(error) => {
-                if !later(config, readiness, shutdown, error).await? {
-                    return Ok(());
-                }
-            }
-        }
+    let opening = || remembered(config, &view.fleet);
+    let opened = patiently(config, readiness, shutdown, opening).await?;
+    let Some((store, nodes, used)) = opened else {
+        return Ok(());
     };
     tracing::info!(database = store.kind(), nodes, "history is open");
     for (node, at_ms, one) in used {
@@ -157,7 +152,7 @@ async fn parts(
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
         .map_err(HubError::system("the answering thread cannot be started"))?;
-    let changed = EventsChanged::default();
+    let changed = Arc::new(Notify::new());
     let (queue, written) = ingest::start(WriterSetup {
         config: config.ingest.clone(),
         history: config.history.clone(),
@@ -207,8 +202,8 @@ async fn parts(
         .await
         .map_err(HubError::declaration("reports cannot be taken"))?;
     // Without one the hub is being stopped: what was taken in the meantime is committed below.
-    let tuner = loop {
-        let opened = Tuner::open(
+    let opening = || {
+        Tuner::open(
             store.clone(),
             view.fleet.clone(),
             Arc::clone(&view.desires),
@@ -216,18 +211,11 @@ async fn parts(
             config.tuning.clone(),
             session.zid().to_string(),
             unix_milliseconds(),
-        );
-        match opened.await {
-            Ok(tuner) => break Some(Arc::new(tuner)),
-            Err(error) => {
-                if !later(config, readiness, shutdown, error).await? {
-                    break None;
-                }
-            }
-        }
+        )
     };
+    let tuner = patiently(config, readiness, shutdown, opening).await?;
     readiness.release("database");
-    if let Some(tuner) = tuner {
+    if let Some(tuner) = tuner.map(Arc::new) {
         view.attach_tuner(Arc::clone(&tuner));
         tasks.essential(
             "tuning",
@@ -308,25 +296,31 @@ async fn remembered(
     Ok((store, nodes, used))
 }
 
-/// Waits before the database is tried again, where that may help; false when the hub is being stopped.
-async fn later(
+/// Opens something of the database, again and again where that may help; `None` when the hub is being stopped.
+async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
     config: &HubConfig,
     readiness: &Readiness,
     shutdown: &CancellationToken,
-    error: StoreError,
-) -> Result<bool, HubError> {
-    if !error.passes() {
-        return Err(HubError::Database {
-            url: config.database.shown().to_string(),
-            source: error,
-        });
+    open: impl Fn() -> F,
+) -> Result<Option<T>, HubError> {
+    loop {
+        let error = match open().await {
+            Ok(opened) => return Ok(Some(opened)),
+            Err(error) => error,
+        };
+        if !error.passes() {
+            return Err(HubError::Database {
+                url: config.database.shown().to_string(),
+                source: error,
+            });
+        }
+        tracing::warn!(%error, database = config.database.shown(), "trying again");
+        readiness.hold("database", &error.to_string());
+        tokio::select! {
+            () = tokio::time::sleep(DATABASE_RETRY) => {}
+            () = shutdown.cancelled() => return Ok(None),
+        }
     }
-    tracing::warn!(%error, database = config.database.shown(), "trying again");
-    readiness.hold("database", &error.to_string());
-    Ok(tokio::select! {
-        () = tokio::time::sleep(DATABASE_RETRY) => true,
-        () = shutdown.cancelled() => false,
-    })
 }
 
 async fn open_session(
@@ -334,7 +328,7 @@ async fn open_session(
     readiness: &Readiness,
     shutdown: &CancellationToken,
 ) -> Result<Option<Session>, HubError> {
-    let session = session::open_patiently(
+    Ok(session::open_patiently(
         &config.zenoh,
         MAX_PAYLOAD_BYTES,
         SESSION,
@@ -344,6 +338,5 @@ async fn open_session(
             readiness.hold("zenoh", &error.to_string());
         },
     )
-    .await?;
-    Ok(session)
+    .await?)
 }

@@ -4,7 +4,6 @@
 //! What decides is pure: [`selector`], [`gate`], [`rollout`], [`trial`] know neither clock nor network nor database.
 
 pub mod change;
-pub mod desired;
 pub mod effect;
 pub mod gate;
 pub mod members;

@@ -7,7 +7,6 @@ use super::recorder::{Recorded, Recorder};
 use super::{IngestCounters, Replies, ReportQueue, Waiting, refusal};
 use crate::config::{HistoryConfig, IngestConfig};
 use crate::desired::Desires;
-use crate::events::EventsChanged;
 use crate::presence::Fleet;
 use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
@@ -17,7 +16,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
-use tokio::sync::oneshot;
+use tokio::sync::{Notify, oneshot};
 
 /// Presence is written also when no report comes.
 const IDLE: Duration = Duration::from_millis(250);
@@ -50,7 +49,7 @@ pub(crate) struct WriterSetup {
     pub(crate) readiness: Arc<Readiness>,
     pub(crate) fleet: Arc<Fleet>,
     pub(crate) desires: Arc<Desires>,
-    pub(crate) events: EventsChanged,
+    pub(crate) events: Arc<Notify>,
 }
 
 /// Starts the threads. They end when the queue is dropped and empty; what is returned beside it is ready then.
@@ -249,7 +248,7 @@ impl Writer {
             ..committed.counts
         });
         if !committed.events.is_empty() {
-            setup.events.tell();
+            setup.events.notify_one();
         }
         for batch in batches {
             setup.fleet.reported(&batch.node, unix_milliseconds());

@@ -1,9 +1,9 @@
 //! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
 
-use super::desired::DesiredValue;
 use super::members::Millis;
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
+use crate::desired::DesiredValue;
 use crate::presence::NodeSettings;
 use crate::setting::is_applied;
 use crate::store::StoreError;

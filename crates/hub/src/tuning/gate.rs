@@ -6,6 +6,7 @@
 
 use super::effect::{Effect, Interval, Scale};
 use super::metric::{BeforeAfter, Figure, Metric};
+use crate::named::as_text;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -118,19 +119,7 @@ impl fmt::Display for Gate {
     }
 }
 
-impl TryFrom<String> for Gate {
-    type Error = GateError;
-
-    fn try_from(text: String) -> Result<Self, GateError> {
-        text.parse()
-    }
-}
-
-impl From<Gate> for String {
-    fn from(gate: Gate) -> Self {
-        gate.to_string()
-    }
-}
+as_text!(Gate);
 
 /// What a gate or a stage came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

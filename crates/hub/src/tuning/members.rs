@@ -216,6 +216,14 @@ impl Member {
         };
     }
 
+    /// It is to have its value before again.
+    pub(crate) fn give_back(&mut self) {
+        self.aim(Target::Old);
+        if self.asked == Target::Untouched {
+            self.outcome = Outcome::Untouched;
+        }
+    }
+
     /// Whether it has to be asked.
     pub fn is_due(&self) -> bool {
         self.target != self.asked && self.target != Target::Untouched

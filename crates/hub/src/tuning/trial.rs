@@ -323,12 +323,7 @@ impl Trial {
     }
 
     fn give_back(&mut self, now: Millis) {
-        for member in &mut self.members {
-            member.aim(Target::Old);
-            if member.asked == Target::Untouched {
-                member.outcome = Outcome::Untouched;
-            }
-        }
+        self.members.iter_mut().for_each(Member::give_back);
         self.phase = TrialPhase::Returning { since_ms: now };
     }
 

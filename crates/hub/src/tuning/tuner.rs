@@ -1,9 +1,8 @@
 //! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
-use super::desired::DesiredValue;
 use super::members::{Millis, Outcome, Seen};
 use crate::config::TuningConfig;
-use crate::desired::Desires;
+use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::setting::is_applied;
 use crate::store::tables::EventRow;
@@ -168,7 +167,6 @@ impl Tuner {
             let revision = row.revision.unsigned_abs();
             let Some(desired) = tuner
                 .desires
-                .values
                 .get(&row.node)
                 .filter(|d| d.revision == revision)
             else {
@@ -191,7 +189,7 @@ impl Tuner {
     /// Makes a setting the desired one, unless one of a higher revision is.
     fn desire(&self, node: &str, revision: u64, setting: DesiredSetting) {
         let value = DesiredValue { revision, setting };
-        self.desires.values.set(node, value);
+        self.desires.set(node, value);
     }
 
     /// The database.
@@ -201,7 +199,7 @@ impl Tuner {
 
     /// What is desired of a node.
     pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
-        self.desires.values.get(node)
+        self.desires.get(node)
     }
 
     /// Why nothing can be ordered of a node that reports `revision`, if nothing can.
@@ -311,7 +309,7 @@ impl Tuner {
 
     /// Forgets in memory what was ordered of a node.
     pub(super) fn stop_following(&self, node: &str) {
-        self.desires.values.remove(node);
+        self.desires.remove(node);
         self.drift.lock().remove(node);
         let order = self.open.lock().remove(node);
         if let Some(order) = order {
@@ -406,7 +404,7 @@ impl Tuner {
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
         let (mut events, mut found) = (Vec::new(), Vec::new());
-        for (node, desired) in self.desires.values.all() {
+        for (node, desired) in self.desires.all() {
             let Some(facts) = self.fleet.settings(&node) else {
                 continue;
             };

@@ -2,6 +2,7 @@
 
 use super::super::gate::Gate;
 use super::super::selector::Selector;
+use crate::named::as_text;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -92,19 +93,7 @@ impl fmt::Display for StageSize {
     }
 }
 
-impl TryFrom<String> for StageSize {
-    type Error = PlanError;
-
-    fn try_from(text: String) -> Result<Self, PlanError> {
-        text.parse()
-    }
-}
-
-impl From<StageSize> for String {
-    fn from(size: StageSize) -> Self {
-        size.to_string()
-    }
-}
+as_text!(StageSize);
 
 /// What happens when a gate fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]

@@ -288,12 +288,7 @@ impl Rollout {
 
     pub(super) fn go_back(&mut self, now: Millis, reason: String) {
         self.measuring = false;
-        for member in &mut self.members {
-            member.aim(Target::Old);
-            if member.asked == Target::Untouched {
-                member.outcome = Outcome::Untouched;
-            }
-        }
+        self.members.iter_mut().for_each(Member::give_back);
         self.note(now, Entry::new(What::Returning).with(reason.clone()));
         self.phase = Phase::Returning {
             since_ms: now,
