@@ -156,12 +156,13 @@ impl Hub {
         Some(serde_json::to_vec(&desired).unwrap())
     }
 
-    /// The nodes that were notified.
+    /// The nodes that were notified, in an order that no hash map decides.
     pub(super) fn notices(&self) -> Vec<String> {
         let hub = self.running.iter();
-        hub.flat_map(|hub| hub.notices.try_iter())
-            .map(|(node, _)| node)
-            .collect()
+        let notices = hub.flat_map(|hub| hub.notices.try_iter());
+        let mut nodes: Vec<String> = notices.map(|(node, _)| node).collect();
+        nodes.sort_unstable();
+        nodes
     }
 
     fn work<T, E: std::fmt::Display>(&self, work: impl Future<Output = Result<T, E>>) {
