@@ -108,6 +108,36 @@ proptest! {
         compare(dense, Filter::new(&model, first), &model, &life)?;
     }
 
+    #[test]
+    fn no_box_within_the_gate_lies_beyond_its_reach_which_has_no_room_to_spare(
+        parameters in parameters(MotionModel::ConstantAcceleration),
+        size in sizes(), first in boxes(), exponent in -12.0f64..2.0,
+    ) {
+        let model = FilterModel::new(&parameters, size);
+        let (gauge, gate) = (Filter::new(&model, first).gauge(&model), 10f64.powf(exponent));
+        let (expected, reach) = (gauge.expected, gauge.reach(gate));
+        let (x, y) = (expected.center_x, expected.center_y);
+        prop_assert!(reach.x1 < x && x < reach.x2 && reach.y1 < y && y < reach.y2);
+        for (x, y) in [(reach.x1, y), (reach.x2, y), (x, reach.y1), (x, reach.y2)] {
+            let at_edge = gauge.squared_distance(BoundingBox::new(x, y, expected.width, expected.height));
+            prop_assert!(at_edge >= gate, "{at_edge:e} is below {gate:e}");
+            prop_assert!(gate < 0.01 || at_edge < gate * (1.0 + 1e-6), "{at_edge:e} {gate:e}");
+        }
+    }
+
+    #[test]
+    fn sides_are_kept_from_falling_below_their_least_and_nothing_else_changes(
+        size in sizes(), first in boxes(), least in (0.0..1.0, 0.0..1.0),
+    ) {
+        let model = FilterModel::new(&FilterParameters::default(), size);
+        let mut filter = Filter::new(&model, first);
+        let before = filter.mean();
+        filter.clamp_size(least.0, least.1);
+        let mut expected = before;
+        (expected[2], expected[3]) = (before[2].max(least.0), before[3].max(least.1));
+        prop_assert_eq!(filter.mean(), expected);
+    }
+
     /// 256 cases of 400 cycles: 10^5 cycles in all.
     #[test]
     fn the_covariance_stays_symmetric_and_positive_definite(
