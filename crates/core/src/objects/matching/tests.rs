@@ -101,6 +101,20 @@ fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
 }
 
 #[test]
+fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
+    let (states, apart) = ([object(at(0.2, 0.1), 1)], [detection(at(0.8, 0.1))]);
+    for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
+        let settings = Association {
+            gate,
+            iou_gate: 0.0,
+            mahalanobis_gate: 0.0,
+            ..SETTINGS
+        };
+        assert_eq!(associate(&settings, &states, &apart), [None]);
+    }
+}
+
+#[test]
 fn classes_matter_only_if_asked_for() {
     let states = [object(at(0.5, 0.1), 1)];
     let mut other = detection(at(0.5, 0.1));
