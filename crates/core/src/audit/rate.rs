@@ -73,7 +73,11 @@ pub(super) fn wilson(rate: f64, count: f64) -> (f64, f64) {
 /// variance is that of a ratio over drawn frames.
 ///
 /// One frame more is assumed, half of it shown: a few frames that all agree are no certainty.
-fn design_effect(paired: f64, boxes: f64, [paired_2, product, boxes_2]: [f64; 3]) -> f64 {
+pub(super) fn design_effect(
+    paired: f64,
+    boxes: f64,
+    [paired_2, product, boxes_2]: [f64; 3],
+) -> f64 {
     let crowd = (boxes_2 / boxes).max(1.0);
     let rate = ((paired + crowd / 2.0) / (boxes + crowd)).min(1.0);
     let assumed = crowd * crowd / 2.0 * ((1.0 - rate).powi(2) + rate * rate);

@@ -1,4 +1,4 @@
-use super::rate::wilson;
+use super::rate::{design_effect, wilson};
 use super::*;
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
@@ -317,4 +317,36 @@ fn only_missed_frames_are_no_rate() {
     assert_eq!((sums.missed, sums.missed_boxes, sums.drawn()), (2, 4, 2));
     assert_eq!((sums.recall(), sums.precision()), (None, None));
     assert_eq!(sums.missed_share(), 1.0);
+}
+
+proptest! {
+    /// Frame by frame, not by sums of squares.
+    #[test]
+    fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
+        frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),
+    ) {
+        let frames: Vec<(f64, f64)> = (frames.iter())
+            .map(|&(boxes, share)| (f64::from(boxes), (f64::from(boxes) * share).round()))
+            .collect();
+        let sum = |of: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| of(m, k)).sum::<f64>();
+        let (boxes, paired) = (sum(&|m, _| m), sum(&|_, k| k));
+        let crowd = sum(&|m, _| m * m) / boxes;
+        let rate = (paired + crowd / 2.0) / (boxes + crowd);
+        let more = |shown: f64| (shown - rate * crowd).powi(2);
+        let residuals = sum(&|m, k| (k - rate * m).powi(2)) + (more(0.0) + more(crowd)) / 2.0;
+        let expected = residuals / (boxes + crowd) / (rate * (1.0 - rate));
+        let squares = [sum(&|_, k| k * k), sum(&|m, k| m * k), sum(&|m, _| m * m)];
+        let found = design_effect(paired, boxes, squares);
+        prop_assert!((found - expected.max(1.0)).abs() < 1e-9 * expected, "{found} {expected}");
+    }
+}
+
+#[test]
+fn sums_are_empty_until_something_is_counted() {
+    assert!(AuditSums::default().is_empty());
+    let one = AuditSums {
+        missed: 1,
+        ..AuditSums::default()
+    };
+    assert!(!one.is_empty());
 }
