@@ -260,6 +260,10 @@ impl RingItem for u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use std::pin::pin;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::task::Wake;
     use std::time::Duration;
     use tokio::time::timeout;
 
@@ -372,5 +376,98 @@ mod tests {
         );
         sender.push(1);
         assert_eq!(receiver.next().await, Some(1));
+    }
+
+    /// Whether the receiver has been woken since it last found nothing.
+    #[derive(Default)]
+    struct Woken(AtomicBool);
+
+    impl Wake for Woken {
+        fn wake(self: Arc<Self>) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// What the two ends of a ring do.
+    #[derive(Clone, Copy, Debug)]
+    enum Act {
+        Push(u32),
+        Take,
+        Peek,
+        Close,
+    }
+
+    fn act() -> impl Strategy<Value = Act> {
+        prop_oneof![
+            8 => (1..600_u32).prop_map(Act::Push),
+            6 => Just(Act::Take),
+            3 => Just(Act::Peek),
+            1 => Just(Act::Close),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn in_any_order_a_ring_is_a_bounded_queue_that_loses_no_item_and_no_wake_up(
+            acts in proptest::collection::vec(act(), 1..80),
+            items in 1..4_usize,
+            newest_wins: bool,
+        ) {
+            let (sender, mut receiver) = ring(items, newest_wins);
+            let woken = Arc::new(Woken::default());
+            let waker = Waker::from(Arc::clone(&woken));
+            let mut context = Context::from_waker(&waker);
+            let (mut queue, mut closed, mut waits) = (VecDeque::new(), false, false);
+            let mut taken_since_overrun = u32::MAX;
+            for act in acts {
+                match act {
+                    Act::Push(item) => {
+                        let bytes = queue.iter().sum::<u32>() + item;
+                        let fits = queue.is_empty() || (queue.len() < items && bytes <= 1000);
+                        let expected = match (closed, fits, newest_wins) {
+                            (true, _, _) => Pushed::Closed(item),
+                            (_, true, _) => Pushed::Queued,
+                            (_, false, false) => Pushed::Full(item),
+                            (_, false, true) => {
+                                taken_since_overrun = 0;
+                                Pushed::Replaced(queue.pop_front().unwrap())
+                            }
+                        };
+                        if matches!(expected, Pushed::Queued | Pushed::Replaced(_)) {
+                            queue.push_back(item);
+                        }
+                        prop_assert_eq!(sender.push(item), expected);
+                    }
+                    Act::Take => {
+                        let taken = pin!(receiver.next()).poll(&mut context);
+                        waits = taken.is_pending();
+                        prop_assert_eq!(waits, queue.is_empty() && !closed);
+                        if let Poll::Ready(item) = taken {
+                            prop_assert_eq!(item, queue.pop_front());
+                            let one = u32::from(item.is_some());
+                            taken_since_overrun = taken_since_overrun.saturating_add(one);
+                        }
+                    }
+                    Act::Peek => {
+                        let seen = pin!(receiver.peek(|&item| item)).poll(&mut context);
+                        let overrun = taken_since_overrun < 2;
+                        waits = seen.is_pending();
+                        prop_assert_eq!(waits, queue.is_empty() && !closed && !overrun);
+                        if let Poll::Ready(item) = seen {
+                            prop_assert_eq!(item, queue.front().copied().filter(|_| !overrun));
+                        }
+                    }
+                    Act::Close => {
+                        sender.close();
+                        closed = true;
+                    }
+                }
+                if waits && queue.is_empty() && !closed {
+                    woken.0.store(false, Ordering::Relaxed);
+                } else if waits {
+                    prop_assert!(woken.0.load(Ordering::Relaxed), "the receiver sleeps on");
+                }
+            }
+        }
     }
 }

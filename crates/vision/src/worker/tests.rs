@@ -1,6 +1,7 @@
 //! The worker with models that wait, fail, panic and hang. The tests pause time and advance it by
 //! hand, so none depends on how fast the machine is.
 
+mod any_order;
 mod building;
 mod gpu;
 mod spare;

@@ -1,0 +1,158 @@
+//! The worker in any order of asking, giving up, failing and waiting.
+
+use super::*;
+use proptest::prelude::*;
+
+/// The camera slot that stands for a picture of no camera.
+const SPARE: usize = 7;
+
+/// What happens next.
+#[derive(Clone, Debug)]
+enum Happens {
+    Ask(usize),
+    AskSpare,
+    /// The caller of one of the pictures asked so far gives up.
+    GiveUp(prop::sample::Index),
+    /// The run in progress, or the next one, ends.
+    End(Ends),
+    /// Milliseconds pass.
+    Pass(u64),
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Ends {
+    Well,
+    TooFew,
+    Failed,
+    Implausible,
+    Panicked,
+}
+
+fn happens() -> impl Strategy<Value = Happens> {
+    let ends = prop_oneof![
+        4 => Just(Ends::Well),
+        1 => Just(Ends::TooFew),
+        1 => Just(Ends::Failed),
+        1 => Just(Ends::Implausible),
+        1 => Just(Ends::Panicked),
+    ];
+    prop_oneof![
+        6 => (0_usize..4).prop_map(Happens::Ask),
+        1 => Just(Happens::AskSpare),
+        1 => any::<prop::sample::Index>().prop_map(Happens::GiveUp),
+        4 => ends.prop_map(Happens::End),
+        3 => prop::sample::select(vec![1, 10, 100, 1999, 2000, 32_000]).prop_map(Happens::Pass),
+    ]
+}
+
+/// What the callers were answered.
+#[derive(Debug, Default)]
+struct Answered {
+    well: u64,
+    spare: u64,
+    refused: u64,
+    stopped: u64,
+    given_up: u64,
+}
+
+async fn play(script: Vec<Happens>) {
+    let mut stage = stage(in_threes()).await;
+    let steps = stage.steps.clone();
+    // A worker whose thread was stuck takes no more steps.
+    let end = |step| drop(steps.send(step));
+    let mut asked: Vec<(usize, Asked)> = Vec::new();
+    for happens in script {
+        match happens {
+            Happens::Ask(camera) => asked.push((camera, stage.ask(camera))),
+            Happens::AskSpare => {
+                let worker = stage.worker.clone();
+                let picture = (CameraSlot(SPARE), Arc::default());
+                let spare = tokio::spawn(async move { worker.run_spare(picture).await });
+                asked.push((SPARE, spare));
+            }
+            Happens::GiveUp(which) if !asked.is_empty() => which.get(&asked).1.abort(),
+            Happens::GiveUp(_) => {}
+            Happens::End(ends) => end(match ends {
+                Ends::Well => Step::Answer,
+                Ends::TooFew => Step::AnswerTooFew,
+                Ends::Failed => Step::Fail,
+                Ends::Implausible => Step::Implausible,
+                Ends::Panicked => Step::Panic,
+            }),
+            Happens::Pass(ms) => pass(Duration::from_millis(ms)).await,
+        }
+        settle().await;
+    }
+    // From now on every run ends well.
+    asked.iter().for_each(|_| end(Step::Answer));
+    while !asked.iter().all(|(_, answer)| answer.is_finished()) {
+        pass(Duration::from_millis(100)).await;
+    }
+    let mut answered = Answered::default();
+    for (camera, answer) in asked {
+        match answer.await {
+            Ok(Ok(answer)) => {
+                assert_eq!(answer.output, CameraSlot(camera), "another one's answer");
+                *(match camera {
+                    SPARE => &mut answered.spare,
+                    _ => &mut answered.well,
+                }) += 1;
+            }
+            Ok(Err(InferenceError::Unavailable(_))) => {
+                answered.refused += u64::from(camera != SPARE);
+            }
+            // Refused, and counted only as long as the worker's task runs.
+            Ok(Err(InferenceError::Stopped)) => answered.stopped += 1,
+            Ok(Err(_)) => {}
+            Err(aborted) => {
+                assert!(aborted.is_cancelled());
+                answered.given_up += 1;
+            }
+        }
+    }
+    while let Ok(run) = stage.started.try_recv() {
+        let cameras: std::collections::BTreeSet<_> = run.iter().collect();
+        assert!(run.len() <= 3 && cameras.len() == run.len(), "{run:?}");
+        assert!(
+            run.len() == 1 || !run.contains(&CameraSlot(SPARE)),
+            "{run:?}"
+        );
+    }
+    // A picture that was given up may have been answered or refused before.
+    let counts = stage.counts();
+    let may_be = |answers| answers..=answers + answered.given_up;
+    assert!(
+        may_be(answered.well).contains(&counts.completed),
+        "{counts:?}, {answered:?}"
+    );
+    assert!(
+        may_be(answered.spare).contains(&counts.spare),
+        "{counts:?}, {answered:?}"
+    );
+    assert!(
+        (answered.refused..=answered.refused + answered.stopped + answered.given_up)
+            .contains(&counts.refused),
+        "{counts:?}, {answered:?}"
+    );
+    assert!(
+        counts.cancelled <= answered.given_up,
+        "{counts:?}, {answered:?}"
+    );
+    assert_eq!(counts.waiting, 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn in_any_order_each_caller_gets_one_answer_and_its_own(
+        script in prop::collection::vec(happens(), 1..60),
+    ) {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_time()
+            .start_paused(true)
+            .build()
+            .unwrap();
+        runtime.block_on(play(script));
+    }
+}
