@@ -189,6 +189,53 @@ fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
 }
 
 #[test]
+fn mean_watts_are_the_joules_by_the_seconds_that_were_sampled() {
+    let mut bench = Bench::new();
+    bench.sample_until(4000, |_| 7.0);
+    let energy = bench.energy(500, 3500);
+    assert!((total(&energy) - 21.0).abs() < 1e-9);
+    assert!((energy.domains[0].mean_watts - 7.0).abs() < 1e-9);
+}
+
+#[test]
+fn avoided_calls_save_their_time_at_the_watts_of_a_running_detector() {
+    let mut bench = Bench::new();
+    let mut clip = None;
+    // In every other three seconds the detector runs for half of the time; in the others as many calls are avoided.
+    for tick in 1..=6_000 {
+        let now = tick * 100;
+        let busy = tick / 30 % 2 == 0;
+        if busy {
+            let end = bench.at(now);
+            bench.account.detector.called(end, ms(50));
+            bench.account.cameras.called(bench.camera, ms(50));
+        } else {
+            bench.account.cameras.avoided(bench.camera);
+        }
+        bench.sample_until(now, |_| if busy { 20.0 } else { 10.0 });
+        if now == 540_000 {
+            clip = Some(bench.open(now));
+        }
+    }
+    let spent = bench.close(clip.unwrap(), 600_000);
+    let watts = spent.detector_watts.unwrap();
+    assert!((watts - 20.0).abs() < 2.0, "{watts}");
+    // 300 calls of 50 ms.
+    let saved_s = spent.saved_joules.unwrap() / watts;
+    assert!((saved_s - 15.0).abs() < 0.2, "{saved_s}");
+}
+
+#[test]
+fn a_measurement_that_is_given_up_leaves_nothing_behind() {
+    let mut bench = Bench::new();
+    let before = bench.account.footprint();
+    let given_up = bench.open(0);
+    bench.account.forget(given_up);
+    assert_eq!(bench.account.footprint(), before);
+    assert!(bench.account.close(given_up, bench.at(0)).is_none());
+}
+
+#[test]
 fn an_old_sample_is_not_told_as_power_now() {
     let mut bench = Bench::new();
     bench.sample_until(0, |_| 1.0);
