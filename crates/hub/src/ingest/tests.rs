@@ -3,6 +3,7 @@
 mod hostile;
 
 use super::plan::{Counts, Present, Seen, key};
+use crate::store::tables::ReportCountsRow;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use uuid::{Builder, Uuid};
@@ -124,6 +125,35 @@ fn reports_of_before_this_database_are_asked_for_and_neither_missing_nor_another
     assert_eq!(counts.see(103, true), Seen::Expected);
     assert_eq!(counts.wanted(), [(1, 49), (52, 59), (61, 100)]);
     assert!(missing(&counts, 101).is_empty());
+}
+
+#[test]
+fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_is_not() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[5, 6, 3]);
+    assert_eq!(counts.see(3, true), Seen::Expected);
+    assert_eq!(counts.see(5, true), Seen::Reset);
+}
+
+#[test]
+fn counts_are_read_from_their_row_as_they_were_written() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[3, 4, 9]);
+    let mut row = ReportCountsRow {
+        node_id: 1,
+        first_ms: 0,
+        last_ms: 0,
+        stored: 0,
+        set_aside: 0,
+        refused: 0,
+        resets: 0,
+        base: 0,
+        highest: 0,
+        missing: String::new(),
+    };
+    counts.write(&mut row);
+    assert_eq!((row.base, row.highest), (3, 9));
+    assert_eq!(Counts::of(&row), counts);
 }
 
 #[test]
