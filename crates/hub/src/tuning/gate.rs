@@ -18,8 +18,8 @@ use utoipa::ToSchema;
 pub struct Gate {
     /// What is bounded.
     pub metric: Metric,
-    /// The bound on the change: a share of the value before when relative, else in the metric's unit.
-    pub bound: f64,
+    /// The bound on the change, as it is written: percent of the value before when relative, else in the metric's unit.
+    pub number: f64,
     /// Whether the change is taken relative to the value before.
     pub relative: bool,
     /// Whether the gate holds only where the metric is measured. Without it, a metric that no node reports leaves the gate
@@ -39,18 +39,26 @@ impl Gate {
     /// The gates of a rollout that names none: the skip rate may fall by 0.05, a clip may cost 5 % more energy, the latency's 99th
     /// percentile may rise by 10 %, the share of degraded frames by 0.01.
     pub fn defaults() -> Vec<Self> {
-        let gate = |metric, bound, relative, where_measured| Self {
+        let gate = |metric, number, relative, where_measured| Self {
             metric,
-            bound,
+            number,
             relative,
             where_measured,
         };
         vec![
             gate(Metric::SkipRate, -0.05, false, false),
-            gate(Metric::Joules, 0.05, true, true),
-            gate(Metric::LatencyP99, 0.10, true, false),
+            gate(Metric::Joules, 5.0, true, true),
+            gate(Metric::LatencyP99, 10.0, true, false),
             gate(Metric::Degraded, 0.01, false, false),
         ]
+    }
+
+    /// The bound on the change: a share of the value before when relative, else in the metric's unit.
+    fn bound(&self) -> f64 {
+        match self.relative {
+            true => self.number / 100.0,
+            false => self.number,
+        }
     }
 }
 
@@ -91,10 +99,9 @@ impl FromStr for Gate {
             .ok()
             .filter(|number: &f64| number.is_finite())
             .ok_or_else(|| fault(format!("`{bound}` is no number")))?;
-        let bound = if relative { number / 100.0 } else { number };
         Ok(Self {
             metric,
-            bound,
+            number,
             relative,
             where_measured,
         })
@@ -108,14 +115,14 @@ impl fmt::Display for Gate {
         } else {
             ">="
         };
-        write!(f, "{}{sign}", self.metric)?;
-        if self.relative {
-            // As written, without the noise of a division by a hundred.
-            write!(f, "{:+}%", (self.bound * 1e10).round() / 1e8)?;
-        } else {
-            write!(f, "{:+}", self.bound)?;
-        }
-        f.write_str(if self.where_measured { "?" } else { "" })
+        let percent = if self.relative { "%" } else { "" };
+        let where_measured = if self.where_measured { "?" } else { "" };
+        let number = self.number;
+        write!(
+            f,
+            "{}{sign}{number:+}{percent}{where_measured}",
+            self.metric
+        )
     }
 }
 
@@ -250,10 +257,11 @@ fn judge_one(gate: Gate, figure: Figure, measured: Measured<'_>, rates: ErrorRat
 
 fn within(gate: Gate, effect: &Effect, rates: ErrorRates) -> Verdict {
     let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
+    let bound = gate.bound();
     let (beyond, inside) = if gate.metric.more_is_worse() {
-        (fail.lower > gate.bound, pass.upper <= gate.bound)
+        (fail.lower > bound, pass.upper <= bound)
     } else {
-        (fail.upper < gate.bound, pass.lower >= gate.bound)
+        (fail.upper < bound, pass.lower >= bound)
     };
     match (beyond, inside) {
         (true, _) => Verdict::Failed,

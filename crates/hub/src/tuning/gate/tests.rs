@@ -46,6 +46,14 @@ fn a_gate_reads_as_it_is_written() {
         ("skip_rate>=-0.05", Metric::SkipRate, -0.05, false, false),
         ("latency_p99<=+10%", Metric::LatencyP99, 0.1, true, false),
         ("degraded<=+0.01", Metric::Degraded, 0.01, false, false),
+        ("joules<=+1e-12%", Metric::Joules, 1e-14, true, false),
+        (
+            "joules<=+199999999990%",
+            Metric::Joules,
+            1_999_999_999.9,
+            true,
+            false,
+        ),
     ] {
         let gate: Gate = text.parse().unwrap();
         assert_eq!(
@@ -53,7 +61,7 @@ fn a_gate_reads_as_it_is_written() {
             (metric, relative, where_measured),
             "{text}"
         );
-        assert!((gate.bound - bound).abs() < 1e-12, "{text}");
+        assert!((gate.bound() - bound).abs() < 1e-15 * bound.abs(), "{text}");
         assert_eq!(gate.to_string().parse::<Gate>().unwrap(), gate);
     }
     for wrong in [
