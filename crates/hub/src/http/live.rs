@@ -20,6 +20,7 @@ use tokio::time::{Interval, MissedTickBehavior};
 use zenoh::Session;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{Reply, ReplyError};
 
 /// Watched nodes at a time, each with a connection.
 pub(super) const MOST_LIVE: usize = 64;
@@ -128,6 +129,12 @@ pub(super) async fn live(
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
 
+/// Whether Zenoh itself ended the query, in a session or a router, because no reply came in time.
+fn timed_out(reply: &Reply) -> bool {
+    let ended = |error: &ReplyError| &*error.payload().to_bytes() == b"Timeout";
+    reply.result().is_err_and(ended)
+}
+
 /// The newest picture of a node's camera
 ///
 /// The node sends it because it is asked for, and sends none otherwise. The header `albireo-frame` has the sequence number
@@ -181,7 +188,9 @@ pub(super) async fn picture(
                 .map_err(|error| {
                     Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
                 })?;
-            if let Ok(reply) = replies.recv_async().await {
+            if let Ok(reply) = replies.recv_async().await
+                && !timed_out(&reply)
+            {
                 return Ok::<_, Problem>(reply);
             }
             // Nobody answers this key yet: the node declares it once it has heard that it is watched.
