@@ -133,16 +133,16 @@ struct Context {
 }
 
 impl Context {
-    /// Prints what the hub gave: as JSON, or as `text` makes of it.
-    fn print(
+    /// Prints what the hub answered: as JSON, or as `text` makes of it.
+    fn print<T: serde::Serialize>(
         &self,
-        value: &serde_json::Value,
-        text: impl FnOnce(&serde_json::Value) -> String,
+        answer: &T,
+        text: impl FnOnce(&T) -> String,
     ) -> anyhow::Result<()> {
         if self.json {
-            println!("{}", serde_json::to_string_pretty(value)?);
+            println!("{}", serde_json::to_string_pretty(answer)?);
         } else {
-            print!("{}", text(value));
+            print!("{}", text(answer));
         }
         Ok(())
     }

@@ -17,6 +17,13 @@ mod runs;
 mod target;
 mod threshold;
 
+pub use changes::{ChangeDetail, ChangeView, Changes};
+pub use energy::Energy;
+pub use node_list::NodeList;
+pub use nodes::NodeDetail;
+pub use order::{LastLine, OrderLine};
+pub use runs::{RolloutView, Rollouts, StageView, TrialView, Trials};
+
 use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::events::Events;

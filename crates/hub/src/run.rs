@@ -13,6 +13,7 @@ use albireo_service::config::ZenohMode;
 use albireo_service::notify::{self, Look};
 use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
+use albireo_wire::EnergyQuality;
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -284,7 +285,7 @@ async fn remembered(
     let used = store.energy(&today).await?.into_iter().map(|group| {
         let used = Used {
             uj: (group.joules * 1e6).round() as i64,
-            estimated: group.quality == "estimated",
+            estimated: group.quality == EnergyQuality::Estimated,
             frames: u64::try_from(group.frames).unwrap_or(0),
             skipped: u64::try_from(group.avoided_calls).unwrap_or(0),
             detected: group.audit_counts.sums.detected,

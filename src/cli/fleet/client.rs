@@ -3,6 +3,8 @@
 use anyhow::{Context, bail};
 use reqwest::header::{ACCEPT, AUTHORIZATION};
 use reqwest::{Method, RequestBuilder, Response, Url};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::time::Duration;
 
@@ -67,15 +69,23 @@ impl Client {
         }
     }
 
-    async fn json(&self, request: RequestBuilder) -> anyhow::Result<Value> {
+    async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> anyhow::Result<T> {
         let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
         let text = response.text().await?;
-        serde_json::from_str(&text)
-            .with_context(|| format!("{} does not answer as a hub does", self.base))
+        serde_json::from_str(&text).with_context(|| {
+            format!(
+                "{} does not answer as a hub of this version does",
+                self.base
+            )
+        })
     }
 
     /// Asks for something.
-    pub(super) async fn get(&self, path: &str, query: &[(&str, String)]) -> anyhow::Result<Value> {
+    pub(super) async fn get<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        query: &[(&str, String)],
+    ) -> anyhow::Result<T> {
         self.json(self.request(Method::GET, path, query)?).await
     }
 
@@ -87,7 +97,11 @@ impl Client {
     }
 
     /// Orders something.
-    pub(super) async fn post(&self, path: &str, body: &Value) -> anyhow::Result<Value> {
+    pub(super) async fn post<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        body: &impl Serialize,
+    ) -> anyhow::Result<T> {
         self.json(self.request(Method::POST, path, &[])?.json(body))
             .await
     }
@@ -99,36 +113,29 @@ impl Client {
         Ok(())
     }
 
-    /// The number of the newest of a list, such as `rollouts`.
-    pub(super) async fn newest(&self, list: &str) -> anyhow::Result<u64> {
-        let found = self
-            .get(&format!("/api/v1/{list}"), &[("limit", "1".to_owned())])
-            .await?;
-        let id = found[list][0]["id"].as_u64();
-        id.with_context(|| format!("there are no {list} yet"))
-    }
-
     /// Sends `body` by PUT and gives each line of the answer to `line` as it comes.
-    pub(super) async fn put_lines(
+    pub(super) async fn put_lines<T: DeserializeOwned>(
         &self,
         path: &str,
-        body: &Value,
-        mut line: impl FnMut(Value) -> anyhow::Result<()>,
+        body: &impl Serialize,
+        mut line: impl FnMut(T) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         let request = self
             .request(Method::PUT, path, &[])?
             .header(ACCEPT, "application/x-ndjson")
             .json(body);
         let mut answer = self.send(request).await?;
-        let mut held = Vec::new();
+        let mut unread = Vec::new();
         while let Some(bytes) = answer.chunk().await.context("the hub broke off")? {
-            held.extend_from_slice(&bytes);
-            while let Some(end) = held.iter().position(|byte| *byte == b'\n') {
-                let rest = held.split_off(end + 1);
-                let text = std::mem::replace(&mut held, rest);
-                line(serde_json::from_slice(&text).context("a line of the answer is no JSON")?)?;
+            unread.extend_from_slice(&bytes);
+            while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
+                let rest = unread.split_off(end + 1);
+                let text = std::mem::replace(&mut unread, rest);
+                line(
+                    serde_json::from_slice(&text).context("a line of the answer cannot be read")?,
+                )?;
             }
-            if held.len() > LONGEST_LINE {
+            if unread.len() > LONGEST_LINE {
                 bail!("a line of the answer is longer than {LONGEST_LINE} bytes");
             }
         }

@@ -1,14 +1,14 @@
 //! `ls`, `show`, `energy`, `watch`.
 
 use super::table::{Table, WIDTH, cut};
-use super::units::{
-    ago, figure, items, now_ms, seconds, setting, target_words, text_of, threshold,
-};
+use super::units::{ago, figure, name_of, now_ms, seconds, threshold};
 use super::{Context, Ended};
-use anyhow::anyhow;
-use serde_json::{Value, json};
+use albireo_hub::http::{Energy, NodeDetail, NodeList};
+use albireo_hub::presence::{NodeView, PresenceState};
+use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
+use serde::Deserialize;
+use serde_json::json;
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::time::Duration;
 
 /// Nodes of one page.
@@ -87,8 +87,8 @@ async fn nodes(
     state: Option<&str>,
     sort: &str,
     limit: usize,
-) -> anyhow::Result<Vec<Value>> {
-    let mut found: Vec<Value> = Vec::new();
+) -> anyhow::Result<Vec<NodeView>> {
+    let mut found: Vec<NodeView> = Vec::new();
     while found.len() < limit.min(MOST) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
         query.push(("sort", sort.to_owned()));
@@ -96,12 +96,10 @@ async fn nodes(
         query.push(("down", (sort != "name").to_string()));
         query.push(("offset", found.len().to_string()));
         query.extend(state.map(|state| ("state", state.to_owned())));
-        let page = context.client.get("/api/v1/nodes", &query).await?;
-        let nodes = page["nodes"]
-            .as_array()
-            .ok_or_else(|| anyhow!("the hub gives no list of nodes"))?;
-        found.extend(nodes.iter().cloned());
-        if nodes.is_empty() || page["total"].as_u64() <= Some(found.len() as u64) {
+        let page: NodeList = context.client.get("/api/v1/nodes", &query).await?;
+        let empty = page.nodes.is_empty();
+        found.extend(page.nodes);
+        if empty || page.total <= found.len() {
             break;
         }
     }
@@ -120,158 +118,136 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow:
     Ok(Ended::Well)
 }
 
+/// The node's last full status; `None` without one, or if a node of another version sent what this one cannot read.
+fn status(node: &NodeView) -> Option<NodeStatus> {
+    NodeStatus::deserialize(node.status.as_ref()?).ok()
+}
+
 /// The target that is held; else the value in force, as far as all cameras have the same.
-fn value(node: &Value) -> String {
-    if node["status"]["target"].is_object() {
-        return setting(&node["status"]["target"]);
+fn value(status: &NodeStatus) -> String {
+    if let Some(target) = &status.target {
+        return format!("hold {}", target.target);
     }
-    let cameras = items(&node["status"]["cameras"]);
-    match cameras {
-        [] => "-".to_owned(),
-        [first, rest @ ..]
-            if rest
-                .iter()
-                .all(|camera| threshold(camera) == threshold(first)) =>
-        {
-            threshold(first)
-        }
-        _ => "differ".to_owned(),
+    let mut values = status.cameras.iter().map(camera_value);
+    match values.next() {
+        None => "-".to_owned(),
+        Some(first) if values.all(|value| value == first) => first,
+        Some(_) => "differ".to_owned(),
     }
 }
 
+fn camera_value(camera: &CameraStatus) -> String {
+    camera.threshold.as_ref().map_or("-".to_owned(), threshold)
+}
+
 /// The labels of a node, in one line.
-fn labels(node: &Value) -> String {
-    let labels = node["status"]["labels"].as_object().into_iter().flatten();
+fn labels(status: &NodeStatus) -> String {
+    let labels = status.labels.iter();
     let labels: Vec<String> = labels
-        .map(|(key, value)| format!("{key}={}", value.as_str().unwrap_or_default()))
+        .map(|(key, value)| format!("{key}={value}"))
         .collect();
     labels.join(" ")
 }
 
-fn table(nodes: &[Value]) -> String {
+fn table(nodes: &[NodeView]) -> String {
     let mut table = Table::new(&[
         "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
     ]);
     for node in nodes {
+        let status = status(node);
+        let shown = |text: fn(&NodeStatus) -> String| status.as_ref().map(text);
         table.row([
-            text_of(&node["node"]),
-            text_of(&node["state"]),
-            ago(node["since_ms"].as_i64().unwrap_or(0)),
-            value(node),
-            node["status"]["policy"].as_str().unwrap_or("-").to_owned(),
-            node["waiting"].to_string(),
-            node["revision"].to_string(),
-            cut(&labels(node), 30),
-            text_of(&node["why"]),
+            node.node.clone(),
+            node.state.to_string(),
+            ago(node.since_ms),
+            shown(value).unwrap_or_else(|| "-".to_owned()),
+            shown(|status| status.policy.clone()).unwrap_or_else(|| "-".to_owned()),
+            node.waiting.to_string(),
+            node.revision.to_string(),
+            cut(&shown(labels).unwrap_or_default(), 30),
+            node.why.clone(),
         ]);
     }
     table.to_string()
 }
 
 pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow::Result<Ended> {
-    let node = context
-        .client
-        .get(&format!("/api/v1/nodes/{}", arguments.node), &[])
-        .await?;
-    context.print(&node, |node| {
-        let status = &node["status"];
-        let mut text = String::new();
-        let mut line = |name: &str, value: String| {
-            if !value.is_empty() {
-                let _ = writeln!(text, "{}", cut(&format!("{name:<12} {value}"), WIDTH));
+    let path = format!("/api/v1/nodes/{}", arguments.node);
+    let node: NodeDetail = context.client.get(&path, &[]).await?;
+    context.print(&node, |NodeDetail { node, .. }| {
+        let since = ago(node.since_ms);
+        let mut lines = vec![("node", node.node.clone())];
+        lines.push(match node.why.as_str() {
+            "" => ("state", format!("{} for {since}", node.state)),
+            why => ("state", format!("{} for {since}: {why}", node.state)),
+        });
+        lines.extend(
+            node.heard_ms
+                .map(|at| ("heard", format!("{} ago", ago(at)))),
+        );
+        let status = status(node);
+        if let Some(status) = &status {
+            let provider = status.provider.as_deref().unwrap_or("no provider yet");
+            lines.extend([
+                ("labels", labels(status)),
+                ("version", status.version.clone()),
+                ("policy", status.policy.clone()),
+                ("model", format!("{} on {provider}", status.model)),
+                (
+                    "power",
+                    format!(
+                        "{}, {}",
+                        status.power_source,
+                        name_of(&status.power_quality)
+                    ),
+                ),
+            ]);
+        }
+        lines.push(("revision", node.revision.to_string()));
+        lines.push(("waiting", format!("{} reports", node.waiting)));
+        for status in status.iter() {
+            if let Some(refused) = &status.refused {
+                let text = format!("revision {}: {}", refused.revision, refused.reason);
+                lines.push(("refused", text));
             }
-        };
-        let said = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-        line("node", said(&node["node"]));
-        let why = said(&node["why"]);
-        let since = ago(node["since_ms"].as_i64().unwrap_or(0));
-        line(
-            "state",
-            match why.is_empty() {
-                true => format!("{} for {since}", said(&node["state"])),
-                false => format!("{} for {since}: {why}", said(&node["state"])),
-            },
-        );
-        line(
-            "heard",
-            node["heard_ms"]
-                .as_i64()
-                .map(|at| format!("{} ago", ago(at)))
-                .unwrap_or_default(),
-        );
-        line("labels", labels(node));
-        line("version", said(&status["version"]));
-        line("policy", said(&status["policy"]));
-        line(
-            "model",
-            format!(
-                "{} on {}",
-                said(&status["model"]),
-                said(&status["provider"])
-            ),
-        );
-        line(
-            "power",
-            format!(
-                "{}, {}",
-                said(&status["power_source"]),
-                said(&status["power_quality"])
-            ),
-        );
-        line("revision", node["revision"].to_string());
-        line("waiting", format!("{} reports", node["waiting"]));
-        if let Some(refused) = status["refused"].as_object() {
-            line(
-                "refused",
-                format!(
-                    "revision {}: {}",
-                    refused["revision"],
-                    said(&refused["reason"])
-                ),
-            );
+            match (&status.target, &status.target_off) {
+                (Some(held), _) => lines.push(("target", target(held))),
+                (None, Some(off)) => lines.push(("target", format!("none: {off}"))),
+                (None, None) => (),
+            }
+            for camera in &status.cameras {
+                let source = match status.target {
+                    Some(_) => "moved by the target".to_owned(),
+                    None => format!("from {}", name_of(&camera.threshold_source)),
+                };
+                let (state, value) = (name_of(&camera.state), camera_value(camera));
+                lines.push((
+                    "camera",
+                    format!("{}: {state}, {value} ({source})", camera.name),
+                ));
+            }
         }
-        line("target", target(status));
-        for camera in items(&status["cameras"]) {
-            let source = match status["target"].is_object() {
-                true => "moved by the target".to_owned(),
-                false => format!("from {}", said(&camera["threshold_source"])),
-            };
-            line(
-                "camera",
-                format!(
-                    "{}: {}, {} ({source})",
-                    said(&camera["name"]),
-                    said(&camera["state"]),
-                    threshold(camera)
-                ),
-            );
-        }
-        text
+        let shown = lines.iter().filter(|(_, value)| !value.is_empty());
+        shown
+            .map(|(name, value)| cut(&format!("{name:<12} {value}"), WIDTH) + "\n")
+            .collect()
     })?;
     Ok(Ended::Well)
 }
 
-/// The target of a node with its last reported status; else why it has none any more.
-fn target(status: &Value) -> String {
-    let held = &status["target"];
-    let said = |value: &Value| value.as_str().unwrap_or_default().replace('_', " ");
-    match (held.is_object(), status["target_off"].as_str()) {
-        (true, _) => {
-            let actual =
-                (held["actual"].as_f64()).map(|actual| format!(", now {}", figure(actual)));
-            format!(
-                "{}{}, {} (from {})",
-                target_words(&held["target"]),
-                actual.unwrap_or_default(),
-                held["status"]
-                    .as_str()
-                    .map_or("begins".to_owned(), |_| said(&held["status"])),
-                said(&held["source"]),
-            )
-        }
-        (false, Some(off)) => format!("none: {off}"),
-        (false, None) => String::new(),
-    }
+/// The target of a node with its last reported state.
+fn target(held: &NodeTarget) -> String {
+    let actual = held
+        .actual
+        .map(|actual| format!(", now {}", figure(actual)));
+    format!(
+        "{}{}, {} (from {})",
+        held.target,
+        actual.unwrap_or_default(),
+        held.status
+            .map_or("begins".to_owned(), |status| name_of(&status)),
+        name_of(&held.source),
+    )
 }
 
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
@@ -284,15 +260,14 @@ pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> any
     let mut query = vec![("since_ms", from.to_string()), ("sort", arguments.sort)];
     query.extend(arguments.by.map(|by| ("by", by)));
     query.extend(arguments.node.map(|node| ("node", node)));
-    let energy = context.client.get("/api/v1/energy", &query).await?;
+    let energy: Energy = context.client.get("/api/v1/energy", &query).await?;
     context.print(&energy, sums)?;
     Ok(Ended::Well)
 }
 
 /// One line for each group and quality; the quality is never summed over.
-fn sums(answer: &Value) -> String {
-    let groups = items(&answer["groups"]);
-    if groups.is_empty() {
+fn sums(energy: &Energy) -> String {
+    if energy.groups.is_empty() {
         return "no clips in that time\n".to_owned();
     }
     let mut table = Table::new(&[
@@ -306,42 +281,29 @@ fn sums(answer: &Value) -> String {
         ">recall of the detector",
         ">saved J (estimate)",
     ]);
-    for group in groups {
-        let number = |name: &str| group[name].as_f64().unwrap_or(0.0);
-        let measured = group["quality"] != "unavailable";
-        let joules = |value: f64| {
-            if measured {
-                figure(value)
-            } else {
-                "-".to_owned()
-            }
+    for group in &energy.groups {
+        let joules = |value: f64| match group.quality {
+            EnergyQuality::Unavailable => "-".to_owned(),
+            _ => figure(value),
         };
+        let name = Some(group.group.as_str()).filter(|name| !name.is_empty());
+        let recall = group.audit.as_ref().and_then(|audit| audit.recall);
         table.row([
-            group["group"]
-                .as_str()
-                .filter(|name| !name.is_empty())
-                .unwrap_or("all")
-                .to_owned(),
-            text_of(&group["quality"]),
-            group["clips"].to_string(),
-            joules(number("joules")),
-            joules(number("joules") / number("clips").max(1.0)),
-            figure(number("skip_rate")),
-            group["avoided_calls"].to_string(),
-            recall(&group["audit"]["all"]["recall"]),
-            joules(number("saved_joules_estimated")),
+            name.unwrap_or("all").to_owned(),
+            name_of(&group.quality),
+            group.clips.to_string(),
+            joules(group.joules),
+            joules(group.joules / group.clips.max(1) as f64),
+            figure(group.skip_rate),
+            group.avoided_calls.to_string(),
+            // A rate with the interval that it is known to.
+            recall.map_or("-".to_owned(), |recall| {
+                format!("{:.3} ({:.2}-{:.2})", recall.rate, recall.low, recall.high)
+            }),
+            joules(group.saved_joules_estimated),
         ]);
     }
     table.to_string()
-}
-
-/// A rate with the interval that it is known to: `0.912 (0.88-0.94)`.
-fn recall(found: &Value) -> String {
-    let number = |name: &str| found[name].as_f64();
-    match (number("rate"), number("low"), number("high")) {
-        (Some(rate), Some(low), Some(high)) => format!("{rate:.3} ({low:.2}-{high:.2})"),
-        _ => "-".to_owned(),
-    }
 }
 
 pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyhow::Result<Ended> {
@@ -353,20 +315,16 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
             ("down", "true".to_owned()),
             ("limit", SHOWN.to_string()),
         ];
-        let page = context.client.get("/api/v1/nodes", &query).await?;
-        let known: u64 = page["counts"]
-            .as_object()
-            .into_iter()
-            .flatten()
-            .filter_map(|(_, n)| n.as_u64())
-            .sum();
+        let page: NodeList = context.client.get("/api/v1/nodes", &query).await?;
+        let counts = &page.counts;
+        let known = counts.online + counts.degraded + counts.silent + counts.offline;
         let found = if known <= MOST_VALUES {
             Some(nodes(context, None, "name", MOST).await?)
         } else {
             None
         };
         if context.json {
-            println!("{page}");
+            println!("{}", serde_json::to_string(&page)?);
         } else {
             if context.terminal {
                 // Clear and go to the upper left corner.
@@ -384,19 +342,18 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
 
 /// How many nodes are in which state and, where all were asked for, which values they have; then those that are not
 /// well, or the first ones.
-fn overview(page: &Value, known: u64, nodes: Option<&[Value]>) -> String {
-    let counts = page["counts"].as_object().into_iter().flatten();
-    let states: Vec<String> = counts.map(|(state, n)| format!("{n} {state}")).collect();
-    let mut text = format!("{known} nodes: {}", states.join(", "));
-    if let Some(nodes) = nodes {
-        let waiting: u64 = nodes.iter().filter_map(|n| n["waiting"].as_u64()).sum();
-        text += &format!("; {waiting} reports wait");
-    }
-    let mut text = cut(&text, WIDTH) + "\n";
+fn overview(page: &NodeList, known: u64, nodes: Option<&[NodeView]>) -> String {
+    let counts = &page.counts;
+    let line = format!(
+        "{known} nodes: {} online, {} degraded, {} silent, {} offline; {} reports wait",
+        counts.online, counts.degraded, counts.silent, counts.offline, page.waiting
+    );
+    let mut text = cut(&line, WIDTH) + "\n";
     if let Some(nodes) = nodes {
         let mut values: BTreeMap<String, usize> = BTreeMap::new();
         for node in nodes {
-            *values.entry(value(node)).or_insert(0) += 1;
+            let value = status(node).map_or("-".to_owned(), |status| value(&status));
+            *values.entry(value).or_insert(0) += 1;
         }
         let values: Vec<String> = values
             .iter()
@@ -405,8 +362,10 @@ fn overview(page: &Value, known: u64, nodes: Option<&[Value]>) -> String {
         text += &(cut(&format!("values: {}", values.join(", ")), WIDTH) + "\n");
     }
     text.push('\n');
-    let shown = items(&page["nodes"]);
-    let unwell = shown.iter().take_while(|node| node["state"] != "online");
+    let shown = &page.nodes;
+    let unwell = shown
+        .iter()
+        .take_while(|node| node.state != PresenceState::Online);
     let unwell = unwell.count();
     text + &table(if unwell > 0 { &shown[..unwell] } else { shown })
 }

@@ -1,9 +1,14 @@
 //! `rollout`: changes in stages.
 
 use super::table::{Table, WIDTH, cut, wrapped};
-use super::units::{counts, figure, finite, items, named, seconds, span, text_of, threshold, when};
+use super::units::{
+    counts, figure, finite, interval, name_of, named, seconds, span, threshold, when,
+};
 use super::{Context, Ended};
-use serde_json::{Value, json};
+use albireo_hub::http::{RolloutView, Rollouts};
+use albireo_hub::tuning::rollout::{Entry, Phase};
+use anyhow::Context as _;
+use serde_json::json;
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -19,7 +24,7 @@ pub(super) enum Command {
     /// One with its stages, its verdicts and their numbers.
     Show {
         /// Its number; the newest where none is given.
-        id: Option<u64>,
+        id: Option<i64>,
         /// Look again until it is done, held or back.
         #[arg(long)]
         follow: bool,
@@ -27,27 +32,27 @@ pub(super) enum Command {
     /// Let time stand still for it.
     Pause {
         /// Its number.
-        id: u64,
+        id: i64,
     },
     /// Continue it; a stage that is held soaks again.
     Resume {
         /// Its number.
-        id: u64,
+        id: i64,
     },
     /// The next stage now, whatever the gates say.
     Next {
         /// Its number.
-        id: u64,
+        id: i64,
     },
     /// Give all its nodes their old values back.
     Return {
         /// Its number.
-        id: u64,
+        id: i64,
     },
     /// End it; every node keeps what it has.
     Stop {
         /// Its number.
-        id: u64,
+        id: i64,
     },
 }
 
@@ -124,22 +129,24 @@ pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<E
     let (id, order) = match command {
         Command::Start(arguments) => return start(context, *arguments).await,
         Command::Ls => {
-            let rollouts = context.client.get("/api/v1/rollouts", &[]).await?;
+            let rollouts: Rollouts = context.client.get("/api/v1/rollouts", &[]).await?;
             context.print(&rollouts, list)?;
             return Ok(Ended::Well);
         }
         Command::Show { id, follow } => {
             let id = match id {
                 Some(id) => id,
-                None => context.client.newest("rollouts").await?,
+                None => {
+                    let newest = [("limit", "1".to_owned())];
+                    let newest: Rollouts = context.client.get("/api/v1/rollouts", &newest).await?;
+                    let rollout = newest.rollouts.first();
+                    rollout.context("there are no rollouts yet")?.id
+                }
             };
             if follow {
                 return self::follow(context, id).await;
             }
-            let rollout = context
-                .client
-                .get(&format!("/api/v1/rollouts/{id}"), &[])
-                .await?;
+            let rollout = rollout(context, id).await?;
             context.print(&rollout, whole)?;
             return Ok(judge(&rollout));
         }
@@ -149,7 +156,7 @@ pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<E
         Command::Return { id } => (id, "return"),
         Command::Stop { id } => (id, "stop"),
     };
-    let rollout = context
+    let rollout: RolloutView = context
         .client
         .post(&format!("/api/v1/rollouts/{id}/{order}"), &json!({}))
         .await?;
@@ -176,44 +183,41 @@ async fn start(context: &Context, arguments: StartArguments) -> anyhow::Result<E
         "seed": arguments.seed,
         "why": arguments.why,
     }));
-    let rollout = context.client.post("/api/v1/rollouts", &body).await?;
-    let id = rollout["id"].as_u64().unwrap_or(0);
+    let rollout: RolloutView = context.client.post("/api/v1/rollouts", &body).await?;
     if arguments.follow {
-        return follow(context, id).await;
+        return follow(context, rollout.id).await;
     }
     context.print(&rollout, |rollout| {
         let mut text = headline(rollout) + "\n";
-        for left in items(&rollout["left_out"]) {
-            let line = format!(
-                "  without {}: {}",
-                left["node"].as_str().unwrap_or("?"),
-                left["why"].as_str().unwrap_or("?")
-            );
+        for left_out in &rollout.left_out {
+            let line = format!("  without {}: {}", left_out.node, left_out.why);
             text += &(cut(&line, WIDTH) + "\n");
         }
-        text + &format!("albireo fleet rollout show {id} --follow\n")
+        text + &format!("albireo fleet rollout show {} --follow\n", rollout.id)
     })?;
     Ok(Ended::Well)
 }
 
-async fn follow(context: &Context, id: u64) -> anyhow::Result<Ended> {
+async fn rollout(context: &Context, id: i64) -> anyhow::Result<RolloutView> {
+    let path = format!("/api/v1/rollouts/{id}");
+    context.client.get(&path, &[]).await
+}
+
+async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
     let mut printed = 0;
     loop {
-        let rollout = context
-            .client
-            .get(&format!("/api/v1/rollouts/{id}"), &[])
-            .await?;
-        let record = rollout["record"].as_array().cloned().unwrap_or_default();
+        let rollout = rollout(context, id).await?;
+        let record = rollout.record.as_deref().unwrap_or_default();
         for entry in record.iter().skip(printed) {
             if context.json {
-                println!("{entry}");
+                println!("{}", serde_json::to_string(entry)?);
             } else {
-                print!("{}", entry_text(entry, begun_ms(&rollout)));
+                print!("{}", entry_text(entry, rollout.begun_ms));
             }
         }
         printed = record.len().max(printed);
-        let phase = rollout["phase"].as_str().unwrap_or_default();
-        if matches!(phase, "done" | "returned" | "stopped" | "held") {
+        use Phase::{Done, Held, Returned, Stopped};
+        if matches!(rollout.phase, Done | Returned | Stopped | Held { .. }) {
             if !context.json {
                 println!("{}", headline(&rollout));
             }
@@ -223,167 +227,127 @@ async fn follow(context: &Context, id: u64) -> anyhow::Result<Ended> {
     }
 }
 
-fn begun_ms(rollout: &Value) -> i64 {
-    rollout["begun_ms"].as_i64().unwrap_or(0)
-}
-
-fn judge(rollout: &Value) -> Ended {
-    match rollout["phase"].as_str() {
-        Some("done" | "stopped") => Ended::Well,
-        Some("returned" | "returning") => Ended::Failed,
+fn judge(rollout: &RolloutView) -> Ended {
+    match rollout.phase {
+        Phase::Done | Phase::Stopped => Ended::Well,
+        Phase::Returned | Phase::Returning { .. } => Ended::Failed,
         _ => Ended::Open,
     }
 }
 
-fn state(rollout: &Value) -> String {
-    let phase = rollout["phase"].as_str().unwrap_or("?");
-    if rollout["paused"].as_bool() == Some(true) {
-        format!("{phase}, paused")
-    } else {
-        phase.to_owned()
-    }
+fn state(rollout: &RolloutView) -> String {
+    let paused = if rollout.paused { ", paused" } else { "" };
+    format!("{}{paused}", rollout.phase.name())
 }
 
-fn headline(rollout: &Value) -> String {
-    let stages = rollout["stages"].as_array().map_or(0, Vec::len);
-    let mut text = format!(
-        "rollout {} to {}: {}, stage {} of {stages}",
-        rollout["id"],
-        threshold(&rollout["to"]),
+fn headline(rollout: &RolloutView) -> String {
+    let text = format!(
+        "rollout {} to {}: {}, stage {} of {}",
+        rollout.id,
+        threshold(&rollout.to),
         state(rollout),
-        rollout["stage"],
+        rollout.stage,
+        rollout.stages.len(),
     );
-    if let Some(reason) = rollout["reason"].as_str() {
-        text += &format!(" ({reason})");
+    match &rollout.phase {
+        Phase::Held { reason, .. } | Phase::Returning { reason, .. } => {
+            format!("{text} ({reason})")
+        }
+        _ => text,
     }
-    text
 }
 
-fn list(rollouts: &Value) -> String {
+fn list(rollouts: &Rollouts) -> String {
     let mut table = Table::new(&[
         ">id", ">to", "state", ">stage", ">nodes", "begun", "who", "why",
     ]);
-    for rollout in items(&rollouts["rollouts"]) {
-        let stages = items(&rollout["stages"]);
-        let nodes: u64 = stages
-            .iter()
-            .filter_map(|stage| stage["nodes"].as_u64())
-            .sum();
+    for rollout in &rollouts.rollouts {
+        let nodes: usize = rollout.stages.iter().map(|stage| stage.nodes).sum();
         table.row([
-            rollout["id"].to_string(),
-            threshold(&rollout["to"]),
+            rollout.id.to_string(),
+            threshold(&rollout.to),
             state(rollout),
-            format!("{}/{}", rollout["stage"], stages.len()),
+            format!("{}/{}", rollout.stage, rollout.stages.len()),
             nodes.to_string(),
-            when(&rollout["begun_ms"]),
-            text_of(&rollout["who"]),
-            text_of(&rollout["plan"]["why"]),
+            when(rollout.begun_ms),
+            rollout.who.clone(),
+            rollout.plan.why.clone(),
         ]);
     }
     table.to_string()
 }
 
-fn whole(rollout: &Value) -> String {
+fn whole(rollout: &RolloutView) -> String {
+    let plan = &rollout.plan;
     let mut text = headline(rollout) + "\n";
-    let plan = &rollout["plan"];
-    let join = |list: &Value| {
-        list.as_array()
-            .into_iter()
-            .flatten()
-            .filter_map(Value::as_str)
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
-    let soak = plan["soak_s"].as_f64().unwrap_or(0.0);
     let _ = writeln!(
         text,
         "  nodes {}; stages {}; soak {}",
-        join(&plan["select"]),
-        join(&plan["stages"]),
-        span(soak as i64)
+        plan.select,
+        joined(&plan.stages),
+        span(plan.soak_s as i64)
     );
     let _ = writeln!(
         text,
         "  gates {}; on failure {}",
-        join(&plan["gates"]),
-        plan["on_failure"].as_str().unwrap_or("?")
+        joined(&plan.gates),
+        name_of(&plan.on_failure)
     );
-    for (i, stage) in items(&rollout["stages"]).iter().enumerate() {
-        let counts = counts(stage);
-        let counts = if counts.is_empty() {
-            "not begun".to_owned()
-        } else {
-            counts
+    for (number, stage) in (1..).zip(&rollout.stages) {
+        let counts = match stage.counts.is_empty() {
+            true => "not begun".to_owned(),
+            false => counts(&stage.counts),
         };
-        let _ = writeln!(
-            text,
-            "  stage {}: {} nodes, {counts}",
-            i + 1,
-            stage["nodes"]
-        );
+        let _ = writeln!(text, "  stage {number}: {} nodes, {counts}", stage.nodes);
     }
-    for entry in items(&rollout["record"]) {
-        text += &entry_text(entry, begun_ms(rollout));
+    for entry in rollout.record.iter().flatten() {
+        text += &entry_text(entry, rollout.begun_ms);
     }
     text
 }
 
+fn joined(list: &[impl ToString]) -> String {
+    let texts: Vec<String> = list.iter().map(ToString::to_string).collect();
+    texts.join(", ")
+}
+
 /// An entry of a rollout's record, with its time since the rollout began.
-fn entry_text(entry: &Value, begun_ms: i64) -> String {
-    let who = entry["who"]
-        .as_str()
-        .map(|who| format!(" by {who}"))
-        .unwrap_or_default();
-    let said = match entry["text"].as_str().unwrap_or_default() {
+fn entry_text(entry: &Entry, begun_ms: i64) -> String {
+    let who = entry.who.as_ref().map(|who| format!(" by {who}"));
+    let text = match entry.text.as_str() {
         "" => String::new(),
         text => format!(": {text}"),
     };
     let line = format!(
-        "{:>10}  stage {}  {}{who}{said}",
-        format!(
-            "+{}",
-            span((entry["at_ms"].as_i64().unwrap_or(begun_ms) - begun_ms) / 1000)
-        ),
-        entry["stage"],
-        entry["what"].as_str().unwrap_or("?"),
+        "{:>10}  stage {}  {}{}{text}",
+        format!("+{}", span((entry.at_ms - begun_ms) / 1000)),
+        entry.stage,
+        name_of(&entry.what),
+        who.unwrap_or_default(),
     );
     // Why a stage failed is what it is all about: it is not cut.
     let mut text = wrapped(&line, 15);
-    let gates = items(&entry["gates"]);
-    if gates.is_empty() {
+    if entry.gates.is_empty() {
         return text;
     }
     let mut table = Table::new(&[
         "   gate", "figure", ">nodes", ">others", ">before", ">after", "change", "verdict",
     ]);
-    for gate in gates {
-        let name = gate["gate"].as_str().unwrap_or("?");
-        let percent = name.contains('%');
-        let shown = |value: &Value| match value.as_f64() {
-            Some(value) if percent => format!("{:+.1}%", value * 100.0),
-            Some(value) => format!("{value:+.4}"),
-            None => "-".to_owned(),
-        };
-        let change = &gate["change"];
-        let change = match change.is_null() {
-            true => "-".to_owned(),
-            false => format!(
-                "{} [{}, {}]",
-                shown(&change["estimate"]),
-                shown(&change["lower"]),
-                shown(&change["upper"])
-            ),
-        };
-        let mean = |value: &Value| value.as_f64().map_or_else(|| "-".to_owned(), figure);
+    let mean = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), figure);
+    for result in &entry.gates {
+        let measured = result.figure.map(|figure| figure.to_string());
+        let change = result.change.as_ref();
         table.row([
-            format!("   {name}"),
-            gate["figure"].as_str().unwrap_or("not measured").to_owned(),
-            gate["nodes"].to_string(),
-            gate["compared"].to_string(),
-            mean(&gate["before"]),
-            mean(&gate["after"]),
-            change,
-            gate["verdict"].as_str().unwrap_or("?").replace('_', " "),
+            format!("   {}", result.gate),
+            measured.unwrap_or_else(|| "not measured".to_owned()),
+            result.nodes.to_string(),
+            result.compared.to_string(),
+            mean(result.before),
+            mean(result.after),
+            change.map_or("-".to_owned(), |change| {
+                interval(change, result.gate.relative)
+            }),
+            name_of(&result.verdict),
         ]);
     }
     text += &table.to_string();

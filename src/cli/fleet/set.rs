@@ -1,8 +1,11 @@
 //! `set-u`, `set-target`, `changes`, `drift`.
 
-use super::table::Table;
-use super::units::{counts, items, seconds, setting, target, text_of, when};
+use super::table::{Table, WIDTH, cut};
+use super::units::{counts, seconds, setting, target, when};
 use super::{Context, Ended};
+use albireo_hub::http::{ChangeDetail, ChangeView, Changes, LastLine, OrderLine};
+use albireo_hub::tuning::tuner::{Drift, OutcomeLine};
+use albireo_wire::DesiredSetting;
 use serde_json::{Value, json};
 
 /// Arguments of `albireo fleet set-u`.
@@ -72,46 +75,51 @@ async fn order(
         "wait_s": order.wait,
     });
     body[name] = value;
-    let mut last = Value::Null;
-    let lines = context.client.put_lines(path, &body, |line| {
+    let mut last = None;
+    let lines = context.client.put_lines(path, &body, |line: OrderLine| {
         if context.json {
-            println!("{line}");
+            println!("{}", serde_json::to_string(&line)?);
         }
-        if line.get("counts").is_some() {
-            last = line;
-        } else if !context.json {
-            println!("{}", outcome(&line));
+        match line {
+            OrderLine::Last(line) => last = Some(line),
+            OrderLine::Outcome(line) if !context.json => println!("{}", outcome(&line)),
+            OrderLine::Outcome(_) => (),
         }
         Ok(())
     });
     lines.await?;
-    if !context.json {
-        let number = last["revision"]
-            .as_u64()
-            .map(|n| format!("revision {n}: "))
-            .unwrap_or_default();
-        println!("{number}{}", counts(&last));
+    if let Some(LastLine { revision, counts }) = last.as_ref().filter(|_| !context.json) {
+        let revision = revision.map(|n| format!("revision {n}: "));
+        println!("{}{}", revision.unwrap_or_default(), self::counts(counts));
     }
-    Ok(judge(&last["counts"]))
+    Ok(judge(last.as_ref()))
 }
 
 /// One node's line.
-fn outcome(line: &Value) -> String {
-    let detail = line["detail"].as_str().unwrap_or_default();
+fn outcome(line: &OutcomeLine) -> String {
     let text = format!(
-        "{:<24} {:<12} {:>9} -> {:<9} {detail}",
-        line["node"].as_str().unwrap_or("?"),
-        line["outcome"].as_str().unwrap_or("?").replace('_', " "),
-        setting(&line["from"]),
-        setting(&line["to"]),
+        "{:<24} {:<12} {:>9} -> {:<9} {}",
+        line.node,
+        line.outcome.replace('_', " "),
+        before(line.from.as_ref()),
+        setting(&line.to),
+        line.detail,
     );
-    super::table::cut(text.trim_end(), super::table::WIDTH)
+    cut(text.trim_end(), WIDTH)
 }
 
-fn judge(counts: &Value) -> Ended {
-    let has = |name: &str| counts[name].as_u64().unwrap_or(0) > 0;
-    // Without counts the answer broke off: what became of the nodes is not known.
-    if !counts.is_object() || has("refused") || has("timed_out") {
+/// A setting that may not be known.
+fn before(from: Option<&DesiredSetting>) -> String {
+    from.map_or_else(|| "-".to_owned(), setting)
+}
+
+fn judge(last: Option<&LastLine>) -> Ended {
+    // Without a last line the answer broke off: what became of the nodes is not known.
+    let Some(last) = last else {
+        return Ended::Failed;
+    };
+    let has = |name: &str| last.counts.get(name).is_some_and(|nodes| *nodes > 0);
+    if has("refused") || has("timed_out") {
         Ended::Failed
     } else if has("waiting") || has("pending") || has("superseded") {
         Ended::Open
@@ -138,65 +146,63 @@ pub(super) async fn changes(
     arguments: ChangesArguments,
 ) -> anyhow::Result<Ended> {
     if let Some(revision) = arguments.revision {
-        let change = context
+        let change: ChangeDetail = context
             .client
             .get(&format!("/api/v1/changes/{revision}"), &[])
             .await?;
-        context.print(&change, |change| {
+        context.print(&change, |ChangeDetail { change, nodes }| {
             let mut table = Table::new(&["node", "outcome", ">from", "when", "detail"]);
-            for node in items(&change["nodes"]) {
+            for node in nodes {
                 table.row([
-                    text_of(&node["node"]),
-                    node["outcome"].as_str().unwrap_or("?").replace('_', " "),
-                    setting(&node["from"]),
-                    when(&node["at_ms"]),
-                    text_of(&node["detail"]),
+                    node.node.clone(),
+                    node.outcome.replace('_', " "),
+                    before(node.from.as_ref()),
+                    when(node.at_ms),
+                    node.detail.clone(),
                 ]);
             }
-            format!("{}\n{table}", list(&json!({ "changes": [change] })))
+            format!("{}\n{table}", list(std::slice::from_ref(change)))
         })?;
         return Ok(Ended::Well);
     }
     let mut query = vec![("limit", arguments.limit.to_string())];
     query.extend(arguments.node.map(|node| ("node", node)));
-    let changes = context.client.get("/api/v1/changes", &query).await?;
-    context.print(&changes, list)?;
+    let changes: Changes = context.client.get("/api/v1/changes", &query).await?;
+    context.print(&changes, |changes| list(&changes.changes))?;
     Ok(Ended::Well)
 }
 
-fn list(changes: &Value) -> String {
+fn list(changes: &[ChangeView]) -> String {
     let mut table = Table::new(&[">revision", "when", "who", "by", ">to", "outcome", "why"]);
-    for change in items(&changes["changes"]) {
-        let counts = counts(change);
+    for change in changes {
         table.row([
-            change["revision"].to_string(),
-            when(&change["at_ms"]),
-            text_of(&change["who"]),
-            text_of(&change["origin"]),
-            setting(&change["to"]),
-            counts,
-            text_of(&change["why"]),
+            change.revision.to_string(),
+            when(change.at_ms),
+            change.who.clone(),
+            change.origin.clone(),
+            setting(&change.to),
+            counts(&change.counts),
+            change.why.clone(),
         ]);
     }
     table.to_string()
 }
 
 pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
-    let drift = context.client.get("/api/v1/drift", &[]).await?;
-    context.print(&drift, |drift| {
-        let nodes = drift.as_array().map(Vec::as_slice).unwrap_or_default();
+    let drift: Vec<Drift> = context.client.get("/api/v1/drift", &[]).await?;
+    context.print(&drift, |nodes| {
         if nodes.is_empty() {
             return "every node that took a desired value still has it\n".to_owned();
         }
         let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back", "why"]);
         for node in nodes {
             table.row([
-                text_of(&node["node"]),
-                when(&node["since_ms"]),
-                setting(&node["desired"]),
-                setting(&node["in_force"]),
-                node["set_back"].to_string(),
-                text_of(&node["why"]),
+                node.node.clone(),
+                when(node.since_ms),
+                setting(&node.desired),
+                before(node.in_force.as_ref()),
+                node.set_back.to_string(),
+                node.why.clone().unwrap_or_default(),
             ]);
         }
         table.to_string()

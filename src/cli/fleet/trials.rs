@@ -1,9 +1,13 @@
 //! `trial`: values compared on random groups of nodes.
 
 use super::table::Table;
-use super::units::{counts, figure, finite, items, named, seconds, text_of, threshold, when};
+use super::units::{counts, figure, finite, interval, named, seconds, threshold, when};
 use super::{Context, Ended};
-use serde_json::{Value, json};
+use albireo_hub::http::{TrialView, Trials};
+use albireo_hub::tuning::effect::Scale;
+use albireo_hub::tuning::metric::Figure;
+use anyhow::Context as _;
+use serde_json::json;
 
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Command {
@@ -14,12 +18,12 @@ pub(super) enum Command {
     /// One with its result.
     Show {
         /// Its number; the newest where none is given.
-        id: Option<u64>,
+        id: Option<i64>,
     },
     /// End it now, with what was measured; the old values return.
     End {
         /// Its number.
-        id: u64,
+        id: i64,
     },
 }
 
@@ -51,7 +55,7 @@ pub(super) struct StartArguments {
 
 pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<Ended> {
     let client = &context.client;
-    let trial = match command {
+    let trial: TrialView = match command {
         Command::Start(arguments) => {
             let value = |value: &f64| json!({ (arguments.knob.as_str()): value });
             let body = named(json!({
@@ -65,14 +69,19 @@ pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<E
             client.post("/api/v1/trials", &body).await?
         }
         Command::Ls => {
-            let trials = client.get("/api/v1/trials", &[]).await?;
+            let trials: Trials = client.get("/api/v1/trials", &[]).await?;
             context.print(&trials, list)?;
             return Ok(Ended::Well);
         }
         Command::Show { id } => {
             let id = match id {
                 Some(id) => id,
-                None => client.newest("trials").await?,
+                None => {
+                    let newest = [("limit", "1".to_owned())];
+                    let newest: Trials = client.get("/api/v1/trials", &newest).await?;
+                    let trial = newest.trials.first().context("there are no trials yet")?;
+                    trial.id
+                }
             };
             client.get(&format!("/api/v1/trials/{id}"), &[]).await?
         }
@@ -86,41 +95,39 @@ pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<E
     Ok(Ended::Well)
 }
 
-fn values(trial: &Value) -> String {
-    let values = items(&trial["plan"]["values"]).iter();
+fn values(trial: &TrialView) -> String {
+    let values = trial.plan.values.iter();
     values.map(threshold).collect::<Vec<_>>().join(", ")
 }
 
-fn list(trials: &Value) -> String {
+fn list(trials: &Trials) -> String {
     let mut table = Table::new(&[">id", "values", "state", "begun", "who", "why"]);
-    for trial in items(&trials["trials"]) {
+    for trial in &trials.trials {
         table.row([
-            trial["id"].to_string(),
+            trial.id.to_string(),
             values(trial),
-            text_of(&trial["phase"]),
-            when(&trial["begun_ms"]),
-            text_of(&trial["who"]),
-            text_of(&trial["plan"]["why"]),
+            trial.phase.name().to_owned(),
+            when(trial.begun_ms),
+            trial.who.clone(),
+            trial.plan.why.clone(),
         ]);
     }
     table.to_string()
 }
 
-fn whole(trial: &Value) -> String {
-    let counts = counts(trial);
+fn whole(trial: &TrialView) -> String {
     let mut text = format!(
         "trial {} of {}: {}; {}; seed {}\n",
-        trial["id"],
+        trial.id,
         values(trial),
-        trial["phase"].as_str().unwrap_or("?"),
-        counts,
-        trial["seed"],
+        trial.phase.name(),
+        counts(&trial.counts),
+        trial.seed,
     );
-    let result = &trial["result"];
-    if result.is_null() {
+    let Some(result) = &trial.result else {
         return text;
-    }
-    let level = result["confidence"].as_f64().unwrap_or(0.0) * 100.0;
+    };
+    let level = result.confidence * 100.0;
     text += &format!(
         "changes beyond that of the first value's nodes; all intervals together hold at {level} %\n"
     );
@@ -133,47 +140,22 @@ fn whole(trial: &Value) -> String {
         ">during",
         "difference",
     ]);
-    let difference = |of: &Value, name: &str| {
-        let relative = ["joules", "edp", "latency"]
-            .iter()
-            .any(|start| name.starts_with(start));
-        let shown = |end: &str| match of[end].as_f64() {
-            Some(value) if relative => format!("{:+.1}%", value * 100.0),
-            Some(value) => format!("{value:+.4}"),
-            None => "?".to_owned(),
-        };
-        match of.is_null() {
-            true => "-".to_owned(),
-            false => format!(
-                "{} [{}, {}]",
-                shown("estimate"),
-                shown("lower"),
-                shown("upper")
-            ),
-        }
-    };
-    let arms = items(&result["values"]);
-    let figures = [
-        "joules_measured",
-        "joules_estimated",
-        "edp_measured",
-        "edp_estimated",
-        "skip_rate",
-        "latency_p99",
-        "degraded",
-    ];
-    for name in figures {
-        for arm in arms {
-            let of = items(&arm["figures"]).iter().find(|f| f["figure"] == name);
-            let Some(found) = of else { continue };
+    for shown in Figure::ALL {
+        for arm in &result.values {
+            let Some(found) = arm.figures.iter().find(|found| found.figure == shown) else {
+                continue;
+            };
+            let difference = found.difference.as_ref();
             table.row([
-                name.to_owned(),
-                threshold(&arm["value"]),
-                found["nodes"].to_string(),
-                found["clips"].to_string(),
-                figure(found["before"].as_f64().unwrap_or(0.0)),
-                figure(found["mean"].as_f64().unwrap_or(0.0)),
-                difference(&found["difference"], name),
+                shown.to_string(),
+                threshold(&arm.value),
+                found.nodes.to_string(),
+                found.clips.to_string(),
+                figure(found.before),
+                figure(found.mean),
+                difference.map_or("-".to_owned(), |d| {
+                    interval(d, shown.scale() == Scale::Relative)
+                }),
             ]);
         }
     }

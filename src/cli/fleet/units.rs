@@ -1,6 +1,11 @@
 //! Times and numbers as people write and read them.
 
 use albireo_core::policy::short;
+use albireo_hub::tuning::effect::Interval;
+use albireo_wire::{DesiredSetting, Threshold};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
@@ -37,19 +42,15 @@ pub(super) fn ago(at_ms: i64) -> String {
     span((now_ms() - at_ms).max(0) / 1000)
 }
 
-/// How long ago a time of an answer is, milliseconds since the Unix epoch.
-pub(super) fn when(at_ms: &serde_json::Value) -> String {
-    format!("{} ago", ago(at_ms.as_i64().unwrap_or(0)))
+/// How long ago a time is, milliseconds since the Unix epoch.
+pub(super) fn when(at_ms: i64) -> String {
+    format!("{} ago", ago(at_ms))
 }
 
-/// A text of an answer; empty where it has none.
-pub(super) fn text_of(value: &serde_json::Value) -> String {
-    value.as_str().unwrap_or_default().to_owned()
-}
-
-/// A list of an answer; empty where it has none.
-pub(super) fn items(list: &serde_json::Value) -> &[serde_json::Value] {
-    list.as_array().map(Vec::as_slice).unwrap_or_default()
+/// The name of a value as messages have it, in words: `cannot be met`.
+pub(super) fn name_of(value: &impl Serialize) -> String {
+    let name = serde_json::to_value(value).unwrap_or_default();
+    name.as_str().unwrap_or("-").replace('_', " ")
 }
 
 /// The fields of a request that have a value.
@@ -61,12 +62,26 @@ pub(super) fn named(mut request: serde_json::Value) -> serde_json::Value {
 }
 
 /// How many nodes have which outcome: `3 applied, 1 timed out`.
-pub(super) fn counts(of: &serde_json::Value) -> String {
-    let counts = of["counts"].as_object().into_iter().flatten();
+pub(super) fn counts(counts: &BTreeMap<String, impl Display>) -> String {
     let counts: Vec<String> = counts
+        .iter()
         .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
         .collect();
     counts.join(", ")
+}
+
+/// A change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers where it is not `relative`.
+pub(super) fn interval(change: &Interval, relative: bool) -> String {
+    let shown = |value: f64| match relative {
+        true => format!("{:+.1}%", value * 100.0),
+        false => format!("{value:+.4}"),
+    };
+    let Interval {
+        estimate,
+        lower,
+        upper,
+    } = *change;
+    format!("{} [{}, {}]", shown(estimate), shown(lower), shown(upper))
 }
 
 /// A number of seconds in its largest unit.
@@ -97,39 +112,22 @@ fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// A threshold, `{"name": "u", "value": 5e-4}` or an object that has one: `5e-4`, with its name unless it is `u`.
-pub(super) fn threshold(value: &serde_json::Value) -> String {
-    let threshold = value.get("threshold").unwrap_or(value);
-    let (Some(name), Some(number)) = (threshold["name"].as_str(), threshold["value"].as_f64())
-    else {
-        return "-".to_owned();
-    };
-    let number = short(rounded(number));
-    match name {
+/// A threshold: `5e-4`, with its name unless it is `u`.
+pub(super) fn threshold(threshold: &Threshold) -> String {
+    let number = short(rounded(threshold.value));
+    match threshold.name.as_str() {
         "u" => number,
         name => format!("{name} {number}"),
     }
 }
 
 /// What was ordered of a node, or what it has: a threshold as [`threshold`] writes it, `hold skip_rate 0.5` for a target.
-pub(super) fn setting(value: &serde_json::Value) -> String {
-    match value.get("target") {
-        None => threshold(value),
-        Some(serde_json::Value::Null) => "hold nothing".to_owned(),
-        Some(target) => format!("hold {}", target_words(target)),
+pub(super) fn setting(setting: &DesiredSetting) -> String {
+    match setting {
+        DesiredSetting::Threshold(value) => threshold(value),
+        DesiredSetting::Target(None) => "hold nothing".to_owned(),
+        DesiredSetting::Target(Some(target)) => format!("hold {target}"),
     }
-}
-
-/// A target: `skip_rate 0.5`.
-pub(super) fn target_words(target: &serde_json::Value) -> String {
-    let fields = target.as_object().into_iter().flatten();
-    let fields: Vec<String> = fields
-        .map(|(name, value)| match value.as_f64() {
-            Some(number) => format!("{name} {number}"),
-            None => format!("{name} {value}"),
-        })
-        .collect();
-    fields.join(" ")
 }
 
 /// Reads a target as JSON for a hub: `skip_rate=0.5`, `{"skip_rate": 0.5}`, or `off`, which is null.
@@ -181,21 +179,15 @@ mod tests {
         ] {
             assert_eq!(figure(value), expected);
         }
-        let told = |name: &str, value: f64| {
-            threshold(&serde_json::json!({"threshold": {"name": name, "value": value}}))
-        };
-        assert_eq!(told("u", 5e-4), "5e-4");
-        assert_eq!(told("lambda", 0.3), "lambda 0.3");
-        assert_eq!(told("lambda", 0.2901719359159484), "lambda 0.290172");
-        assert_eq!(
-            threshold(&serde_json::json!({"name": "u", "value": 5e-4})),
-            "5e-4"
-        );
-        assert_eq!(threshold(&serde_json::Value::Null), "-");
+        let text = |name: &str, value: f64| threshold(&Threshold::new(name, value));
+        assert_eq!(text("u", 5e-4), "5e-4");
+        assert_eq!(text("lambda", 0.3), "lambda 0.3");
+        assert_eq!(text("lambda", 0.2901719359159484), "lambda 0.290172");
     }
 
     #[test]
     fn a_target_is_written_as_advise_takes_it_as_json_or_off() {
+        use albireo_wire::Target;
         use serde_json::json;
         for (text, expected) in [
             ("skip_rate=0.5", json!({"skip_rate": 0.5})),
@@ -211,14 +203,13 @@ mod tests {
             let error = target(wrong).unwrap_err();
             assert!(error.contains("NAME=VALUE"), "{wrong}: {error}");
         }
+        let target = Target::named("skip_rate", 0.5);
         assert_eq!(
-            setting(&json!({"target": {"skip_rate": 0.5}})),
+            setting(&DesiredSetting::Target(target)),
             "hold skip_rate 0.5"
         );
-        assert_eq!(setting(&json!({"target": null})), "hold nothing");
-        assert_eq!(
-            setting(&json!({"threshold": {"name": "u", "value": 5e-4}})),
-            "5e-4"
-        );
+        assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
+        let threshold = Threshold::new("u", 5e-4);
+        assert_eq!(setting(&threshold.into()), "5e-4");
     }
 }

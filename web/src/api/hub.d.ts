@@ -1609,6 +1609,7 @@ export interface components {
         };
         /** @description One order with its nodes. */
         ChangeDetail: components["schemas"]["ChangeView"] & {
+            /** @description What became of it at each. */
             nodes: components["schemas"]["ChangeNode"][];
         };
         /** @description What became of an order at a node. */
@@ -1618,9 +1619,12 @@ export interface components {
              * @description When that was known, milliseconds since the Unix epoch.
              */
             at_ms: number;
+            /** @description Why, where there is something to say. */
             detail?: string;
             from?: components["schemas"]["DesiredSetting"] | null;
+            /** @description The node. */
             node: string;
+            /** @description `applied`, `refused`, `waiting`, `timed_out`, `pending`, `superseded` or `missed`. */
             outcome: string;
         };
         /** @description One order of the history. */
@@ -1652,6 +1656,7 @@ export interface components {
         };
         /** @description Orders, the newest first. */
         Changes: {
+            /** @description One entry for each order. */
             changes: components["schemas"]["ChangeView"][];
             /**
              * Format: int64
@@ -1913,8 +1918,8 @@ export interface components {
              * @description Energy, joules: exact sums of what the nodes report, in whole microjoules.
              */
             joules: number;
-            /** @description `measured`, `partial`, `estimated` or `unavailable`: sums of different qualities are never added. */
-            quality: string;
+            /** @description Sums of different qualities are never added. */
+            quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: double
              * @description Estimate, whatever the quality, of what the avoided calls would have added, joules: sum of what the nodes report.
@@ -2158,6 +2163,7 @@ export interface components {
         NodeList: {
             /** @description Nodes of the whole fleet by state. */
             counts: components["schemas"]["Counts"];
+            /** @description The rows. */
             nodes: components["schemas"]["NodeView"][];
             /** @description Place of the first row of this answer among them. */
             offset: number;
@@ -2598,6 +2604,7 @@ export interface components {
              * @description Give it as `before` for the next page; absent on the last.
              */
             next?: number | null;
+            /** @description One entry for each. */
             rollouts: components["schemas"]["RolloutView"][];
         };
         /** @description A route. */
@@ -2746,7 +2753,7 @@ export interface components {
             /** @description Execution provider. */
             provider: string;
             /** @description `measured`, `partial`, `estimated` or `unavailable`. */
-            quality: string;
+            quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: int64
              * @description When it was received.
@@ -3085,6 +3092,7 @@ export interface components {
              * @description Give it as `before` for the next page; absent on the last.
              */
             next?: number | null;
+            /** @description One entry for each. */
             trials: components["schemas"]["TrialView"][];
         };
         /**

@@ -16,54 +16,60 @@ use utoipa::{IntoParams, ToSchema};
 const MOST_ORDERS: i64 = 500;
 
 /// One order of the history.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct ChangeView {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct ChangeView {
     /// Its number, which nodes report as the revision of their setting.
-    revision: i64,
+    pub revision: i64,
     /// When, milliseconds since the Unix epoch.
-    at_ms: i64,
+    pub at_ms: i64,
     /// Who: the name of the token.
-    who: String,
+    pub who: String,
     /// Why.
-    why: String,
+    pub why: String,
     /// `hand`, `rollout 3`, `trial 4`, `drift`.
-    origin: String,
+    pub origin: String,
     /// Who was selected; empty where a rollout or trial chose.
-    select: String,
+    pub select: String,
     /// What was ordered: a threshold, or a target (null switches it off).
-    to: DesiredSetting,
+    pub to: DesiredSetting,
     /// How many nodes have which outcome.
-    counts: BTreeMap<String, i64>,
+    pub counts: BTreeMap<String, i64>,
 }
 
 /// What became of an order at a node.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct ChangeNode {
-    node: String,
-    outcome: String,
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct ChangeNode {
+    /// The node.
+    pub node: String,
+    /// `applied`, `refused`, `waiting`, `timed_out`, `pending`, `superseded` or `missed`.
+    pub outcome: String,
     /// When that was known, milliseconds since the Unix epoch.
-    at_ms: i64,
+    pub at_ms: i64,
     /// Its setting before: a threshold or a target.
-    from: Option<DesiredSetting>,
-    #[serde(skip_serializing_if = "String::is_empty")]
-    detail: String,
+    pub from: Option<DesiredSetting>,
+    /// Why, where there is something to say.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub detail: String,
 }
 
 /// One order with its nodes.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct ChangeDetail {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct ChangeDetail {
+    /// The order.
     #[serde(flatten)]
-    change: ChangeView,
-    nodes: Vec<ChangeNode>,
+    pub change: ChangeView,
+    /// What became of it at each.
+    pub nodes: Vec<ChangeNode>,
 }
 
 /// Orders, the newest first.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct Changes {
-    changes: Vec<ChangeView>,
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Changes {
+    /// One entry for each order.
+    pub changes: Vec<ChangeView>,
     /// Give it as `before` for the next page; absent on the last.
     #[serde(skip_serializing_if = "Option::is_none")]
-    next: Option<i64>,
+    pub next: Option<i64>,
 }
 
 /// Which orders.

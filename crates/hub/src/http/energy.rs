@@ -47,20 +47,20 @@ pub(super) enum Sort {
 }
 
 /// Sums by group and quality.
-#[derive(Serialize, ToSchema)]
-pub(super) struct Energy {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Energy {
     /// The spans the sums were made from: days where the times asked for begin and end with one, else five minutes.
-    resolution: Resolution,
+    pub resolution: Resolution,
     /// From this time on, milliseconds since the Unix epoch: the beginning of a span.
-    since_ms: i64,
+    pub since_ms: i64,
     /// Before this time: the end of a span.
-    until_ms: i64,
+    pub until_ms: i64,
     /// One entry for each group and quality.
-    groups: Vec<EnergyGroup>,
+    pub groups: Vec<EnergyGroup>,
     /// What was audited in all these groups together, whatever the quality of their energy; absent where nothing was.
     /// Against the detector, not against the truth.
     #[serde(skip_serializing_if = "Option::is_none")]
-    audit: Option<AuditFigures>,
+    pub audit: Option<AuditFigures>,
 }
 
 /// Energy over time and fleet: measured, partial and estimated apart, and against vanilla

@@ -62,30 +62,31 @@ pub(super) struct Selection {
 }
 
 /// Nodes by state.
-#[derive(Serialize, ToSchema)]
-struct Counts {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Counts {
     /// All its parts work.
-    online: u64,
+    pub online: u64,
     /// Something of it is impaired.
-    degraded: u64,
+    pub degraded: u64,
     /// Nothing was heard for a while.
-    silent: u64,
+    pub silent: u64,
     /// It is gone.
-    offline: u64,
+    pub offline: u64,
 }
 
 /// Nodes of the fleet.
-#[derive(Serialize, ToSchema)]
-pub(super) struct NodeList {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct NodeList {
     /// Nodes of the whole fleet by state.
-    counts: Counts,
+    pub counts: Counts,
     /// Reports that wait in the outboxes of the whole fleet.
-    waiting: u64,
+    pub waiting: u64,
     /// Rows there are of this selection.
-    total: usize,
+    pub total: usize,
     /// Place of the first row of this answer among them.
-    offset: usize,
-    nodes: Vec<NodeView>,
+    pub offset: usize,
+    /// The rows.
+    pub nodes: Vec<NodeView>,
 }
 
 struct Row {

@@ -8,17 +8,18 @@ use albireo_service::http::{Caller, Problem};
 use axum::Json;
 use axum::extract::{Extension, Path, State};
 use axum::http::StatusCode;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// A node with what is known of its reports.
-#[derive(Serialize, ToSchema)]
-pub(super) struct NodeDetail {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct NodeDetail {
+    /// The node.
     #[serde(flatten)]
-    node: NodeView,
+    pub node: NodeView,
     /// What is known of its reports; absent where none came.
     #[serde(skip_serializing_if = "Option::is_none")]
-    reports: Option<ReportCounts>,
+    pub reports: Option<ReportCounts>,
 }
 
 /// One node with what is known of its reports

@@ -10,7 +10,7 @@ use axum::body::Body;
 use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -40,10 +40,22 @@ pub(super) struct OrderAnswer {
 }
 
 /// The last line of a stream.
-#[derive(Debug, Serialize, ToSchema)]
-struct LastLine {
-    revision: Option<u64>,
-    counts: BTreeMap<String, usize>,
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct LastLine {
+    /// Revision of the order; absent in a dry run, and if no node would change.
+    pub revision: Option<u64>,
+    /// How many nodes have which outcome.
+    pub counts: BTreeMap<String, usize>,
+}
+
+/// A line of a stream.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum OrderLine {
+    /// What the order came to at one node.
+    Outcome(OutcomeLine),
+    /// Nothing follows.
+    Last(LastLine),
 }
 
 /// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait,
@@ -94,16 +106,18 @@ pub(super) async fn carry_out(
         let stream = futures_util::stream::unfold(Some(following), |following| async move {
             let mut following = following?;
             let (line, next) = match following.next().await {
-                Some(line) => (serde_json::to_string(&line), Some(following)),
+                Some(line) => (OrderLine::Outcome(line), Some(following)),
                 None => {
                     let last = LastLine {
                         revision: following.change.revision,
                         counts: following.counts(),
                     };
-                    (serde_json::to_string(&last), None)
+                    (OrderLine::Last(last), None)
                 }
             };
-            let line = line.map(|line| line + "\n").map_err(std::io::Error::other);
+            let line = serde_json::to_string(&line)
+                .map(|line| line + "\n")
+                .map_err(std::io::Error::other);
             Some((line, next))
         });
         return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(stream)).into_response());
@@ -149,7 +163,7 @@ impl Following {
             if !self.last.contains_key(&node) {
                 return Some(OutcomeLine {
                     node,
-                    outcome: "pending",
+                    outcome: "pending".to_owned(),
                     from: None,
                     to: self.change.setting,
                     detail: "not answered yet".to_owned(),
@@ -162,7 +176,7 @@ impl Following {
     fn counts(&self) -> BTreeMap<String, usize> {
         let mut counts = BTreeMap::new();
         for line in self.last.values() {
-            *counts.entry(line.outcome.to_owned()).or_insert(0) += 1;
+            *counts.entry(line.outcome.clone()).or_insert(0) += 1;
         }
         counts
     }

@@ -48,104 +48,106 @@ pub(super) struct Which {
 }
 
 /// A stage of a rollout.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct StageView {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct StageView {
     /// Nodes that are new in it.
-    nodes: usize,
+    pub nodes: usize,
     /// How many of them have which outcome.
-    counts: BTreeMap<&'static str, usize>,
+    pub counts: BTreeMap<String, usize>,
 }
 
 /// A rollout.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct RolloutView {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct RolloutView {
     /// Its number.
-    id: i64,
+    pub id: i64,
     /// Who began it.
-    who: String,
+    pub who: String,
     /// When, milliseconds since the Unix epoch.
-    begun_ms: i64,
+    pub begun_ms: i64,
     /// When it ended.
-    ended_ms: Option<i64>,
+    pub ended_ms: Option<i64>,
     /// The new value.
-    to: Threshold,
+    pub to: Threshold,
     /// Where it is.
     #[serde(flatten)]
-    phase: Phase,
+    pub phase: Phase,
     /// Why the old values were returned; absent where they were not.
     #[serde(skip_serializing_if = "Option::is_none")]
-    why_returned: Option<String>,
+    pub why_returned: Option<String>,
     /// Whether it is paused.
-    paused: bool,
+    pub paused: bool,
     /// The stage it is in, from 1.
-    stage: usize,
+    pub stage: usize,
     /// Its stages.
-    stages: Vec<StageView>,
+    pub stages: Vec<StageView>,
     /// Its plan.
-    plan: RolloutPlan,
+    pub plan: RolloutPlan,
     /// The seed that drew the order of the nodes.
-    seed: u64,
+    pub seed: u64,
     /// What happened, with its numbers; absent in a list.
     #[serde(skip_serializing_if = "Option::is_none")]
-    record: Option<Vec<Entry>>,
+    pub record: Option<Vec<Entry>>,
     /// Its nodes; absent in a list.
     #[serde(skip_serializing_if = "Option::is_none")]
-    nodes: Option<Vec<Member>>,
+    pub nodes: Option<Vec<Member>>,
     /// Selected nodes that take no part; only in the answer to its begin.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    left_out: Vec<LeftOut>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
 }
 
 /// A trial.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct TrialView {
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct TrialView {
     /// Its number.
-    id: i64,
+    pub id: i64,
     /// Who began it.
-    who: String,
+    pub who: String,
     /// When, milliseconds since the Unix epoch.
-    begun_ms: i64,
+    pub begun_ms: i64,
     /// When it ended.
-    ended_ms: Option<i64>,
+    pub ended_ms: Option<i64>,
     /// Where it is.
     #[serde(flatten)]
-    phase: TrialPhase,
+    pub phase: TrialPhase,
     /// Who ended it before its time.
     #[serde(skip_serializing_if = "Option::is_none")]
-    ended_by: Option<String>,
+    pub ended_by: Option<String>,
     /// Its plan.
-    plan: TrialPlan,
+    pub plan: TrialPlan,
     /// The seed that drew the groups.
-    seed: u64,
+    pub seed: u64,
     /// How many nodes have which outcome.
-    counts: BTreeMap<&'static str, usize>,
+    pub counts: BTreeMap<String, usize>,
     /// What was measured, once it is over.
     #[serde(skip_serializing_if = "Option::is_none")]
-    result: Option<TrialResult>,
+    pub result: Option<TrialResult>,
     /// Its nodes; absent in a list.
     #[serde(skip_serializing_if = "Option::is_none")]
-    nodes: Option<Vec<Member>>,
+    pub nodes: Option<Vec<Member>>,
     /// Selected nodes that take no part; only in the answer to its begin.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    left_out: Vec<LeftOut>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
 }
 
 /// Rollouts, the newest first.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct Rollouts {
-    rollouts: Vec<RolloutView>,
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Rollouts {
+    /// One entry for each.
+    pub rollouts: Vec<RolloutView>,
     /// Give it as `before` for the next page; absent on the last.
     #[serde(skip_serializing_if = "Option::is_none")]
-    next: Option<i64>,
+    pub next: Option<i64>,
 }
 
 /// Trials, the newest first.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct Trials {
-    trials: Vec<TrialView>,
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Trials {
+    /// One entry for each.
+    pub trials: Vec<TrialView>,
     /// Give it as `before` for the next page; absent on the last.
     #[serde(skip_serializing_if = "Option::is_none")]
-    next: Option<i64>,
+    pub next: Option<i64>,
 }
 
 /// A rollout or a trial as it is shown.

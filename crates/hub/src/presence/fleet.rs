@@ -12,7 +12,7 @@ use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
@@ -27,7 +27,7 @@ const MOST_NEWS: usize = 2000;
 const MOST_NOTICES: usize = 1000;
 
 /// A node as it is shown.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeView {
     /// Its name.
     pub node: String,

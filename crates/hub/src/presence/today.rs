@@ -1,6 +1,6 @@
 //! What a node's clips of today used and saved, in memory, so that a fleet can be sorted by it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 const DAY_MS: i64 = 86_400_000;
@@ -11,7 +11,7 @@ pub(crate) const fn day_of(ms: i64) -> i64 {
 }
 
 /// What a node's clips of today used. Measured and estimated energy are never added.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TodaysEnergy {
     /// Joules read from a meter, also where it was read for a part of the time.
     pub measured_joules: f64,

@@ -58,9 +58,9 @@ impl Tuner {
         } = request;
         let taken = self.taken().await?;
         let (mut lines, mut nodes, mut known) = (Vec::new(), Vec::new(), HashSet::new());
-        let line = |node: &str, outcome, from, detail: String| OutcomeLine {
+        let line = |node: &str, outcome: &str, from, detail: String| OutcomeLine {
             node: node.to_owned(),
-            outcome,
+            outcome: outcome.to_owned(),
             from,
             to: setting,
             detail,

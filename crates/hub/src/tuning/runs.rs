@@ -109,7 +109,7 @@ pub enum RunError {
 }
 
 /// A node that was selected and takes no part, and why.
-#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LeftOut {
     /// The node.
     pub node: String,
@@ -625,10 +625,10 @@ fn figures(sums: Vec<ClipSums>) -> BTreeMap<String, Figures> {
 }
 
 /// What became of the members, by outcome.
-pub(crate) fn counts(members: &[super::members::Member]) -> BTreeMap<&'static str, usize> {
+pub(crate) fn counts(members: &[super::members::Member]) -> BTreeMap<String, usize> {
     let mut counts = BTreeMap::new();
     for member in members.iter().filter(|m| m.outcome != Outcome::Untouched) {
-        *counts.entry(member.outcome.name()).or_insert(0) += 1;
+        *counts.entry(member.outcome.name().to_owned()).or_insert(0) += 1;
     }
     counts
 }

@@ -123,6 +123,18 @@ pub enum TrialPhase {
     Done,
 }
 
+impl TrialPhase {
+    /// Its name in messages and tables.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Applying { .. } => "applying",
+            Self::Running { .. } => "running",
+            Self::Returning { .. } => "returning",
+            Self::Done => "done",
+        }
+    }
+}
+
 /// A figure of one group.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArmFigure {

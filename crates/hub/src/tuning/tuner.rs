@@ -10,7 +10,7 @@ use crate::store::{OrderNodeRow, OrderRow, Store, StoreError};
 use albireo_wire::DesiredSetting;
 use albireo_wire::Threshold;
 use parking_lot::Mutex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -28,19 +28,19 @@ const FARTHEST_AHEAD: u64 = 1 << 32;
 type SetBack = (DesiredSetting, Vec<(String, Option<DesiredSetting>)>);
 
 /// What an order came to at one node.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct OutcomeLine {
     /// The node.
     pub node: String,
     /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
     /// has the value already, `would_change` in a dry run.
-    pub outcome: &'static str,
+    pub outcome: String,
     /// Its setting before, if that was known: a threshold or a target.
     pub from: Option<DesiredSetting>,
     /// What was ordered: a threshold or a target.
     pub to: DesiredSetting,
     /// Why, where there is something to say.
-    #[serde(skip_serializing_if = "String::is_empty")]
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub detail: String,
 }
 
@@ -90,7 +90,7 @@ impl OpenOrder {
 }
 
 /// A node that took what is desired of it and has something else now.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Drift {
     /// The node.
     pub node: String,
@@ -317,12 +317,12 @@ impl Tuner {
         }
     }
 
-    fn tell(&self, order: &OpenOrder, node: &str, outcome: &'static str, detail: String) {
+    fn tell(&self, order: &OpenOrder, node: &str, outcome: &str, detail: String) {
         let mut followers = self.followers.lock();
         if let Some(follower) = followers.get(&order.revision) {
             let line = OutcomeLine {
                 node: node.to_owned(),
-                outcome,
+                outcome: outcome.to_owned(),
                 from: order.from,
                 to: order.setting,
                 detail,

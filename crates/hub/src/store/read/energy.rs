@@ -1,11 +1,11 @@
 //! Sums over time and fleet. Measured, partial and estimated energy are never added.
 
 use super::audit::AuditCounts;
-use super::history::quality_name;
+use super::history::quality;
 use crate::store::record::Cell;
 use crate::store::tables::SumRow;
 use crate::store::{Store, StoreError};
-use albireo_wire::AuditFigures;
+use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -31,7 +31,7 @@ pub enum EnergyBy {
 }
 
 /// How long the spans are that the sums were made from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Resolution {
     /// Five minutes.
@@ -60,13 +60,13 @@ pub struct EnergyQuery {
 }
 
 /// Sums of one group and one quality.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EnergyGroup {
     /// Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, policy and value (`albireo u=0.0003`), or clip (`node/camera/clip`);
     /// empty for the sum over all.
     pub group: String,
-    /// `measured`, `partial`, `estimated` or `unavailable`: sums of different qualities are never added.
-    pub quality: &'static str,
+    /// Sums of different qualities are never added.
+    pub quality: EnergyQuality,
     /// Clips.
     pub clips: i64,
     /// Seconds of clips.
@@ -191,7 +191,7 @@ impl Store {
                     audit_joules: joules("audit_uj")?,
                     audit_counts,
                     group: row.get("grouped")?,
-                    quality: quality_name(number("quality")?),
+                    quality: quality(number("quality")?),
                     clips: number("clips")?,
                     duration_s: number("duration_us")? as f64 / 1e6,
                     frames,

@@ -3,8 +3,8 @@
 use super::audit::AuditCounts;
 use crate::store::record::{Cell, Row};
 use crate::store::{Store, StoreError};
-use albireo_wire::AuditFigures;
-use serde::Serialize;
+use albireo_wire::{AuditFigures, EnergyQuality};
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -88,7 +88,7 @@ pub struct StoredClip {
     /// Where the energy comes from.
     pub power_source: String,
     /// `measured`, `partial`, `estimated` or `unavailable`.
-    pub quality: &'static str,
+    pub quality: EnergyQuality,
     /// Energy, joules.
     pub joules: Option<f64>,
     /// Energy-delay product, J·ms/frame.
@@ -98,13 +98,13 @@ pub struct StoredClip {
     pub audit: Option<AuditFigures>,
 }
 
-/// The name of an energy quality's code.
-pub(super) fn quality_name(code: i64) -> &'static str {
+/// The energy quality of a code in the database.
+pub(super) const fn quality(code: i64) -> EnergyQuality {
     match code {
-        0 => "measured",
-        1 => "partial",
-        2 => "estimated",
-        _ => "unavailable",
+        0 => EnergyQuality::Measured,
+        1 => EnergyQuality::Partial,
+        2 => EnergyQuality::Estimated,
+        _ => EnergyQuality::Unavailable,
     }
 }
 
@@ -146,7 +146,7 @@ fn clip(row: &Row) -> Result<StoredClip, StoreError> {
         model: row.get("model")?,
         provider: row.get("provider")?,
         power_source: row.get("power_source")?,
-        quality: quality_name(number("quality")?),
+        quality: quality(number("quality")?),
         joules: row
             .get::<Option<i64>>("energy_uj")?
             .map(|uj| uj as f64 / 1e6),
@@ -188,7 +188,7 @@ pub struct StoredSetAside {
 }
 
 /// What is known of the reports of a node.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportCounts {
     /// When a batch came first, milliseconds since the Unix epoch.
     pub first_ms: i64,
