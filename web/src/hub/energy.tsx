@@ -79,7 +79,7 @@ export function EnergyView() {
   const since = points[0]?.at;
   const by = useLoaded<Energy>(since === undefined ? undefined : `/api/v1/energy?by=knob&since_ms=${since}`, 30_000);
   const qualities = useMemo(() => {
-    const all = new Set(points.flatMap((point) => point.groups.filter((group) => group.quality !== "unavailable").map((group) => group.quality)));
+    const all = new Set<string>(points.flatMap((point) => point.groups.filter((group) => group.quality !== "unavailable").map((group) => group.quality)));
     return ["measured", "partial", "estimated"].filter((quality) => all.has(quality));
   }, [points]);
   const times = points.map((point) => point.at / 1000);
