@@ -17,13 +17,10 @@
 //! | `fixed-skip[:n]` | on every n-th frame | the last boxes again (profile `paper`) or predicted ones (`reference`) | the paper's baseline |
 //! | `ctd[:threshold]` | when the confidence in a prediction falls below the threshold, without objects, and after 8 frames | predicted boxes | Ding et al. |
 //! | `statues[:component_size]` | when more pixels than this changed in one piece since the last frame | the last boxes again | Kim et al. |
-//! | `adaptive-rate[:drift]` | when objects should have moved by this multiple of their size at their last speed | predicted boxes | after Contoli et al. |
-//! | `frame-drop[:n]` | on every n-th frame, and when something appears that no object explains | predicted boxes | after Henning et al. |
 //! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
-//! | `albireo+flow[:u]` | as albireo | boxes followed by optical flow, measurements of the filter | ablation |
 //! | `expected-loss[:lambda]` | when the expected loss of another predicted frame exceeds the price λ of a call | predicted boxes | our own |
 //! | `fixed-skip-in-tracker[:n]` | on every n-th frame | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
@@ -37,7 +34,6 @@ use crate::geometry::{BoundingBox, PictureSize};
 use serde::{Deserialize, Serialize};
 
 mod albireo;
-mod albireo_flow;
 mod albireo_settings;
 mod baselines;
 mod cause;
@@ -61,10 +57,7 @@ pub use albireo::Albireo;
 pub use albireo_settings::{AlbireoSettings, Profile};
 pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
 pub(crate) use baselines::{Ablation, ErdOnly};
-pub use baselines::{
-    AdaptiveRate, AdaptiveRateSettings, Ctd, CtdSettings, FrameDrop, FrameDropSettings, Statues,
-    StatuesSettings,
-};
+pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};

@@ -22,7 +22,7 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 const SKIP_RATES: [f64; 9] = [0.10, 0.24, 0.38, 0.50, 0.60, 0.65, 0.67, 0.75, 0.80];
 
 /// Policies that are compared at their own skip rates.
-const POLICIES: [&str; 17] = [
+const POLICIES: [&str; 14] = [
     "albireo:3e-4",
     "albireo:5e-4",
     "albireo:7e-4",
@@ -34,9 +34,6 @@ const POLICIES: [&str; 17] = [
     "ctd:0.7",
     "ctd:0.5",
     "ctd:0.3",
-    "adaptive-rate:0.2",
-    "adaptive-rate:0.4",
-    "adaptive-rate:0.6",
     "kill-only:3e-4",
     "kill+erd:3e-4",
     "kill+erd-10d:3e-4",

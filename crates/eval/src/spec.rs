@@ -4,16 +4,14 @@
 use crate::scoring::DEFAULT_DECAY_U;
 use crate::source::ScreenRule;
 use albireo_core::policy::{
-    AdaptiveRate, Albireo, Ctd, FixedSkip, FrameDrop, Policy, PolicyConfig, PolicyConfigError,
-    Profile, Statues, Vanilla,
+    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Profile, Statues, Vanilla,
 };
 
 /// The label and name of the policy all others are compared with.
 pub const BASELINE: &str = "vanilla";
 
-/// What `--policy all` means: every policy with the settings the paper reports, and those after other papers and our
-/// own beside them. Those that look at pixels are left out where there are none.
-const ALL: [&str; 27] = [
+/// What `--policy all` means: every policy with the settings the paper reports, and our own beside them. Those that look at pixels are left out where there are none.
+const ALL: [&str; 22] = [
     "albireo:3e-4",
     "albireo:5e-4",
     "albireo:7e-4",
@@ -29,11 +27,6 @@ const ALL: [&str; 27] = [
     "statues:75",
     "statues:200",
     "statues:500",
-    "adaptive-rate:0.2",
-    "adaptive-rate:0.4",
-    "adaptive-rate:0.6",
-    "frame-drop:5",
-    "frame-drop:10",
     "erd-only",
     "kill-only:3e-4",
     "kill+erd:3e-4",
@@ -42,9 +35,6 @@ const ALL: [&str; 27] = [
     "expected-loss:0.3",
     "expected-loss:0.5",
 ];
-
-/// Policies that look at pixels.
-const LOOK_AT_PIXELS: [&str; 2] = [Statues::NAME, FrameDrop::NAME];
 
 /// One policy with its settings, as one line of the results.
 #[derive(Clone, Debug, PartialEq)]
@@ -142,9 +132,8 @@ pub fn resolve(
     let asked = asked.iter().flat_map(|asked| match asked.as_str() {
         "all" => ALL
             .iter()
-            .filter(|name| {
-                common.pixels || !LOOK_AT_PIXELS.iter().any(|look| name.starts_with(look))
-            })
+            // Statues looks at pixels.
+            .filter(|name| common.pixels || !name.starts_with(Statues::NAME))
             .copied()
             .collect(),
         asked => vec![asked],
@@ -225,12 +214,7 @@ fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
     // Where the screen has a say, what it says is part of the label.
     let screened = !matches!(
         policy.name(),
-        Vanilla::NAME
-            | FixedSkip::NAME
-            | Ctd::NAME
-            | Statues::NAME
-            | AdaptiveRate::NAME
-            | FrameDrop::NAME
+        Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
     );
     match screen {
         Some(rule) if screened => format!("{name}{setting}-erd-{}", rule.as_str()),
@@ -307,8 +291,6 @@ mod tests {
             "fixed-skip:2",
             "ctd:0.5",
             "statues:75",
-            "adaptive-rate:0.2",
-            "frame-drop:5",
             "erd-only",
             "kill-only",
             "kill+erd",
@@ -321,8 +303,6 @@ mod tests {
                 "fixedskip-2",
                 "ctd-0.50",
                 "statues-75",
-                "adaptive-rate-0.2",
-                "frame-drop-5",
                 "erd-only-erd-nonempty",
                 "kill-only-u3e-4-erd-nonempty",
                 "kill+erd-u3e-4-erd-nonempty",
@@ -334,13 +314,13 @@ mod tests {
     #[test]
     fn all_is_every_policy_and_setting_that_the_data_allows() {
         let stored = labels(&["all"], &[]).expect("known policies");
-        assert_eq!(stored.len(), 22);
+        assert_eq!(stored.len(), 19);
         let pixels = Common {
             pixels: true,
             ..COMMON
         };
         let all = resolve(&["all".to_owned()], &[], &pixels).expect("known policies");
-        assert_eq!(all.len(), 28);
+        assert_eq!(all.len(), 23);
     }
 
     #[test]

@@ -8,8 +8,8 @@ from hypothesis import given, settings, strategies as st
 from albireo import Skipper
 
 POLICIES = [
-    "albireo", "vanilla", "fixed-skip", "ctd", "statues", "adaptive-rate", "frame-drop", "erd-only", "kill-only", "kill+erd",
-    "kill+erd-10d", "albireo+flow", "expected-loss", "expected-loss+flow", "fixed-skip-in-tracker", "even-skip-in-tracker",
+    "albireo", "vanilla", "fixed-skip", "ctd", "statues", "erd-only", "kill-only", "kill+erd",
+    "kill+erd-10d", "expected-loss", "expected-loss+flow", "fixed-skip-in-tracker", "even-skip-in-tracker",
 ]
 NUMBERS = st.one_of(
     st.floats(-2000, 2000),

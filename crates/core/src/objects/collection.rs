@@ -3,7 +3,7 @@
 use super::{Association, LifeCycle, Matcher, Missed, ObjectState, is_usable};
 use crate::detection::Detection;
 use crate::detection::ObjectId;
-use crate::geometry::{BoundingBox, PictureSize};
+use crate::geometry::PictureSize;
 use crate::kalman::{FilterModel, FilterParameters};
 
 /// Everything that governs object states.
@@ -118,26 +118,6 @@ impl ObjectStates {
         });
         if create {
             self.create(detections);
-        }
-    }
-
-    /// Updates the filters with boxes that were not measured by the detector, each with what the variance of its
-    /// measurement is multiplied by. Nothing else of the objects changes.
-    pub(crate) fn measure(
-        &mut self,
-        mut measured: impl FnMut(&ObjectState) -> Option<(BoundingBox, f64)>,
-    ) {
-        let [width, height] = self.minimum_size;
-        for state in &mut self.states {
-            let Some((bounding_box, factor)) = measured(state) else {
-                continue;
-            };
-            let model = FilterModel {
-                measurement: self.model.measurement * factor,
-                ..self.model
-            };
-            state.filter.update(&model, bounding_box);
-            state.filter.clamp_size(width, height);
         }
     }
 

@@ -15,7 +15,7 @@ use super::{
 use crate::detection::Detection;
 use crate::geometry::BoundingBox;
 use crate::kalman::Filter;
-use crate::objects::{Missed, ObjectState, ObjectStates};
+use crate::objects::{Missed, ObjectStates};
 
 /// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -200,22 +200,6 @@ impl Albireo {
         };
         self.progress = progress;
         need
-    }
-
-    /// Takes boxes that were measured on the current frame without the detector, each with the factor of its variance,
-    /// and returns what the frame needs now.
-    pub(super) fn follow(
-        &mut self,
-        measured: impl FnMut(&ObjectState) -> Option<(BoundingBox, f64)>,
-    ) -> Need {
-        self.objects.measure(measured);
-        let index = self.frame.map_or(0, |frame| frame.index);
-        self.choose(index)
-    }
-
-    /// The objects, oldest first.
-    pub(super) fn states(&self) -> &[ObjectState] {
-        self.objects.states()
     }
 
     fn periodic_cap_is_due(&self, index: u64) -> bool {

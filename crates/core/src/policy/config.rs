@@ -1,10 +1,8 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
-use super::albireo_flow::AlbireoFlow;
 use super::{
-    Ablation, AdaptiveRate, AdaptiveRateSettings, Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss,
-    FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker, Pixels, Policy, Profile,
-    Statues, StatuesSettings, Vanilla,
+    Ablation, Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings,
+    InTracker, Pixels, Policy, Profile, Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -30,12 +28,6 @@ pub struct PolicyConfig {
     /// Settings of `statues`.
     #[serde(skip_serializing_if = "is_default")]
     pub statues: StatuesSettings,
-    /// Settings of `adaptive-rate`.
-    #[serde(skip_serializing_if = "is_default")]
-    pub adaptive_rate: AdaptiveRateSettings,
-    /// Settings of `frame-drop`.
-    #[serde(skip_serializing_if = "is_default")]
-    pub frame_drop: FrameDropSettings,
     /// The schedules of `fixed-skip-in-tracker` and `even-skip-in-tracker`.
     #[serde(skip_serializing_if = "is_default")]
     pub in_tracker: InTracker,
@@ -56,8 +48,6 @@ impl Default for PolicyConfig {
             fixed_skip: FixedSkipSettings::default(),
             ctd: CtdSettings::default(),
             statues: StatuesSettings::default(),
-            adaptive_rate: AdaptiveRateSettings::default(),
-            frame_drop: FrameDropSettings::default(),
             in_tracker: InTracker::default(),
         }
     }
@@ -130,8 +120,6 @@ const POLICIES: &[Entry] = &[
     entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
     entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
     entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
-    entry(AdaptiveRate::NAME, AdaptiveRate::from_config, Some(|c| &mut c.adaptive_rate.drift)),
-    entry(FrameDrop::NAME, FrameDrop::from_config, Some(|c| &mut c.frame_drop.n)),
     entry(ErdOnly::NAME, ErdOnly::from_config, None),
     entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
     entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
@@ -139,7 +127,6 @@ const POLICIES: &[Entry] = &[
     entry(ExpectedLoss::NAME, |c| ExpectedLoss::priced(c, Pixels::Off), Some(|c| &mut c.lambda)),
     entry(IN_TRACKER_FIXED, |c| ExpectedLoss::fixed_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.n)),
     entry(IN_TRACKER_EVEN, |c| ExpectedLoss::even_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.skip_rate)),
-    entry(AlbireoFlow::NAME, AlbireoFlow::from_config, Some(|c| &mut c.u)),
     entry(ExpectedLoss::FLOW_NAME, |c| ExpectedLoss::priced(c, Pixels::Flow), Some(|c| &mut c.lambda)),
     entry(ExpectedLoss::FIXED_SKIP_FLOW_NAME, |c| ExpectedLoss::fixed_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.n)),
     entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.skip_rate)),

@@ -58,11 +58,10 @@ use super::{
 use crate::detection::Detection;
 use birth::BirthRate;
 use follow::Follower;
-pub(super) use follow::grey_view;
 use objects::Objects;
+use settings::FLOW_WIDTH;
 use settings::{CROWD_MEMORY, CROWD_PRIOR, FLOW_BIRTH_PRIOR, LEAST_CROWD};
 pub use settings::{ExpectedLossSettings, InTracker, Pixels};
-pub(super) use settings::{FLOW_GRID, FLOW_LEVELS, FLOW_WIDTH, LONGEST_GAP};
 use trigger::Pause;
 pub use trigger::Trigger;
 

@@ -90,25 +90,6 @@ impl Tracker {
     }
 }
 
-/// Refuses the first value outside its range: name, value, least and most, of `kind` ("a number").
-/// Comparisons with NaN are false, so NaN is refused.
-///
-/// # Errors
-/// A sentence that names it, its value, and what is allowed.
-pub(super) fn check_ranges<T: Copy + PartialOrd + std::fmt::Display>(
-    kind: &str,
-    settings: impl IntoIterator<Item = (&'static str, T, T, T)>,
-) -> Result<(), String> {
-    for (name, value, least, most) in settings {
-        if !(least..=most).contains(&value) {
-            return Err(format!(
-                "`{name}` is {value}; it must be {kind} from {least} to {most}"
-            ));
-        }
-    }
-    Ok(())
-}
-
 /// Refuses a number of the table `table` that `knob` does not allow.
 pub(super) fn check_setting(
     table: &'static str,

@@ -280,7 +280,6 @@ impl Search<'_> {
             ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => "in_tracker.",
             "fixed-skip" => "fixed_skip.",
             "ctd" => "ctd.",
-            "adaptive-rate" => "adaptive_rate.",
             _ => "",
         };
         let mut number = short(value);

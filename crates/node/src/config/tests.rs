@@ -133,7 +133,7 @@ fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
         taken.extend(keys_taken(&format!("{section}."), &text));
     }
     // Sections of their own: the GPU's, and those of the policies to compare with (docs/policies.md).
-    let compared = "fixed_skip ctd statues adaptive_rate frame_drop in_tracker";
+    let compared = "fixed_skip ctd statues in_tracker";
     let mut sections: Vec<_> = compared
         .split(' ')
         .map(|name| format!("policy.{name}"))
