@@ -220,7 +220,7 @@ proptest! {
         events in events(),
         knob in 0.0..1.0f64,
     ) {
-        let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker", "albireo"];
+        let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker"];
         for name in names {
             let built = [String::new(), "+flow".to_owned()].map(|suffix| {
                 let mut config = PolicyConfig::default();
