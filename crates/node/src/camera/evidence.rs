@@ -73,7 +73,7 @@ pub struct LiveEvidence {
     /// Times of the current frame.
     times: Times,
     /// Once cancelled neither detector nor screen is waited for.
-    hurry: CancellationToken,
+    give_up: CancellationToken,
 }
 
 impl LiveEvidence {
@@ -95,14 +95,14 @@ impl LiveEvidence {
             empty: None,
             detected: None,
             times: Times::default(),
-            hurry: CancellationToken::new(),
+            give_up: CancellationToken::new(),
         }
     }
 
-    /// Once `hurry` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
+    /// Once `give_up` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
     #[must_use]
-    pub fn hurried_by(mut self, hurry: CancellationToken) -> Self {
-        self.hurry = hurry;
+    pub fn giving_up_on(mut self, give_up: CancellationToken) -> Self {
+        self.give_up = give_up;
         self
     }
 
@@ -210,7 +210,7 @@ impl LiveEvidence {
         let empty = tokio::select! {
             biased;
             empty = self.screen.ask(self.slot, picture.shared()) => empty,
-            () = self.hurry.cancelled() => None,
+            () = self.give_up.cancelled() => None,
         };
         self.times.screen = Some(start.elapsed());
         Ok(empty)
@@ -237,14 +237,14 @@ impl LiveEvidence {
         self.times.letterbox = Some(prepared.took());
         let start = Instant::now();
         let answer = {
-            let hurry = &self.hurry;
+            let give_up = &self.give_up;
             let answer = self.detector.detect_prepared(self.slot, prepared);
             let answer = async {
                 tokio::select! {
                     biased;
                     // The detector counts and logs its failures itself.
                     answer = answer => answer.ok(),
-                    () = hurry.cancelled() => None,
+                    () = give_up.cancelled() => None,
                 }
             };
             tokio::pin!(answer);
@@ -292,7 +292,7 @@ impl LiveEvidence {
                 self.frame.place = tokio::select! {
                     biased;
                     place = self.pixels.place() => place,
-                    () = self.hurry.cancelled() => return Ok(()),
+                    () = self.give_up.cancelled() => return Ok(()),
                 };
                 self.times.place += start.elapsed();
             }

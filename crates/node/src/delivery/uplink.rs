@@ -309,7 +309,7 @@ impl Worker {
             tokio::select! {
                 () = self.stop.cancelled(), if last_try.is_none() => {
                     last_try = Some(Instant::now() + LAST_TRY);
-                    self.schedule.hurry();
+                    self.schedule.send_now();
                 }
                 Some(ended) = ended.recv() => self.take(ended).await,
                 () = outbox.changed() => {}

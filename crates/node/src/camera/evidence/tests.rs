@@ -147,8 +147,8 @@ async fn what_was_made_ready_and_is_not_needed_is_given_back_with_its_frame() {
 #[ignore = "needs ONNX Runtime"]
 async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
     let [first, ..] = pictures();
-    let hurry = CancellationToken::new();
-    let mut evidence = evidence().await.hurried_by(hurry.clone());
+    let give_up = CancellationToken::new();
+    let mut evidence = evidence().await.giving_up_on(give_up.clone());
     let mut held = Vec::new();
     while let Some(Some(place)) = evidence.pixels.place().now_or_never() {
         held.push(place);
@@ -157,7 +157,7 @@ async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
     let detecting = evidence.detect(&first, std::future::pending());
     tokio::pin!(detecting);
     assert!((&mut detecting).now_or_never().is_none());
-    hurry.cancel();
+    give_up.cancel();
     assert_eq!(detecting.await.unwrap(), None);
 }
 

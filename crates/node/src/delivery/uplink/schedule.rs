@@ -100,8 +100,8 @@ impl Schedule {
         self.answered_at = now;
     }
 
-    /// The node stops: a pause is over, for there is no later.
-    pub(crate) fn hurry(&mut self) {
+    /// Ends a pause: the node stops, so there is no later.
+    pub(crate) fn send_now(&mut self) {
         self.eager = true;
         self.reports.not_before = None;
     }
@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(bench.batch(1, 3_599_000), None);
         let (now, latest) = (bench.at(3_599_000), bench.at(9_000_000));
         assert_eq!(bench.schedule.next_look(latest, now), bench.at(3_600_100));
-        bench.schedule.hurry();
+        bench.schedule.send_now();
         assert_eq!(bench.batch(1, 3_599_000), Some(false));
     }
 
