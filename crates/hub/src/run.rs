@@ -10,7 +10,7 @@ use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config::ZenohMode;
-use albireo_service::notify::{self, Look};
+use albireo_service::notify::{self, ServiceState};
 use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
 use albireo_wire::EnergyQuality;
@@ -78,7 +78,7 @@ pub async fn run(
         listener,
         serving.clone(),
     );
-    let telling = tokio::spawn(notify::run(looks(view.clone()), shutdown.clone()));
+    let notifier = tokio::spawn(notify::run(service_state(view.clone()), shutdown.clone()));
     tracing::info!(
         http = format!("http://{address}"),
         prefix = config.hub.prefix,
@@ -99,13 +99,13 @@ pub async fn run(
         hub
     );
     // It has reported that the hub stops; after an error nothing did.
-    telling.abort();
+    notifier.abort();
     hub.and(http)
 }
 
 /// How the hub is, for the service manager: a router or a database that is away is waited for, a writer that does
 /// nothing while batches wait is left to a new start.
-fn looks(view: HubView) -> impl Fn() -> Look {
+fn service_state(view: HubView) -> impl Fn() -> ServiceState {
     let moved = Mutex::new((0, Instant::now()));
     move || {
         let reasons: Vec<_> = (view.readiness.reasons().iter())
@@ -119,7 +119,7 @@ fn looks(view: HubView) -> impl Fn() -> Look {
             *moved = (tried, Instant::now());
         }
         let stuck = moved.1.elapsed() >= STUCK_AFTER;
-        Look {
+        ServiceState {
             ready: reasons.is_empty(),
             reasons: reasons.join("; "),
             stuck: stuck.then(|| "batches wait and the writer does nothing".to_owned()),

@@ -84,9 +84,15 @@ pub async fn run_prepared(
             }),
         }
     };
-    let (told, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
-    let telling = tokio::spawn(albireo_service::notify::run(
-        move || readiness::look(told.readiness(), &told.detector_status(), stuck_after),
+    let (status_board, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
+    let notifier = tokio::spawn(albireo_service::notify::run(
+        move || {
+            readiness::service_state(
+                status_board.readiness(),
+                &status_board.detector_status(),
+                stuck_after,
+            )
+        },
         shutdown.clone(),
     ));
     tracing::info!(
@@ -100,7 +106,7 @@ pub async fn run_prepared(
             Ok(None) => Ok(()),
             Ok(Some(node)) => {
                 let zenoh = node.endpoints().await;
-                tell_start(config, &view_board, &node, address, &zenoh);
+                log_start(config, &view_board, &node, address, &zenoh);
                 node.stopped().await
             }
             Err(error) => Err(error),
@@ -109,13 +115,13 @@ pub async fn run_prepared(
         ended
     };
     let (http, node) = tokio::join!(http, node);
-    // It has reported that the node stops; after an error nothing did.
-    telling.abort();
+    // It ends by itself when the node is stopped, but not when the node fails.
+    notifier.abort();
     node.and(http)
 }
 
-/// One line with all that somebody asks first who reads a log.
-fn tell_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
+/// Logs what a reader of the log wants to know first, in one line.
+fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
     let from: Vec<_> = (board.cameras().iter())
         .map(|camera| camera.source().unwrap_or_else(|| camera.key()))
         .collect();

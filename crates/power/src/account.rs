@@ -178,8 +178,8 @@ impl Account {
         }
     }
 
-    /// Takes the board's condition.
-    pub(crate) fn looked(&mut self, condition: Condition) {
+    /// Sets the board's condition.
+    pub(crate) fn set_condition(&mut self, condition: Condition) {
         for open in self.open.values_mut() {
             open.notes.conditions.add(&condition);
         }

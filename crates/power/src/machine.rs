@@ -128,9 +128,9 @@ impl Machine {
         if !events.is_empty() {
             self.last_events = Some(sum);
         }
-        let told = !cooling.is_empty() || !events.is_empty() || pi.is_some();
+        let reported = !cooling.is_empty() || !events.is_empty() || pi.is_some();
         let now = cooling.iter().any(|state| *state > 0) || pi.is_some_and(|w| w & PI_NOW != 0);
-        told.then_some(more || now)
+        reported.then_some(more || now)
     }
 }
 
@@ -161,7 +161,7 @@ fn holds_clocks_back(kind: &str) -> bool {
 }
 
 /// Time between two questions for the power mode.
-const ASK_EVERY: Duration = Duration::from_secs(60);
+const QUERY_INTERVAL: Duration = Duration::from_secs(60);
 
 /// How long the first answer is waited for: nothing is measured yet.
 const FIRST_ANSWER: Duration = Duration::from_secs(2);
@@ -173,8 +173,8 @@ struct PowerMode {
     /// Absent where it had no answer at first: no program is started every minute for nothing.
     nvpmodel: Option<PathBuf>,
     profile: PathBuf,
-    asked: Instant,
-    asking: Option<Child>,
+    asked_at: Instant,
+    running: Option<Child>,
     known: Option<Arc<str>>,
 }
 
@@ -183,13 +183,13 @@ impl PowerMode {
         let mut mode = Self {
             nvpmodel: Some(nvpmodel.to_owned()),
             profile,
-            asked: Instant::now(),
-            asking: None,
+            asked_at: Instant::now(),
+            running: None,
             known: None,
         };
-        mode.ask();
+        mode.start_query();
         let until = std::time::Instant::now() + FIRST_ANSWER;
-        while mode.asking.is_some() && std::time::Instant::now() < until {
+        while mode.running.is_some() && std::time::Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
             mode.take_answer();
         }
@@ -207,25 +207,26 @@ impl PowerMode {
             let profile = sysfs::text(SOURCE, &self.profile).ok();
             return profile.filter(|mode| !mode.is_empty()).map(Into::into);
         }
-        if self.asking.is_none() && now.saturating_duration_since(self.asked) >= ASK_EVERY {
-            self.asked = now;
-            self.ask();
+        if self.running.is_none() && now.saturating_duration_since(self.asked_at) >= QUERY_INTERVAL
+        {
+            self.asked_at = now;
+            self.start_query();
         }
         self.known.clone()
     }
 
-    fn ask(&mut self) {
-        let asked = self.nvpmodel.as_ref().map(|program| {
+    fn start_query(&mut self) {
+        let started = self.nvpmodel.as_ref().map(|program| {
             let mut command = Command::new(program);
             let command = command.arg("-q").stdin(Stdio::null());
             command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn()
         });
-        self.asking = asked.and_then(Result::ok);
+        self.running = started.and_then(Result::ok);
     }
 
     fn take_answer(&mut self) {
         let ended = |child: &mut Child| !matches!(child.try_wait(), Ok(None));
-        if let Some(child) = self.asking.take_if(ended)
+        if let Some(child) = self.running.take_if(ended)
             && let Ok(output) = child.wait_with_output()
             && let Some(mode) = mode_in(&String::from_utf8_lossy(&output.stdout))
         {
@@ -234,7 +235,7 @@ impl PowerMode {
     }
 
     fn end(&mut self) {
-        if let Some(mut child) = self.asking.take() {
+        if let Some(mut child) = self.running.take() {
             let _ = child.kill();
             let _ = child.wait();
         }

@@ -78,8 +78,8 @@ impl RailTable {
 }
 
 fn twice<'a>(mut rails: impl Iterator<Item = &'a String>) -> Option<&'a String> {
-    let mut seen = BTreeSet::new();
-    rails.find(|rail| !seen.insert(*rail))
+    let mut known = BTreeSet::new();
+    rails.find(|rail| !known.insert(*rail))
 }
 
 /// Power of one rail as it was read.

@@ -338,7 +338,7 @@ async fn sample(
         }
         let mut account = shared.account.lock();
         if let Some(condition) = read.condition {
-            account.looked(condition);
+            account.set_condition(condition);
         }
         match read.readings {
             Ok(readings) => {

@@ -68,8 +68,8 @@ pub fn access_control(
 
 fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessError> {
     let all = FleetKeys::all(prefix)?;
-    let asked = [all.report(), all.pull()];
-    let told = [all.status(), format!("{prefix}/*/*/counters")];
+    let queried = [all.report(), all.pull()];
+    let published = [all.status(), format!("{prefix}/*/*/counters")];
     let changed = [all.changed()];
     let picture = [format!("{prefix}/*/*/picture")];
     let answers = ["declare_queryable", "reply"];
@@ -91,27 +91,27 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
 
     let mut to_nodes = vec![
         rule("to nodes", "egress", &["put"], &changed),
-        rule("answers to nodes", "egress", &["reply"], &asked),
+        rule("answers to nodes", "egress", &["reply"], &queried),
         // Of what is declared, nodes learn the hub's side: whether somebody takes what they send.
         rule(
             "declarations to nodes",
             "egress",
             &["declare_subscriber", "declare_queryable"],
-            &[&asked[..], &told].concat(),
+            &[&queried[..], &published].concat(),
         ),
     ];
     let mut hubs = vec![
         rule("hub notices", "ingress", &["put"], &changed),
-        rule("hub answers", "ingress", &answers, &asked),
-        rule("hub hears", "ingress", &["declare_subscriber"], &told),
+        rule("hub answers", "ingress", &answers, &queried),
+        rule("hub hears", "ingress", &["declare_subscriber"], &published),
         rule(
             "hub watches",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
             &[all.alive()],
         ),
-        rule("to hubs", "egress", &["put"], &told),
-        rule("questions to hubs", "egress", &["query"], &asked),
+        rule("to hubs", "egress", &["put"], &published),
+        rule("questions to hubs", "egress", &["query"], &queried),
         rule(
             "declarations to hubs",
             "egress",

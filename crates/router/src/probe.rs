@@ -38,28 +38,28 @@ impl Probes {
 
     /// Why the router takes no sessions any more, if that is so.
     pub(crate) fn stuck(&self) -> Option<String> {
-        let seen = self.0.lock();
-        (seen.failures >= STUCK_AFTER).then(|| {
+        let state = self.0.lock();
+        (state.failures >= STUCK_AFTER).then(|| {
             format!(
                 "no session could be opened {} times: {}",
-                seen.failures, seen.error
+                state.failures, state.error
             )
         })
     }
 
     fn record(&self, outcome: Result<Duration, String>) {
-        let mut seen = self.0.lock();
+        let mut state = self.0.lock();
         match outcome {
             Ok(took) => {
-                seen.failures = 0;
-                seen.took = Some(took);
+                state.failures = 0;
+                state.took = Some(took);
             }
             Err(error) => {
                 tracing::warn!(%error, "the router takes no session");
-                seen.failures = seen.failures.saturating_add(1);
-                seen.failed += 1;
-                seen.took = None;
-                seen.error = error;
+                state.failures = state.failures.saturating_add(1);
+                state.failed += 1;
+                state.took = None;
+                state.error = error;
             }
         }
     }

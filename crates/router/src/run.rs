@@ -4,7 +4,7 @@ use crate::http::{self, RouterView};
 use crate::probe::Probes;
 use albireo_service::config::HttpConfig;
 use albireo_service::http::HttpError;
-use albireo_service::notify::{self, Look};
+use albireo_service::notify::{self, ServiceState};
 use albireo_service::session::plain;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -163,12 +163,12 @@ async fn route(
         access_control = !options.no_access_control,
         "ready"
     );
-    let looked = view.clone();
-    let telling = tokio::spawn(notify::run(
-        move || Look {
-            ready: looked.reason().is_none(),
-            reasons: looked.reason().unwrap_or_default(),
-            stuck: looked.probes.stuck(),
+    let notified_view = view.clone();
+    let notifier = tokio::spawn(notify::run(
+        move || ServiceState {
+            ready: notified_view.reason().is_none(),
+            reasons: notified_view.reason().unwrap_or_default(),
+            stuck: notified_view.probes.stuck(),
         },
         shutdown.clone(),
     ));
@@ -181,7 +181,7 @@ async fn route(
         ))
     });
     shutdown.cancelled().await;
-    let _ = telling.await;
+    let _ = notifier.await;
     let closing = tokio::task::spawn_blocking(move || session.close().wait());
     if !matches!(
         tokio::time::timeout(STOP_LIMIT, closing).await,

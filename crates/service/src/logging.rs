@@ -61,13 +61,13 @@ pub fn start_beside(
     config: &LogConfig,
     beside: impl Layer<Registry> + Send + Sync,
 ) -> Result<(), LogError> {
-    let asked = std::env::var("RUST_LOG")
+    let variable = std::env::var("RUST_LOG")
         .ok()
-        .filter(|asked| !asked.is_empty());
-    if let Some(asked) = &asked {
-        check_level(asked).map_err(LogError::Variable)?;
+        .filter(|variable| !variable.is_empty());
+    if let Some(variable) = &variable {
+        check_level(variable).map_err(LogError::Variable)?;
     }
-    let level = asked.as_deref().unwrap_or(&config.level);
+    let level = variable.as_deref().unwrap_or(&config.level);
     subscriber(level, config.format, beside)?
         .try_init()
         .map_err(|error| LogError::Taken(error.to_string()))?;
@@ -153,8 +153,8 @@ mod tests {
             filter.split(',').map(str::to_owned).collect()
         };
         assert!(directives("info").contains(&"ort=warn".to_owned()));
-        let asked = directives("info,ort=debug");
-        assert!(asked.contains(&"ort=debug".to_owned()), "{asked:?}");
-        assert!(!asked.contains(&"ort=warn".to_owned()), "{asked:?}");
+        let variable = directives("info,ort=debug");
+        assert!(variable.contains(&"ort=debug".to_owned()), "{variable:?}");
+        assert!(!variable.contains(&"ort=warn".to_owned()), "{variable:?}");
     }
 }

@@ -19,7 +19,7 @@ thread_local! {
 }
 
 /// When a panic at a place was logged last, and how many since were not.
-static TOLD: Mutex<BTreeMap<(String, u32), (Instant, u64)>> = Mutex::new(BTreeMap::new());
+static LOGGED: Mutex<BTreeMap<(String, u32), (Instant, u64)>> = Mutex::new(BTreeMap::new());
 
 /// Has every panic of the process logged by `tracing` from now on. To be called once, when the log is set up.
 pub fn log_panics() {
@@ -51,21 +51,21 @@ fn log(panic: &PanicHookInfo<'_>) {
         .unwrap_or_default();
     let thread = std::thread::current();
     let thread = thread.name().unwrap_or("unnamed");
-    let said = message(panic.payload());
+    let text = message(panic.payload());
     let backtrace = std::backtrace::Backtrace::capture();
     if backtrace.status() == std::backtrace::BacktraceStatus::Captured {
-        tracing::error!(place, thread, held_back, %backtrace, "panic: {said}");
+        tracing::error!(place, thread, held_back, %backtrace, "panic: {text}");
     } else {
-        tracing::error!(place, thread, held_back, "panic: {said}");
+        tracing::error!(place, thread, held_back, "panic: {text}");
     }
 }
 
 /// Whether to log a panic at `place`: then how many before it were not logged.
 fn admit(place: &Location<'_>) -> Option<u64> {
     let now = Instant::now();
-    let mut told = TOLD.lock();
+    let mut places = LOGGED.lock();
     let key = (place.file().to_owned(), place.line());
-    match told.get_mut(&key) {
+    match places.get_mut(&key) {
         Some((last, held_back)) if now.duration_since(*last) < PERIOD => {
             *held_back += 1;
             None
@@ -75,8 +75,8 @@ fn admit(place: &Location<'_>) -> Option<u64> {
             Some(std::mem::take(held_back))
         }
         None => {
-            if told.len() < MOST_PLACES {
-                told.insert(key, (now, 0));
+            if places.len() < MOST_PLACES {
+                places.insert(key, (now, 0));
             }
             Some(0)
         }
@@ -96,10 +96,10 @@ mod tests {
 
     #[test]
     fn a_contained_panic_comes_back_and_the_next_one_is_not_contained() {
-        let said = contain(|| panic!("row {}", 3))
+        let text = contain(|| panic!("row {}", 3))
             .map(|(): ()| ())
             .unwrap_err();
-        assert_eq!(message(&*said), "row 3");
+        assert_eq!(message(&*text), "row 3");
         assert!(!CONTAINED.get());
         assert_eq!(contain(|| 7).unwrap(), 7);
     }
@@ -111,6 +111,6 @@ mod tests {
         for _ in 0..5 {
             assert_eq!(admit(place), None);
         }
-        assert_eq!(TOLD.lock()[&(place.file().to_owned(), place.line())].1, 5);
+        assert_eq!(LOGGED.lock()[&(place.file().to_owned(), place.line())].1, 5);
     }
 }

@@ -52,11 +52,11 @@ impl SharedLimit {
         )))
     }
 
-    /// Calls `tell` with the number of calls since its last call, unless that was just now.
-    pub fn tell(&self, tell: impl FnOnce(u64)) {
+    /// Calls `log` with the number of calls since its last call, unless that was just now.
+    pub fn log(&self, log: impl FnOnce(u64)) {
         let admitted = self.0.lock().admit(Instant::now());
         if let Some(held_back) = admitted {
-            tell(held_back);
+            log(held_back);
         }
     }
 }

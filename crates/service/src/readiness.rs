@@ -105,15 +105,15 @@ impl Health {
             ..
         } in &self.faults
         {
-            let told = reasons.entry(part.to_string()).or_default();
-            if !told.is_empty() {
-                told.push_str("; ");
+            let shown = reasons.entry(part.to_string()).or_default();
+            if !shown.is_empty() {
+                shown.push_str("; ");
             }
             if !subject.is_empty() {
-                told.push_str(subject);
-                told.push_str(": ");
+                shown.push_str(subject);
+                shown.push_str(": ");
             }
-            told.push_str(&fault.reason);
+            shown.push_str(&fault.reason);
         }
         HealthStatus {
             state: self.state(),
@@ -199,12 +199,12 @@ impl Readiness {
     pub fn health(&self) -> Health {
         // The probes are asked without a lock: one may itself report a part.
         let probes = self.0.probes.lock().clone();
-        let seen: Vec<_> = probes
+        let probed: Vec<_> = probes
             .into_iter()
-            .map(|(key, look)| (key, look()))
+            .map(|(key, probe)| (key, probe()))
             .collect();
         let mut faults = self.0.faults.lock();
-        for (key, fault) in seen {
+        for (key, fault) in probed {
             put(&mut faults, key, fault);
         }
         let now = Instant::now();
@@ -221,9 +221,9 @@ impl Readiness {
         };
         // Under the lock, so that of two concurrent reads the later one is sent last.
         let status = health.status();
-        self.0.changes.send_if_modified(|told| {
-            let changed = *told != status;
-            *told = status;
+        self.0.changes.send_if_modified(|shown| {
+            let changed = *shown != status;
+            *shown = status;
             changed
         });
         health
@@ -250,7 +250,7 @@ impl Readiness {
         }
     }
 
-    fn tell(&self, key: &Key, fault: Option<Fault>) {
+    fn set(&self, key: &Key, fault: Option<Fault>) {
         put(&mut self.0.faults.lock(), key.clone(), fault);
         drop(self.health());
     }
@@ -269,10 +269,10 @@ fn put(faults: &mut BTreeMap<Key, Known>, key: Key, fault: Option<Fault>) {
 
 fn log(status: &HealthStatus) {
     let reasons = || {
-        let told: Vec<_> = (status.reasons.iter())
+        let shown: Vec<_> = (status.reasons.iter())
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
-        told.join("; ")
+        shown.join("; ")
     };
     match status.state {
         HealthState::Ready => tracing::info!("every part works"),
@@ -291,7 +291,7 @@ pub struct Part {
 impl Part {
     /// It works.
     pub fn works(&self) {
-        self.readiness.tell(&self.key, None);
+        self.readiness.set(&self.key, None);
     }
 
     /// It does not work, and the service works beside it.
@@ -306,7 +306,7 @@ impl Part {
 
     /// It does not work.
     pub fn fault(&self, fault: Fault) {
-        self.readiness.tell(&self.key, Some(fault));
+        self.readiness.set(&self.key, Some(fault));
     }
 }
 
@@ -375,9 +375,9 @@ mod tests {
     async fn what_a_probe_sees_is_told_to_who_waits_and_once() {
         let readiness = Readiness::default();
         let closed = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&closed);
+        let faults = Arc::clone(&closed);
         readiness.probe("zenoh", "", move || {
-            (seen.load(Ordering::Relaxed)).then(|| Fault::not_ready("the session is closed"))
+            (faults.load(Ordering::Relaxed)).then(|| Fault::not_ready("the session is closed"))
         });
         let mut changes = readiness.subscribe();
         let watching = tokio::spawn(readiness.clone().watch(Duration::from_secs(1)));

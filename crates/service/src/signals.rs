@@ -38,7 +38,7 @@ pub fn shutdown_within(limit: Duration) -> io::Result<CancellationToken> {
 fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
-    let (told, listening) = mpsc::channel();
+    let (started, setup) = mpsc::channel();
     // A thread with a runtime of its own: a signal is heard although every worker of the program's is blocked.
     std::thread::Builder::new()
         .name("signals".to_owned())
@@ -48,7 +48,7 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
                 .build();
             let runtime = match runtime {
                 Ok(runtime) => runtime,
-                Err(error) => return drop(told.send(Err(error))),
+                Err(error) => return drop(started.send(Err(error))),
             };
             runtime.block_on(async {
                 let signals = async {
@@ -59,20 +59,20 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
                 };
                 match signals.await {
                     Ok((terminate, interrupt)) => {
-                        let _ = told.send(Ok(()));
-                        hear(terminate, interrupt, &cancelled, limit).await;
+                        let _ = started.send(Ok(()));
+                        follow(terminate, interrupt, &cancelled, limit).await;
                     }
-                    Err(error) => drop(told.send(Err(error))),
+                    Err(error) => drop(started.send(Err(error))),
                 }
             });
         })?;
-    listening
+    setup
         .recv()
         .unwrap_or_else(|_| Err(io::Error::other("the thread for signals ended")))?;
     Ok(token)
 }
 
-async fn hear(
+async fn follow(
     mut terminate: Signal,
     mut interrupt: Signal,
     token: &CancellationToken,
@@ -87,11 +87,11 @@ async fn hear(
             None => std::future::pending().await,
         }
     };
-    let heard = Instant::now();
+    let first_at = Instant::now();
     let again = async {
         loop {
             let signal = next(&mut terminate, &mut interrupt).await;
-            if heard.elapsed() >= ONE_REQUEST {
+            if first_at.elapsed() >= ONE_REQUEST {
                 return signal;
             }
         }

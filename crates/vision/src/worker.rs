@@ -219,7 +219,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         let request = Request {
             camera,
             picture,
-            asked: Instant::now(),
+            requested_at: Instant::now(),
             reply,
         };
         let sent = self.requests.send(request);
@@ -382,28 +382,28 @@ impl<M: Model> Task<M> {
         let batch = self.queue.take_batch();
         self.count_waiting();
         let is_spare = batch.iter().all(|request| request.camera.is_none());
-        let (pictures, askers): (Vec<_>, Vec<_>) = batch
+        let (pictures, waiting): (Vec<_>, Vec<_>) = batch
             .into_iter()
-            .map(|request| (request.picture, (request.reply, request.asked)))
+            .map(|request| (request.picture, (request.reply, request.requested_at)))
             .unzip();
         // A thread that is gone is found out below.
         let _ = self.thread.commands.send(Command::Run(pictures));
         // None once they have been answered that the run takes too long.
-        let mut askers = Some(askers);
+        let mut waiting = Some(waiting);
         let mut deadline = started + self.settings.timeout;
         let result = loop {
             match self.event(Some(deadline)).await {
                 Ok(Event::Outcome(Outcome::Ran(result))) => break result,
                 Ok(Event::Outcome(Outcome::Built(_)) | Event::Request) => {}
                 // The run in progress is waited for.
-                Err(End::Stopped) if askers.is_some() => {}
+                Err(End::Stopped) if waiting.is_some() => {}
                 Err(End::Stopped) => return Err(End::StoppedLate),
                 Ok(Event::Time) => {
-                    let Some(askers) = askers.take() else {
+                    let Some(waiting) = waiting.take() else {
                         let seconds = started.elapsed().as_secs();
                         return Err(self.stuck(format!("has not come back for {seconds} s")));
                     };
-                    self.too_late(askers);
+                    self.too_late(waiting);
                     if self.is_stopping() {
                         return Err(End::StoppedLate);
                     }
@@ -413,15 +413,15 @@ impl<M: Model> Task<M> {
             }
         };
         let took = started.elapsed();
-        if askers.is_none() {
+        if waiting.is_none() {
             info!(
                 worker = self.settings.name,
                 took_ms = took.as_millis(),
                 "the run that took too long has come back"
             );
         }
-        let askers = askers.unwrap_or_default();
-        let pictures = u32::try_from(askers.len()).unwrap_or(u32::MAX);
+        let waiting = waiting.unwrap_or_default();
+        let pictures = u32::try_from(waiting.len()).unwrap_or(u32::MAX);
         let has_failed = match &result {
             Ok(_) => {
                 self.ran_well(pictures, is_spare);
@@ -430,7 +430,7 @@ impl<M: Model> Task<M> {
             Err(error) => self.failed(error),
         };
         let mut outputs = result.map(Vec::into_iter);
-        for (reply, asked) in askers {
+        for (reply, requested_at) in waiting {
             let answer = match &mut outputs {
                 // The thread has seen to it that there is an output for each.
                 Ok(outputs) => outputs.next().ok_or(InferenceError::Stopped),
@@ -439,7 +439,7 @@ impl<M: Model> Task<M> {
             // The asker may have gone; that is its right.
             let _ = reply.send(answer.map(|output| Answer {
                 output,
-                queued: started.saturating_duration_since(asked),
+                queued: started.saturating_duration_since(requested_at),
                 took,
                 pictures,
             }));
@@ -465,7 +465,7 @@ impl<M: Model> Task<M> {
     }
 
     /// Answers those who wait for a run that exceeds its deadline, and refuses others until it has come back.
-    fn too_late(&mut self, askers: Vec<Asker<M::Output>>) {
+    fn too_late(&mut self, waiting: Vec<Asker<M::Output>>) {
         let timeout = self.settings.timeout.as_millis();
         warn!(
             worker = self.settings.name,
@@ -477,7 +477,7 @@ impl<M: Model> Task<M> {
             timeout_ms: u64::try_from(timeout).unwrap_or(u64::MAX),
         };
         self.degraded(error.to_string(), false);
-        for (reply, _) in askers {
+        for (reply, _) in waiting {
             let _ = reply.send(Err(error.clone()));
         }
     }

@@ -74,7 +74,7 @@ impl KeyService {
                     .try_send(Request::Put(beginning(sample.payload())))
                     .is_err()
                 {
-                    too_many.tell(|held_back| {
+                    too_many.log(|held_back| {
                         tracing::warn!(held_back, "{what} put dropped: too many at once");
                     });
                 }
@@ -85,7 +85,7 @@ impl KeyService {
             .callback(move |query| {
                 // One that does not fit goes unanswered, as if the key were not served.
                 if requests.try_send(Request::Query(query)).is_err() {
-                    too_many_queries.tell(|held_back| {
+                    too_many_queries.log(|held_back| {
                         tracing::warn!(held_back, "{what} query dropped: too many at once");
                     });
                 }
@@ -124,7 +124,7 @@ fn serve(value: &dyn KeyValue, key: &str, request: Request, refused: &SharedLimi
     match request {
         Request::Put(payload) => {
             if let Err(reason) = change(value, &payload) {
-                refused.tell(|held_back| {
+                refused.log(|held_back| {
                     let what = value.what();
                     tracing::warn!(key, held_back, "{what} put refused: {reason}");
                 });

@@ -156,7 +156,7 @@ impl AtOnce {
         let found = match &fetched {
             Ok(()) => evidence.fetched(need),
             Err(fault) => {
-                BROKEN.tell(|held_back| {
+                BROKEN.log(|held_back| {
                     tracing::warn!(held_back, %fault, "a frame that was answered at once stays as predicted");
                 });
                 Evidence::Unavailable

@@ -90,7 +90,7 @@ impl Unpublished {
                 tracing::warn!(key, %error, "detections not published");
             }
             Self::Refused(error) => tracing::debug!(key, %error, "not published"),
-            Self::Panicked(said) => PANICKED.tell(|held_back| {
+            Self::Panicked(said) => PANICKED.log(|held_back| {
                 tracing::error!(
                     key,
                     held_back,

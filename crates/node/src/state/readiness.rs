@@ -15,7 +15,7 @@
 use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
-use albireo_service::notify::Look;
+use albireo_service::notify::ServiceState;
 use albireo_service::readiness::{Effect, Fault, Readiness};
 use albireo_vision::detector::DetectorStatus;
 use albireo_wire::EnergyQuality;
@@ -56,11 +56,11 @@ pub const PARTS: [&str; 9] = [
 
 /// How the node is, for the service manager. What has been broken for `stuck_after` and is the node's own (not a
 /// router that is away) is left to a new start; a GPU that this process has lost, at once.
-pub(crate) fn look(
+pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
     stuck_after: Duration,
-) -> Look {
+) -> ServiceState {
     let health = readiness.health();
     let lost = match detector {
         DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
@@ -81,7 +81,7 @@ pub(crate) fn look(
     let reasons: Vec<_> = (health.status().reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
         .collect();
-    Look {
+    ServiceState {
         ready: health.is_ready(),
         reasons: reasons.join("; "),
         stuck: lost
@@ -163,22 +163,24 @@ mod tests {
     async fn only_what_is_the_nodes_own_and_lasts_is_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
-        let look = |readiness: &Readiness, limit| look(readiness, &DetectorStatus::Starting, limit);
+        let service_state = |readiness: &Readiness, limit| {
+            service_state(readiness, &DetectorStatus::Starting, limit)
+        };
         let detector = readiness.part(DETECTOR);
         detector.not_ready("the session is being built");
-        assert!(!look(&readiness, limit).ready);
+        assert!(!service_state(&readiness, limit).ready);
         tokio::time::advance(Duration::from_secs(59)).await;
-        assert_eq!(look(&readiness, limit).stuck, None);
+        assert_eq!(service_state(&readiness, limit).stuck, None);
         tokio::time::advance(Duration::from_secs(1)).await;
-        let stuck = look(&readiness, limit).stuck.unwrap();
+        let stuck = service_state(&readiness, limit).stuck.unwrap();
         assert!(stuck.starts_with("detector: "), "{stuck}");
         // A node that waits for its router has not got as far as its detector.
         readiness.part(ZENOH).not_ready("the router is away");
-        assert_eq!(look(&readiness, limit).stuck, None);
+        assert_eq!(service_state(&readiness, limit).stuck, None);
         readiness.part(ZENOH).works();
         detector.degraded("of no matter");
         readiness.part(UPLINK).degraded("the hub is away");
-        let seen = look(&readiness, limit);
+        let seen = service_state(&readiness, limit);
         assert_eq!((seen.ready, seen.stuck), (true, None));
         assert!(
             seen.reasons.contains("uplink: the hub is away"),
@@ -195,7 +197,11 @@ mod tests {
             reason: "the run does not come back".to_owned(),
             provider: albireo_vision::detector::ExecutionProvider::Cpu,
         };
-        let stuck = |status| look(&readiness, status, limit).stuck.unwrap_or_default();
+        let stuck = |status| {
+            service_state(&readiness, status, limit)
+                .stuck
+                .unwrap_or_default()
+        };
         let detector = readiness.part(DETECTOR);
         detector.not_ready("the run does not come back");
         readiness.part(ZENOH).not_ready("the router is away");
@@ -222,9 +228,9 @@ mod tests {
             reason: reason.clone(),
             provider,
         };
-        assert_eq!(look(&readiness, &failed, limit).stuck, None);
+        assert_eq!(service_state(&readiness, &failed, limit).stuck, None);
         let lost = DetectorStatus::Lost { reason, provider };
-        let stuck = look(&readiness, &lost, limit).stuck.unwrap();
+        let stuck = service_state(&readiness, &lost, limit).stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let told = of_detector(&lost).unwrap();
         assert_eq!(told.effect, Effect::NotReady);

@@ -91,7 +91,7 @@ fn a_clip_of_any_length_is_exact_in_constant_memory() {
     for second in 1..=10_800 {
         bench.sample_until(second * 1000, watts);
         bench.until(span, second * 1000);
-        bench.account.looked(Condition::default());
+        bench.account.set_condition(Condition::default());
         most = most.max(bench.account.footprint());
     }
     let spent = bench.close(span, 10_800_000);
@@ -171,7 +171,7 @@ fn what_is_not_sampled_makes_the_energy_partial_and_not_smaller_in_silence() {
 #[test]
 fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
     let mut bench = Bench::new();
-    bench.account.looked(Condition {
+    bench.account.set_condition(Condition {
         cpu_mhz: Some(1500.0),
         ..Condition::default()
     });

@@ -100,7 +100,7 @@ pub(super) struct List {
 impl List {
     pub(super) fn open(folder: &Path) -> Result<Self, AuthorityError> {
         let lock = folder.join(LOCK);
-        let held = File::create(&lock)
+        let locked = File::create(&lock)
             .and_then(|file| {
                 file.lock()?;
                 Ok(file)
@@ -127,7 +127,7 @@ impl List {
         Ok(Self {
             file,
             issued,
-            _lock: held,
+            _lock: locked,
         })
     }
 

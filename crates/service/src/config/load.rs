@@ -68,13 +68,13 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     if let Some(config) = &config {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
         // What was left out because of its form has its default here, or is a shorter list, and is spoken of already.
-        let told = |key: &str| {
+        let reported = |key: &str| {
             known.iter().any(|known| {
                 let rest = known.strip_prefix(key);
                 rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
             })
         };
-        findings.extend((config.findings().into_iter()).filter(|finding| !told(&finding.key)));
+        findings.extend((config.findings().into_iter()).filter(|finding| !reported(&finding.key)));
     }
     for finding in &mut findings {
         if finding.source.is_none() {
@@ -386,10 +386,10 @@ mod tests {
         let Err(error) = load::<Small>(Some(&file)) else {
             panic!("it can be used");
         };
-        let mut told: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
-        told.sort();
+        let mut reported: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
+        reported.sort();
         assert_eq!(
-            told,
+            reported,
             [
                 "camera.a b.name: no such name",
                 "camera.a b.rung: unknown key `rung`; did you mean `ring`?",

@@ -137,7 +137,7 @@ impl Guard {
             return;
         };
         let files: BTreeSet<PathBuf> =
-            (tokens.read().iter().filter_map(|held| held.file.clone())).collect();
+            (tokens.read().iter().filter_map(|entry| entry.file.clone())).collect();
         if files.is_empty() {
             return;
         }
@@ -156,13 +156,13 @@ impl Guard {
                     Ok(token) => {
                         faults.remove(file);
                         let mut tokens = tokens.write();
-                        let others = tokens
-                            .iter_mut()
-                            .filter(|held| held.file.as_ref() == Some(file) && held.token != token);
-                        for held in others {
+                        let others = tokens.iter_mut().filter(|entry| {
+                            entry.file.as_ref() == Some(file) && entry.token != token
+                        });
+                        for entry in others {
                             crate::logging::conceal(token.secret());
-                            held.token = token.clone();
-                            tracing::info!(token = &*held.caller.name, "the token was exchanged");
+                            entry.token = token.clone();
+                            tracing::info!(token = &*entry.caller.name, "the token was exchanged");
                         }
                     }
                     Err(error) => {
@@ -222,8 +222,8 @@ impl Guard {
                 let holder = tokens
                     .read()
                     .iter()
-                    .find(|held| carries(headers, &held.token))
-                    .map(|held| held.caller.clone());
+                    .find(|entry| carries(headers, &entry.token))
+                    .map(|entry| entry.caller.clone());
                 if holder.is_none() && headers.contains_key(AUTHORIZATION) {
                     count_wrong_token();
                 }
@@ -281,7 +281,7 @@ pub fn wrong_tokens() -> u64 {
 fn count_wrong_token() {
     static LOG: SharedLimit = SharedLimit::new();
     WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
-    LOG.tell(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
+    LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
 }
 
 fn unauthorized() -> Response {

@@ -128,15 +128,15 @@ pub(super) async fn translate(
         )
         .allowing(allowed)
     } else {
-        let said = to_bytes(body, 4096).await.unwrap_or_default();
-        let said = String::from_utf8_lossy(&said);
-        let detail = match (said.trim(), status) {
+        let body_text = to_bytes(body, 4096).await.unwrap_or_default();
+        let body_text = String::from_utf8_lossy(&body_text);
+        let detail = match (body_text.trim(), status) {
             ("", StatusCode::REQUEST_TIMEOUT) => {
                 format!("the request did not end within {limit:?}")
             }
             ("", StatusCode::NOT_FOUND) => nothing_at(&path),
             ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
-            (said, _) => said.to_owned(),
+            (body_text, _) => body_text.to_owned(),
         };
         Problem::new(status, detail)
     };

@@ -109,7 +109,7 @@ fn coco_categories() -> Vec<String> {
 /// # Errors
 /// When there are none, too few or too many, or they cannot be read.
 pub(super) fn read(
-    given: Option<&ClassNames>,
+    configured: Option<&ClassNames>,
     metadata: &Metadata,
     head: HeadName,
     classes: Option<usize>,
@@ -118,7 +118,7 @@ pub(super) fn read(
         key: "detector.class_names".to_owned(),
         reason,
     };
-    let (names, source) = match given {
+    let (names, source) = match configured {
         Some(ClassNames::List(names)) => (Some(names.clone()), "the list".to_owned()),
         Some(ClassNames::File(path)) => {
             let source = path.display().to_string();

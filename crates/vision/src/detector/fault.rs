@@ -43,8 +43,8 @@ const CONTEXT_IS_LOST: [u32; 13] = [
 ];
 
 /// The numbers of CUDA's errors in the message `said`.
-fn cuda_failures(said: &str) -> Vec<u32> {
-    let lower = said.to_lowercase();
+fn cuda_failures(message: &str) -> Vec<u32> {
+    let lower = message.to_lowercase();
     lower
         .match_indices(CUDA_FAILURE)
         .filter_map(|(at, before)| {
@@ -57,36 +57,37 @@ fn cuda_failures(said: &str) -> Vec<u32> {
 
 /// Whether `said`, a message of a session that worked before, means that this process has lost its GPU. It may be part of
 /// a longer sentence.
-pub(crate) fn device_is_lost(said: &str) -> bool {
-    cuda_failures(said)
+pub(crate) fn device_is_lost(message: &str) -> bool {
+    cuda_failures(message)
         .iter()
         .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
 }
 
 /// The message of ONNX Runtime, preceded by its meaning and a remedy where these are known: by itself it speaks of arenas
 /// and numbers.
-pub(crate) fn in_words(said: &str) -> String {
+pub(crate) fn in_words(message: &str) -> String {
     // A sentence of ours goes on after it.
-    let said = said.trim_end().trim_end_matches('.');
-    let lower = said.to_lowercase();
-    let is_one_of = |numbers: &[u32]| (cuda_failures(said).iter()).any(|it| numbers.contains(it));
+    let message = message.trim_end().trim_end_matches('.');
+    let lower = message.to_lowercase();
+    let is_one_of =
+        |numbers: &[u32]| (cuda_failures(message).iter()).any(|it| numbers.contains(it));
     if is_one_of(&CONTEXT_IS_LOST) {
         format!(
             "the GPU is lost to this process; if the device itself works (nvidia-smi), a new start of the program \
-             brings it back: {said}"
+             brings it back: {message}"
         )
     } else if is_one_of(&NO_DEVICE) {
         format!(
             "there is no such GPU that this process can use (nvidia-smi shows those there are, CUDA_VISIBLE_DEVICES \
-             names one): {said}"
+             names one): {message}"
         )
     } else if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
         format!(
             "there is not enough memory for it; a smaller model or input size or detector.batch_size needs less, and \
-             on a GPU other programs may hold it: {said}"
+             on a GPU other programs may hold it: {message}"
         )
     } else {
-        said.to_owned()
+        message.to_owned()
     }
 }
 
@@ -104,7 +105,7 @@ mod tests {
 
     #[test]
     fn any_lack_of_memory_is_reported_in_plain_words() {
-        for said in [
+        for message in [
             "Failed to allocate memory for requested buffer of size 104857600",
             "Available memory of 1048576 is smaller than requested bytes of 26214400",
             "Failed to find a free memory block despite calling Extend. rounded_bytes=256",
@@ -113,9 +114,9 @@ mod tests {
             "CUBLAS failure 3: CUBLAS_STATUS_ALLOC_FAILED ; GPU=0 ; hostname=board ; expr=cublasCreate(&handle); ",
             "CUDNN failure 5003: CUDNN_STATUS_INTERNAL_ERROR_DEVICE_ALLOCATION_FAILED ; GPU=0 ; hostname=board",
         ] {
-            let words = in_words(said);
+            let words = in_words(message);
             assert!(words.starts_with("there is not enough memory"), "{words}");
-            assert!(words.contains(said.trim_end()), "{words}");
+            assert!(words.contains(message.trim_end()), "{words}");
             assert!(!device_is_lost(&words), "{words}");
         }
     }
@@ -150,7 +151,7 @@ mod tests {
             assert!(words.starts_with("there is no such GPU"), "{words}");
             assert!(words.contains(text) && device_is_lost(&words), "{words}");
         }
-        for said in [
+        for message in [
             cuda(2, "out of memory"),
             cuda(1, "invalid argument"),
             cuda(7000, "of another library"),
@@ -159,7 +160,7 @@ mod tests {
             "CUDNN failure 700: of another library".to_owned(),
             "Got invalid dimensions for input".to_owned(),
         ] {
-            assert!(!device_is_lost(&said), "{said}");
+            assert!(!device_is_lost(&message), "{message}");
         }
         assert_eq!(
             in_words("Got invalid dimensions. "),

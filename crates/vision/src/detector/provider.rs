@@ -12,16 +12,16 @@ pub(super) fn registrations(
     configured: &[ExecutionProvider],
     gpu: &GpuConfig,
 ) -> Vec<ExecutionProviderDispatch> {
-    let mut asked = Vec::new();
+    let mut providers = Vec::new();
     if provider == ExecutionProvider::TensorRt {
-        asked.push(tensorrt(gpu).build().error_on_failure());
+        providers.push(tensorrt(gpu).build().error_on_failure());
     }
     let for_the_rest =
         provider == ExecutionProvider::TensorRt && configured.contains(&ExecutionProvider::Cuda);
     if provider == ExecutionProvider::Cuda || for_the_rest {
-        asked.push(cuda(gpu).build().error_on_failure());
+        providers.push(cuda(gpu).build().error_on_failure());
     }
-    asked
+    providers
 }
 
 fn cuda(gpu: &GpuConfig) -> CUDA {
@@ -71,7 +71,7 @@ pub(super) fn first_that_works<T>(
             Ok(_) => {
                 if index > 0 {
                     warn!(
-                        asked = providers[0].as_str(),
+                        providers = providers[0].as_str(),
                         used = provider.as_str(),
                         "fell back to another execution provider of detector.providers"
                     );

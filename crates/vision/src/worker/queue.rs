@@ -12,7 +12,7 @@ pub(super) struct Request<I, T> {
     /// Whose it is; `None` for one that runs only when no camera waits.
     pub(super) camera: Option<CameraSlot>,
     pub(super) picture: I,
-    pub(super) asked: Instant,
+    pub(super) requested_at: Instant,
     pub(super) reply: oneshot::Sender<Result<Answer<T>, InferenceError>>,
 }
 
@@ -63,8 +63,8 @@ impl<I, T> Queue<I, T> {
     /// When the next run may begin: as soon as its pictures are there, or when the first of them has waited for others
     /// long enough. `None` when nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
-        let Some(first) = self.of_cameras().map(|request| request.asked).min() else {
-            return self.waiting.first().map(|request| request.asked);
+        let Some(first) = self.of_cameras().map(|request| request.requested_at).min() else {
+            return self.waiting.first().map(|request| request.requested_at);
         };
         let waiting: BTreeSet<_> = self.of_cameras().map(|request| request.camera).collect();
         if waiting.len() >= self.batch_size.min(self.cameras.len()) {
