@@ -106,9 +106,9 @@ impl ReportQueue {
         }
         let place = match self.limits.admit(&node, now) {
             Admission::Taken(place) => place,
-            Admission::Later(told) => {
+            Admission::Later(answer) => {
                 self.counters.refuse(RefusalReason::Busy);
-                if let Some((wait, why)) = told {
+                if let Some((wait, why)) = answer {
                     self.busy(query, wait, why);
                 }
                 return;

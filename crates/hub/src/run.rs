@@ -111,11 +111,11 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
         let reasons: Vec<_> = (view.readiness.reasons().iter())
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
-        let seen = view.ingest.snapshot();
-        let all = seen.counts;
+        let ingest = view.ingest.snapshot();
+        let all = ingest.counts;
         let tried = all.commits + all.database_errors + all.refused_unavailable + all.batches;
         let mut moved = moved.lock();
-        if seen.queued == 0 || tried != moved.0 {
+        if ingest.queued == 0 || tried != moved.0 {
             *moved = (tried, Instant::now());
         }
         let stuck = moved.1.elapsed() >= STUCK_AFTER;
@@ -181,7 +181,7 @@ async fn parts(
             .clone()
             .follow(store.clone(), changed, shutdown.clone()),
     );
-    let (listening, hearing) = listen(ListenSetup {
+    let (listening, receiving) = listen(ListenSetup {
         session: &session,
         prefix: &config.hub.prefix,
         tokens: config.presence.tokens,
@@ -194,7 +194,7 @@ async fn parts(
         shutdown: shutdown.clone(),
     })
     .await?;
-    tasks.essential("presence", Span::none(), hearing);
+    tasks.essential("presence", Span::none(), receiving);
     view.attach_session(session.clone(), listening.notifier.clone());
     let reports = session
         .declare_queryable(config.keys()?.report())

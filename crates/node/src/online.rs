@@ -33,31 +33,31 @@ pub struct Tried {
 
 /// Tries everything the configuration names, and reports each result as it comes. Nothing is published, and a node that runs
 /// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
-pub async fn try_all(config: &NodeConfig, mut tell: impl FnMut(Tried)) {
-    let mut told = |key: &str, outcome| {
-        tell(Tried {
+pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
+    let mut report = |key: &str, outcome| {
+        each(Tried {
             key: key.to_owned(),
             outcome,
         });
     };
     let detector = config.detector.clone();
-    let seen = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
-    told(
+    let found = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
+    report(
         "detector",
-        seen.unwrap_or_else(|error| Err(error.to_string())),
+        found.unwrap_or_else(|error| Err(error.to_string())),
     );
     match ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref()).await {
         Ok(None) => {}
         Ok(Some(screen)) => {
             let [_, _, rows, columns] = screen.input_format().shape();
-            told("screen", Ok(format!("input shape {rows} x {columns}")));
+            report("screen", Ok(format!("input shape {rows} x {columns}")));
         }
-        Err(error) => told("screen", Err(error.to_string())),
+        Err(error) => report("screen", Err(error.to_string())),
     }
     for camera in &config.cameras {
         if camera.source.is_some() {
             let key = format!("camera.{}.source", camera.name);
-            told(&key, try_source(config, camera).await);
+            report(&key, try_source(config, camera).await);
         }
     }
     let fleet = config.keys().map(|keys| keys.fleet());
@@ -69,7 +69,7 @@ pub async fn try_all(config: &NodeConfig, mut tell: impl FnMut(Tried)) {
             Ok(Err(error)) => Err(error.to_string()),
             Err(_) => Err(late(&config.uplink.connect)),
         };
-        told("uplink.connect", told_hub(opened, fleet).await);
+        report("uplink.connect", hub_answer(opened, fleet).await);
     } else if !config.zenoh.connect.is_empty() && config.zenoh.config_file.is_none() {
         // As a client that listens nowhere: the ports are the running node's.
         let client = ZenohConfig {
@@ -89,7 +89,7 @@ pub async fn try_all(config: &NodeConfig, mut tell: impl FnMut(Tried)) {
                 Ok(format!("{} answers", config.zenoh.connect.join(", ")))
             }
         };
-        told("zenoh.connect", reached);
+        report("zenoh.connect", reached);
     }
 }
 
@@ -139,7 +139,7 @@ struct FirstPicture(Sender<Result<String, String>>);
 
 impl SourceSink for FirstPicture {
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _reopened: bool) {
-        let seen = match picture {
+        let found = match picture {
             Ok(picture) => Ok(format!(
                 "a picture came, {} kB as {}",
                 picture.bytes.len().div_ceil(1000),
@@ -148,7 +148,7 @@ impl SourceSink for FirstPicture {
             Err(fault) => Err(format!("a picture came that cannot be used: {fault}")),
         };
         // Only the first is waited for.
-        let _ = self.0.try_send(seen);
+        let _ = self.0.try_send(found);
     }
 
     fn fails(&mut self, reason: &str, _pause: Duration) {
@@ -165,34 +165,34 @@ async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String
     let source = found
         .map_err(|error| error.to_string())?
         .map_err(|error| error.to_string())?;
-    let (sender, mut seen) = channel(1);
+    let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();
     let source = Arc::new(source);
     let running = source.run(FirstPicture(sender), stop.clone());
     let waiting = async {
-        let first = tokio::time::timeout(patience, seen.recv()).await;
+        let first = tokio::time::timeout(patience, found.recv()).await;
         stop.cancel();
         match first {
-            Ok(Some(seen)) => seen,
+            Ok(Some(found)) => found,
             Ok(None) => Err("its reader ended".to_owned()),
             Err(_) => Err(format!("no picture in {} s", patience.as_secs())),
         }
     };
-    let (ended, seen) = tokio::join!(running, waiting);
+    let (ended, found) = tokio::join!(running, waiting);
     ended?;
-    seen
+    found
 }
 
 /// Whether somebody takes reports behind the session.
-async fn told_hub(
+async fn hub_answer(
     opened: Result<Session, String>,
     keys: Result<FleetKeys, albireo_wire::KeyError>,
 ) -> Result<String, String> {
     let session = opened?;
     let keys = keys.map_err(|error| error.to_string())?;
-    let seen = hub_behind(&session, keys.report()).await;
+    let found = hub_behind(&session, keys.report()).await;
     close(session).await;
-    match seen {
+    match found {
         Ok(true) => Ok("the router answers, and a hub takes reports".to_owned()),
         Ok(false) => Err(format!(
             "the router answers, but no hub takes reports: is the hub running, with hub.prefix as node.prefix, and does \

@@ -38,7 +38,10 @@ pub(super) fn without_secrets(config: &HubConfig) -> Value {
 pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let (events, changes) = match view.store() {
-        Ok(store) => (said(events(store).await), said(changes(store).await)),
+        Ok(store) => (
+            or_error(events(store).await),
+            or_error(changes(store).await),
+        ),
         Err(_) => (away(), away()),
     };
     let mut unwell = Vec::new();
@@ -100,7 +103,7 @@ fn away() -> Value {
     json!({ "error": "the database is not open yet" })
 }
 
-fn said(found: Result<Value, StoreError>) -> Value {
+fn or_error(found: Result<Value, StoreError>) -> Value {
     found.unwrap_or_else(|error| json!({ "error": error.to_string() }))
 }
 

@@ -115,7 +115,7 @@ pub(super) async fn stream(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     let selection = query(selection)?;
-    let asked = match headers.get("last-event-id") {
+    let last_id = match headers.get("last-event-id") {
         None => selection.last_event_id,
         Some(value) => {
             let number = value.to_str().ok().and_then(|text| text.parse().ok());
@@ -129,16 +129,16 @@ pub(super) async fn stream(
     // Before the database is read, so that no event falls between the two.
     let events = view.events.listen();
     let newest = store.last_event().await?;
-    let (last, resync) = match asked {
+    let (last, resync) = match last_id {
         None => (newest, None),
-        Some(asked) if asked > newest => {
+        Some(last_id) if last_id > newest => {
             (newest, Some("the number is of another database".to_owned()))
         }
-        Some(asked) if newest - asked > MOST_REPLAYED => (
+        Some(last_id) if newest - last_id > MOST_REPLAYED => (
             newest,
-            Some(format!("{} events were missed", newest - asked)),
+            Some(format!("{} events were missed", newest - last_id)),
         ),
-        Some(asked) => (asked, None),
+        Some(last_id) => (last_id, None),
     };
     let types = selection
         .types

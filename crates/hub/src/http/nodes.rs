@@ -70,18 +70,18 @@ pub(super) async fn forget(
     Path(node): Path<String>,
 ) -> Result<StatusCode, Problem> {
     let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
-    let heard = || {
+    let still_online = || {
         let detail = format!("`{node}` is heard and would be back at once: stop it first");
         Problem::new(StatusCode::CONFLICT, detail)
     };
     if known.state.is_heard() {
-        return Err(heard());
+        return Err(still_online());
     }
     (view.tuner()?)
         .forget(&node, &caller.name, unix_milliseconds())
         .await?;
     if !view.fleet.forget(&node) {
-        return Err(heard());
+        return Err(still_online());
     }
     Ok(StatusCode::NO_CONTENT)
 }

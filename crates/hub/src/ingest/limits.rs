@@ -54,17 +54,19 @@ struct Share {
     left: f64,
     /// Refusals that it may still be answered.
     refusals: f64,
-    seen: Instant,
+    refilled_at: Instant,
 }
 
 impl Share {
     /// Adds what has become free since it was seen last.
     fn refill(&mut self, camera_bytes: f64, now: Instant) {
-        let seconds = now.saturating_duration_since(self.seen).as_secs_f64();
+        let seconds = now
+            .saturating_duration_since(self.refilled_at)
+            .as_secs_f64();
         let most = camera_bytes * self.cameras;
         self.left = (self.left + most * seconds / DAY_S).min(most);
         self.refusals = (self.refusals + REFUSALS_PER_S * seconds).min(REFUSALS_PER_S);
-        self.seen = now;
+        self.refilled_at = now;
     }
 
     /// Whether one more refusal is answered.
@@ -131,7 +133,7 @@ impl NodeLimits {
             cameras: 1.0,
             left: self.camera_bytes,
             refusals: REFUSALS_PER_S,
-            seen: now,
+            refilled_at: now,
         });
         share.refill(self.camera_bytes, now);
         share
@@ -208,7 +210,7 @@ pub(crate) struct ClockCheck {
     began: Instant,
     began_ms: i64,
     /// Nodes heard last, and whether their clock agrees with the hub's.
-    heard: VecDeque<(String, bool)>,
+    votes: VecDeque<(String, bool)>,
 }
 
 /// Nodes whose clocks are compared.
@@ -219,16 +221,16 @@ impl ClockCheck {
         Self {
             began: now,
             began_ms: now_ms,
-            heard: VecDeque::new(),
+            votes: VecDeque::new(),
         }
     }
 
     /// Takes note of a node's clock.
-    pub(crate) fn hear(&mut self, node: &str, agrees: bool) {
-        self.heard.retain(|(name, _)| name != node);
-        self.heard.push_back((node.to_owned(), agrees));
-        if self.heard.len() > CLOCKS {
-            self.heard.pop_front();
+    pub(crate) fn note(&mut self, node: &str, agrees: bool) {
+        self.votes.retain(|(name, _)| name != node);
+        self.votes.push_back((node.to_owned(), agrees));
+        if self.votes.len() > CLOCKS {
+            self.votes.pop_front();
         }
     }
 
@@ -244,8 +246,8 @@ impl ClockCheck {
             *self = Self::new(now, now_ms);
             return false;
         }
-        let agree = self.heard.iter().filter(|(_, agrees)| *agrees).count();
-        agree * 2 > self.heard.len() || ran >= DAY
+        let agree = self.votes.iter().filter(|(_, agrees)| *agrees).count();
+        agree * 2 > self.votes.len() || ran >= DAY
     }
 }
 
@@ -282,11 +284,11 @@ mod tests {
         let (limits, start) = (limits(), Instant::now());
         // Three weeks of one camera, five megabytes a day, and what is made meanwhile.
         let day = Duration::from_secs(86_400);
-        let (mut backlog, mut now, mut asked) = (3 * 7 * 5 * MB, start, 0);
+        let (mut backlog, mut now, mut requests) = (3 * 7 * 5 * MB, start, 0);
         let mut made = now;
         while backlog > 0 {
             assert!(now < start + day * 40, "{backlog} left");
-            asked += 1;
+            requests += 1;
             match limits.admit("a", now) {
                 Admission::Taken(place) => {
                     let batch = backlog.min(MB);
@@ -303,7 +305,7 @@ mod tests {
         let days = (now - start).as_secs_f64() / DAY_S;
         assert!(
             (15.0..25.0).contains(&days),
-            "{days} days, asked {asked} times"
+            "{days} days, asked {requests} times"
         );
         // Another is not held up by it, and each camera has a share of its own.
         taken(limits.admit("b", now));
@@ -328,13 +330,13 @@ mod tests {
     fn refusals_are_told_ten_times_a_second() {
         let (limits, now) = (limits(), Instant::now());
         let _waiting: Vec<_> = (0..2).map(|_| taken(limits.admit("a", now))).collect();
-        let told = |now| {
+        let wait = |now| {
             let all = (0..1000).map(|_| limits.admit("a", now));
             all.filter(|one| matches!(one, Admission::Later(Some(_))))
                 .count()
         };
-        assert_eq!(told(now), 10);
-        assert_eq!(told(now + Duration::from_secs(1)), 10);
+        assert_eq!(wait(now), 10);
+        assert_eq!(wait(now + Duration::from_secs(1)), 10);
     }
 
     #[test]
@@ -344,18 +346,18 @@ mod tests {
         let ms = |hours: i64| start_ms + 3_600_000 * hours;
         let mut clock = ClockCheck::new(start, start_ms);
         assert!(!clock.is_believed(hour(1), ms(1)), "nobody says so yet");
-        clock.hear("a", true);
-        clock.hear("b", false);
-        clock.hear("c", true);
-        clock.hear("c", true);
+        clock.note("a", true);
+        clock.note("b", false);
+        clock.note("c", true);
+        clock.note("c", true);
         assert!(clock.is_believed(hour(1), ms(1)));
         // A hundred days ahead at once.
         assert!(!clock.is_believed(hour(2), ms(2 + 2400)));
-        clock.hear("a", false);
+        clock.note("a", false);
         assert!(!clock.is_believed(hour(3), ms(3 + 2400)));
         assert!(!clock.is_believed(hour(4), ms(4)), "and back");
         // Where no node's clock is right, a day without a step tells.
-        clock.hear("a", false);
+        clock.note("a", false);
         assert!(clock.is_believed(hour(29), ms(29)));
     }
 }

@@ -108,7 +108,7 @@ impl Recorder {
             self.retention_due = now.at + pause;
         }
         for batch in batches {
-            self.clock.hear(&batch.node, batch.clocks_agree);
+            self.clock.note(&batch.node, batch.clocks_agree);
         }
         committed.events = events;
         let answers = (committed.outcomes.iter_mut())

@@ -116,7 +116,13 @@ impl Fleet {
     }
 
     /// Takes a status; whether the node should be asked for a full status.
-    pub fn heard(&self, node: &str, message: &StatusMessage, now: Instant, now_ms: i64) -> bool {
+    pub fn apply_status(
+        &self,
+        node: &str,
+        message: &StatusMessage,
+        now: Instant,
+        now_ms: i64,
+    ) -> bool {
         self.statuses.fetch_add(1, Ordering::Relaxed);
         let mut nodes = self.nodes.write();
         let name: Arc<str> = match nodes.get_key_value(node) {
@@ -169,7 +175,7 @@ impl Fleet {
             .get(node)
             .and_then(|entry| entry.alive(heartbeat));
         if let Some(message) = known {
-            return self.heard(node, &message, now, now_ms);
+            return self.apply_status(node, &message, now, now_ms);
         }
         // Of a run that was not heard of: a hub that has just started, or messages that were lost.
         self.statuses.fetch_add(1, Ordering::Relaxed);
@@ -376,7 +382,7 @@ impl Fleet {
             tallies.behind += u64::from(heard && entry.revision < desired(name));
             tallies.waiting += entry.waiting;
             let target = (entry.reported.as_ref()).and_then(|reported| reported.target);
-            let status = target.map(|held| held.status.unwrap_or(TargetStatus::Measuring));
+            let status = target.map(|target| target.status.unwrap_or(TargetStatus::Measuring));
             let place = (status.filter(|_| heard))
                 .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
             if let Some(count) = place.and_then(|at| tallies.targets.get_mut(at)) {

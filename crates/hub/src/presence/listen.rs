@@ -41,7 +41,7 @@ const SWEEP: Duration = Duration::from_millis(500);
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 
-struct Heard {
+struct Message {
     node: String,
     what: What,
     _place: Place,
@@ -56,7 +56,7 @@ enum What {
 /// Where Zenoh's threads put what they hear.
 #[derive(Clone)]
 struct Inbox {
-    queue: mpsc::Sender<Heard>,
+    queue: mpsc::Sender<Message>,
     places: Arc<PerNode>,
     counters: Arc<ListenCounters>,
 }
@@ -64,12 +64,12 @@ struct Inbox {
 impl Inbox {
     /// Puts it into the queue. Never waits: what finds no place is dropped.
     fn put(&self, node: &str, what: What) {
-        let heard = self.places.place(node).map(|place| Heard {
+        let message = self.places.place(node).map(|place| Message {
             node: node.to_owned(),
             what,
             _place: place,
         });
-        if heard.is_none_or(|heard| self.queue.try_send(heard).is_err()) {
+        if message.is_none_or(|message| self.queue.try_send(message).is_err()) {
             self.counters.overrun.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -147,11 +147,11 @@ pub(crate) async fn listen(
         shutdown,
     } = setup;
     let keys = FleetKeys::all(prefix)?;
-    let (sender, heard) = mpsc::channel(QUEUE);
+    let (sender, messages) = mpsc::channel(QUEUE);
     let notifier = start_notifier(session.clone(), prefix.to_owned())
         .map_err(HubError::system("the thread of notices cannot be started"))?;
-    let hearing = Hearing {
-        heard,
+    let receiver = Receiver {
+        messages,
         fleet: Arc::clone(&fleet),
         notifier: notifier.clone(),
         counters: Arc::clone(&counters),
@@ -234,7 +234,7 @@ pub(crate) async fn listen(
         _pulls: pulls,
         notifier,
     };
-    Ok((listening, hearing.run(shutdown)))
+    Ok((listening, receiver.run(shutdown)))
 }
 
 /// A thread that sends notices, since a put may block; it ends when the last sender is dropped.
@@ -275,8 +275,8 @@ const TAKEN_AT_ONCE: usize = 1024;
 const TAKEN_EVERY: Duration = Duration::from_millis(5);
 
 /// Takes what is heard.
-struct Hearing {
-    heard: mpsc::Receiver<Heard>,
+struct Receiver {
+    messages: mpsc::Receiver<Message>,
     fleet: Arc<Fleet>,
     notifier: Notifier,
     counters: Arc<ListenCounters>,
@@ -289,14 +289,14 @@ struct Hearing {
     alone_since: Option<Instant>,
 }
 
-impl Hearing {
+impl Receiver {
     async fn run(mut self, shutdown: CancellationToken) {
         let mut sweep = tokio::time::interval(SWEEP);
         let mut several = Vec::with_capacity(TAKEN_AT_ONCE);
         loop {
             tokio::select! {
                 () = shutdown.cancelled() => return,
-                count = self.heard.recv_many(&mut several, TAKEN_AT_ONCE) => if count == 0 {
+                count = self.messages.recv_many(&mut several, TAKEN_AT_ONCE) => if count == 0 {
                     return;
                 },
                 _ = sweep.tick() => {
@@ -344,9 +344,9 @@ impl Hearing {
         self.fleet.sweep(now, now_ms);
     }
 
-    fn take(&mut self, one: Heard) {
+    fn take(&mut self, one: Message) {
         let (now, now_ms) = (Instant::now(), unix_milliseconds());
-        let Heard { node, what, _place } = one;
+        let Message { node, what, _place } = one;
         let fleet = &self.fleet;
         match what {
             What::Token(true) => {
@@ -356,13 +356,13 @@ impl Hearing {
             What::Token(false) => drop(self.tokens_gone.insert(node)),
             What::Status(payload) => {
                 self.tokens_gone.remove(&node);
-                let heard = if Heartbeat::is_one(&payload) {
+                let ask_for_full = if Heartbeat::is_one(&payload) {
                     Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
                 } else {
                     albireo_wire::read::<StatusMessage>(&payload)
-                        .map(|message| fleet.heard(&node, &message, now, now_ms))
+                        .map(|message| fleet.apply_status(&node, &message, now, now_ms))
                 };
-                match heard {
+                match ask_for_full {
                     Ok(true) => self.notifier.notify(&node, 0),
                     Ok(false) => {}
                     Err(error) => {

@@ -80,11 +80,11 @@ pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, Strin
     if let Some(identity) = facts.identity {
         return (PresenceState::Degraded, identity.to_owned());
     }
-    let said = match (facts.health, facts.reasons) {
+    let why = match (facts.health, facts.reasons) {
         (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
         (HealthState::Degraded, "") => "a part does not work",
         (HealthState::NotReady, "") => "it does not answer frames",
         (_, reasons) => reasons,
     };
-    (PresenceState::Degraded, said.to_owned())
+    (PresenceState::Degraded, why.to_owned())
 }

@@ -151,7 +151,7 @@ fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
     let state = || fleet.view("a").unwrap().state;
-    assert!(fleet.heard("a", &life(0), at(0), 0));
+    assert!(fleet.apply_status("a", &life(0), at(0), 0));
     assert_eq!(state(), PresenceState::Online);
     for (seconds, expected) in [
         (94, PresenceState::Online),
@@ -162,7 +162,7 @@ fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
         assert_eq!(state(), expected);
     }
     assert_eq!(fleet.view("a").unwrap().since_ms, 601_000);
-    fleet.heard("a", &life(1), at(700), 700_000);
+    fleet.apply_status("a", &life(1), at(700), 700_000);
     assert_eq!(state(), PresenceState::Online);
 }
 
@@ -194,9 +194,9 @@ fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
 fn a_notice_for_a_lost_status_comes_at_most_every_few_seconds() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
-    assert!(fleet.heard("a", &life(0), start, 0));
-    assert!(!fleet.heard("a", &life(3), start + Duration::from_secs(1), 0));
-    assert!(fleet.heard("a", &life(9), start + Duration::from_secs(6), 0));
+    assert!(fleet.apply_status("a", &life(0), start, 0));
+    assert!(!fleet.apply_status("a", &life(3), start + Duration::from_secs(1), 0));
+    assert!(fleet.apply_status("a", &life(9), start + Duration::from_secs(6), 0));
     assert!(fleet.needs_full_status("a"));
 }
 
@@ -216,7 +216,7 @@ fn a_heartbeat_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks
         full: Some(serde_json::from_value(full).unwrap()),
         ..life(0)
     };
-    assert!(!fleet.heard("a", &first, at(0), 0));
+    assert!(!fleet.apply_status("a", &first, at(0), 0));
     let (run, waiting) = (first.run, 3);
     let sign = |seq| Heartbeat { run, seq, waiting };
     assert!(!fleet.alive("a", sign(1), at(90), 90_000));

@@ -33,8 +33,8 @@ struct Waiter {
 }
 
 impl Waiter {
-    fn wait<T>(&self, asked: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
-        let limited = async { tokio::time::timeout(self.limit, asked).await };
+    fn wait<T>(&self, request: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
+        let limited = async { tokio::time::timeout(self.limit, request).await };
         match self.runtime.block_on(limited) {
             Ok(answered) => Ok(answered?),
             Err(_) => Err(StoreError::Unavailable(format!(

@@ -101,7 +101,7 @@ impl Tuner {
         }
         lines.sort_by(|a, b| a.node.cmp(&b.node));
         let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();
-        let (tell, follow) = mpsc::unbounded_channel();
+        let (sender, follow) = mpsc::unbounded_channel();
         let revision = if nodes.is_empty() {
             None
         } else {
@@ -113,7 +113,7 @@ impl Tuner {
                 origin: "hand".to_owned(),
                 selector: select.to_string(),
             };
-            Some(self.order(order, Some(tell), now).await?)
+            Some(self.order(order, Some(sender), now).await?)
         };
         Ok(Change {
             setting,

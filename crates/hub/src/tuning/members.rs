@@ -65,7 +65,7 @@ impl Outcome {
     /// away has its time again from its return.
     pub(crate) fn next(
         &self,
-        seen: &Seen,
+        observed: &Observation,
         wanted: DesiredSetting,
         revision: u64,
         asked_ms: &mut Millis,
@@ -73,11 +73,12 @@ impl Outcome {
         now: Millis,
     ) -> Self {
         use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
-        let has_it = seen.revision >= revision && is_applied(wanted, seen.knob, seen.target);
+        let has_it =
+            observed.revision >= revision && is_applied(wanted, observed.knob, observed.target);
         // A program without targets takes the revision and ignores the target.
-        let unable = (seen.cannot_hold.as_ref())
-            .filter(|_| seen.reachable && matches!(wanted, DesiredSetting::Target(Some(_))));
-        let refused = (seen.refused.as_ref())
+        let unable = (observed.cannot_hold.as_ref())
+            .filter(|_| observed.reachable && matches!(wanted, DesiredSetting::Target(Some(_))));
+        let refused = (observed.refused.as_ref())
             .filter(|(refused, _)| *refused == revision)
             .map(|(_, reason)| reason);
         match (self, unable.or(refused)) {
@@ -87,7 +88,7 @@ impl Outcome {
                 reason: reason.clone(),
             },
             (Refused { .. }, _) => self.clone(),
-            _ if !seen.reachable => Waiting,
+            _ if !observed.reachable => Waiting,
             (TimedOut, _) => TimedOut,
             (Waiting, _) => {
                 *asked_ms = now;
@@ -135,7 +136,7 @@ impl Outcome {
 
 /// What the hub knows of a node at a moment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Seen {
+pub struct Observation {
     /// Whether it is in reach.
     pub reachable: bool,
     /// Revision in force that it reported last.
@@ -150,7 +151,7 @@ pub struct Seen {
     pub refused: Option<(u64, String)>,
 }
 
-impl From<&NodeSettings> for Seen {
+impl From<&NodeSettings> for Observation {
     fn from(node: &NodeSettings) -> Self {
         Self {
             reachable: node.reachable,
@@ -243,7 +244,7 @@ impl Member {
     /// Takes in what is known of the node. `new` is the value of its group. Returns whether the outcome changed.
     pub fn observe(
         &mut self,
-        seen: &Seen,
+        observed: &Observation,
         new: Threshold,
         patience_ms: Millis,
         now: Millis,
@@ -257,7 +258,7 @@ impl Member {
             new
         };
         let next = self.outcome.next(
-            seen,
+            observed,
             wanted.into(),
             self.revision,
             &mut self.asked_ms,
@@ -345,8 +346,8 @@ mod tests {
         Threshold::new("u", value)
     }
 
-    fn seen(reachable: bool, revision: u64, knob: Threshold) -> Seen {
-        Seen {
+    fn observed(reachable: bool, revision: u64, knob: Threshold) -> Observation {
+        Observation {
             reachable,
             revision,
             knob: Some(knob),
@@ -366,36 +367,41 @@ mod tests {
 
     #[test]
     fn applied_is_what_the_node_reports() {
-        let refused = |revision| Seen {
+        let refused = |revision| Observation {
             refused: Some((revision, "range".to_owned())),
-            ..seen(true, 6, old())
+            ..observed(true, 6, old())
         };
-        for (what, seen, at, expected) in [
-            ("nothing yet", seen(true, 6, old()), 10, "pending"),
-            ("the value", seen(true, 7, new()), 10, "applied"),
+        for (what, observed, at, expected) in [
+            ("nothing yet", observed(true, 6, old()), 10, "pending"),
+            ("the value", observed(true, 7, new()), 10, "applied"),
             (
                 "a later revision's same value",
-                seen(true, 8, new()),
+                observed(true, 8, new()),
                 10,
                 "applied",
             ),
             (
                 "its revision, but another value",
-                seen(true, 7, old()),
+                observed(true, 7, old()),
                 10,
                 "pending",
             ),
             (
                 "the value by accident, before it was asked",
-                seen(true, 6, new()),
+                observed(true, 6, new()),
                 10,
                 "pending",
             ),
-            ("no answer in time", seen(true, 6, old()), 100, "timed_out"),
-            ("away", seen(false, 6, old()), 100, "waiting"),
+            (
+                "no answer in time",
+                observed(true, 6, old()),
+                100,
+                "timed_out",
+            ),
+            ("away", observed(false, 6, old()), 100, "waiting"),
             (
                 "applied and away since",
-                seen(false, 7, new()),
+                observed(false, 7, new()),
                 100,
                 "applied",
             ),
@@ -403,7 +409,7 @@ mod tests {
             ("an earlier one refused", refused(6), 10, "pending"),
         ] {
             let mut member = asked();
-            member.observe(&seen, new(), 100, at);
+            member.observe(&observed, new(), 100, at);
             assert_eq!(member.outcome.name(), expected, "{what}");
         }
     }
@@ -417,10 +423,10 @@ mod tests {
             (true, 5_099, "pending"),
             (true, 5_100, "timed_out"),
         ] {
-            member.observe(&seen(reachable, 6, old()), new(), 100, at);
+            member.observe(&observed(reachable, 6, old()), new(), 100, at);
             assert_eq!(member.outcome.name(), expected, "{at}");
         }
-        member.observe(&seen(true, 7, new()), new(), 100, 9_000);
+        member.observe(&observed(true, 7, new()), new(), 100, 9_000);
         assert_eq!(member.outcome, Outcome::Applied { at_ms: 9_000 });
     }
 
@@ -433,7 +439,7 @@ mod tests {
         member.aim(Target::Old);
         assert!(member.is_due());
         member.asked(9, 1);
-        member.observe(&seen(true, 9, old()), new(), 100, 2);
+        member.observe(&observed(true, 9, old()), new(), 100, 2);
         assert_eq!(member.outcome, Outcome::Applied { at_ms: 2 });
     }
 

@@ -16,7 +16,7 @@ pub(crate) use plan::check_why;
 pub use plan::{OnFailure, PlanError, RolloutPlan, RolloutRequest, StageSize};
 pub use record::{Entry, What};
 
-use super::members::{self, Member, Millis, Order, Outcome, Seen, shuffled};
+use super::members::{self, Member, Millis, Observation, Order, Outcome, shuffled};
 use super::metric::BeforeAfter;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
@@ -242,21 +242,21 @@ impl Rollout {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
+    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
         // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {
-            let Some(seen) = look(&member.node) else {
+            let Some(observed) = look(&member.node) else {
                 continue;
             };
-            member.reachable = seen.reachable;
+            member.reachable = observed.reachable;
             if !matches!(
                 member.outcome,
                 Outcome::Untouched | Outcome::Applied { .. } | Outcome::Missed
             ) {
-                changed |= member.observe(&seen, self.knob, patience, now);
+                changed |= member.observe(&observed, self.knob, patience, now);
             }
         }
         changed

@@ -1,6 +1,6 @@
 //! Drives rollouts and trials: asks nodes for values, brings the measurements, keeps the state in the database.
 
-use super::members::{Millis, Order, Outcome, Seen};
+use super::members::{Millis, Observation, Order, Outcome};
 use super::metric::{BeforeAfter, Figure, Figures};
 use super::rollout::{
     Candidate, Command, CommandError, Measurements, PlanError, Rollout, RolloutRequest, Window,
@@ -496,7 +496,11 @@ impl Tuner {
             active.run.asked(&order, revision, now);
             changed = true;
         }
-        let look = |node: &str| self.fleet.settings(node).map(|facts| Seen::from(&facts));
+        let look = |node: &str| {
+            self.fleet
+                .settings(node)
+                .map(|facts| Observation::from(&facts))
+        };
         match &mut active.run {
             Run::Rollout(rollout) => {
                 changed |= rollout.observe(now, look);

@@ -8,7 +8,7 @@
 mod tests;
 
 use super::effect::{Effect, FEWEST_NODES, Interval};
-use super::members::{self, Member, Millis, Order, Outcome, Seen, Target, shuffled};
+use super::members::{self, Member, Millis, Observation, Order, Outcome, Target, shuffled};
 use super::metric::{BeforeAfter, Figure};
 use super::rollout::{Candidate, PlanError, Window, check_why, seconds};
 use super::selector::Selector;
@@ -256,15 +256,15 @@ impl Trial {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
+    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {
             if member.outcome.applied_at().is_some() {
                 continue;
             }
-            if let Some(seen) = look(&member.node) {
-                changed |= member.observe(&seen, self.plan.values[member.group], patience, now);
+            if let Some(observed) = look(&member.node) {
+                changed |= member.observe(&observed, self.plan.values[member.group], patience, now);
             }
         }
         changed

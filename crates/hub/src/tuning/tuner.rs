@@ -1,6 +1,6 @@
 //! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
-use super::members::{Millis, Outcome, Seen};
+use super::members::{Millis, Observation, Outcome};
 use crate::config::TuningConfig;
 use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, NodeSettings, Notifier};
@@ -299,7 +299,7 @@ impl Tuner {
             self.desire(node, revision, order.setting);
             let before = (self.open.lock()).insert(node.clone(), open(revision, *from));
             if let Some(before) = before {
-                self.tell(&before, node, "superseded", String::new());
+                self.send_outcome(&before, node, "superseded", String::new());
             }
             self.drift.lock().remove(node);
             self.notifier.notify(node, revision);
@@ -313,11 +313,11 @@ impl Tuner {
         self.drift.lock().remove(node);
         let order = self.open.lock().remove(node);
         if let Some(order) = order {
-            self.tell(&order, node, "missed", "the node was forgotten".to_owned());
+            self.send_outcome(&order, node, "missed", "the node was forgotten".to_owned());
         }
     }
 
-    fn tell(&self, order: &OpenOrder, node: &str, outcome: &str, detail: String) {
+    fn send_outcome(&self, order: &OpenOrder, node: &str, outcome: &str, detail: String) {
         let mut followers = self.followers.lock();
         if let Some(follower) = followers.get(&order.revision) {
             let line = OutcomeLine {
@@ -348,9 +348,9 @@ impl Tuner {
                     continue;
                 };
                 let mut order = order.clone();
-                let seen = Seen::from(&facts);
+                let observed = Observation::from(&facts);
                 let next = order.outcome.next(
-                    &seen,
+                    &observed,
                     order.setting,
                     order.revision,
                     &mut order.asked_ms,
@@ -358,7 +358,7 @@ impl Tuner {
                     now,
                 );
                 if next == Outcome::Pending
-                    && seen.reachable
+                    && observed.reachable
                     && now - order.notified_ms >= NOTIFY_AGAIN_MS
                 {
                     order.notified_ms = now;
@@ -391,7 +391,7 @@ impl Tuner {
                     _ => open.insert(node.clone(), order.clone()),
                 };
             }
-            self.tell(&order, &node, order.outcome.name(), order.outcome.detail());
+            self.send_outcome(&order, &node, order.outcome.name(), order.outcome.detail());
         }
         Ok(())
     }

@@ -42,21 +42,21 @@ impl NodeName {
 
     async fn hold_on(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
         let own = format!("{key}/{}", session.zid());
-        let mut told = false;
+        let mut warned = false;
         loop {
             let pause = if self.is_held().await {
                 if !other_claims(session, key, &own).await?.is_empty() {
-                    tell(key, part, &mut told);
+                    warn(key, part, &mut warned);
                 } else {
                     part.works();
-                    told = false;
+                    warned = false;
                 }
                 LOOK_AGAIN_EVERY
             } else {
                 if self.claim(session, key, &own).await? {
                     part.works();
                 } else {
-                    tell(key, part, &mut told);
+                    warn(key, part, &mut warned);
                 }
                 LOOK_EVERY
             };
@@ -110,9 +110,9 @@ async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<
     Ok(others)
 }
 
-fn tell(key: &str, part: &Part, told: &mut bool) {
+fn warn(key: &str, part: &Part, warned: &mut bool) {
     part.degraded(TAKEN);
-    if !std::mem::replace(told, true) {
+    if !std::mem::replace(warned, true) {
         tracing::warn!(
             key,
             "another node of this name is on the network, or an earlier run of this one was killed a moment ago: give \
@@ -157,22 +157,22 @@ mod tests {
             .unwrap();
         let nodes = [one, two].map(|session| {
             let (name, readiness) = (NodeName::default(), Readiness::default());
-            let held = name.clone().hold(
+            let holding = name.clone().hold(
                 session,
                 "albireo/@alive/n".to_owned(),
                 readiness.part("name"),
             );
-            (name, readiness, tokio::spawn(held))
+            (name, readiness, tokio::spawn(holding))
         });
         let settled = async {
             loop {
-                let mut held = Vec::new();
+                let mut holding = Vec::new();
                 for (name, readiness, _) in &nodes {
                     let works = readiness.health().faults.is_empty();
-                    held.push((name.is_held().await, works));
+                    holding.push((name.is_held().await, works));
                 }
-                held.sort_unstable();
-                if held == [(false, false), (true, true)] {
+                holding.sort_unstable();
+                if holding == [(false, false), (true, true)] {
                     return;
                 }
                 tokio::time::sleep(Duration::from_millis(20)).await;

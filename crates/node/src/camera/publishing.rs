@@ -90,11 +90,11 @@ impl Unpublished {
                 tracing::warn!(key, %error, "detections not published");
             }
             Self::Refused(error) => tracing::debug!(key, %error, "not published"),
-            Self::Panicked(said) => PANICKED.log(|held_back| {
+            Self::Panicked(message) => PANICKED.log(|held_back| {
                 tracing::error!(
                     key,
                     held_back,
-                    "a put panicked, its message is lost: {said}"
+                    "a put panicked, its message is lost: {message}"
                 );
             }),
         }
@@ -352,7 +352,7 @@ mod tests {
     }
 
     /// A lane that reports what it published; `slow` messages wait until they are let go.
-    struct Told {
+    struct SlowLane {
         _thread: PublishingThread,
         lane: PublishLane,
         published: Receiver<Vec<u8>>,
@@ -360,19 +360,19 @@ mod tests {
         let_go: SyncSender<()>,
     }
 
-    fn told() -> Told {
+    fn slow_lane() -> SlowLane {
         let thread = PublishingThread::start().unwrap();
         let (out, published) = channel();
-        let (let_go, held) = sync_channel::<()>(0);
-        let held = Mutex::new(held);
+        let (let_go, gate) = sync_channel::<()>(0);
+        let gate = Mutex::new(gate);
         let put = move |json: Vec<u8>| {
             if json == b"slow" {
-                held.lock().recv_timeout(LIMIT).unwrap();
+                gate.lock().recv_timeout(LIMIT).unwrap();
             }
             out.send(json).unwrap();
         };
         let unpublished = Counter::default();
-        Told {
+        SlowLane {
             lane: thread.lane(Outlet::Test(Box::new(put)), 2, unpublished.clone()),
             _thread: thread,
             published,
@@ -390,30 +390,30 @@ mod tests {
 
     #[test]
     fn a_camera_goes_on_while_a_put_waits_and_the_newest_go_out_in_order_the_others_counted() {
-        let told = told();
-        told.lane.publish(b"slow".to_vec());
-        wait_until_busy(&told.lane);
+        let slow_lane = slow_lane();
+        slow_lane.lane.publish(b"slow".to_vec());
+        wait_until_busy(&slow_lane.lane);
         for json in [b"a", b"b", b"c"] {
-            told.lane.publish(json.to_vec());
+            slow_lane.lane.publish(json.to_vec());
         }
-        told.let_go.send(()).unwrap();
-        let next = || told.published.recv_timeout(LIMIT).unwrap();
+        slow_lane.let_go.send(()).unwrap();
+        let next = || slow_lane.published.recv_timeout(LIMIT).unwrap();
         assert_eq!(
             [next(), next(), next()],
             [b"slow".to_vec(), b"b".to_vec(), b"c".to_vec()]
         );
-        assert_eq!(told.unpublished.get(), 1);
+        assert_eq!(slow_lane.unpublished.get(), 1);
     }
 
     #[test]
     fn what_waits_goes_out_before_the_thread_ends() {
-        let Told {
+        let SlowLane {
             _thread: publishing,
             lane,
             published,
             let_go,
             ..
-        } = told();
+        } = slow_lane();
         lane.publish(b"slow".to_vec());
         wait_until_busy(&lane);
         lane.publish(b"last".to_vec());

@@ -202,8 +202,8 @@ mod tests {
 
     #[test]
     fn a_port_that_is_taken_is_in_the_way() {
-        let held = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = held.local_addr().unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
         let mut config = NodeConfig::default();
         config.http.listen = address;
         config.zenoh.listen = vec![format!("tcp/{address}")];

@@ -307,7 +307,7 @@ impl NodeConfig {
 
     /// Two cameras on one key would be one camera twice, and a camera on a key that a node writes would hear itself.
     fn check_keys(&self, findings: &mut Findings) {
-        let mut seen: HashMap<String, &str> = HashMap::new();
+        let mut owners: HashMap<String, &str> = HashMap::new();
         for (index, camera) in self.cameras.iter().enumerate() {
             let at = format!("camera[{index}].key");
             let Ok(key) = self.frame_key(camera) else {
@@ -340,7 +340,7 @@ impl NodeConfig {
                 }
             }
             // Cameras with the same name are already reported.
-            if let Some(other) = seen.insert(key.clone(), &camera.name)
+            if let Some(other) = owners.insert(key.clone(), &camera.name)
                 && other != camera.name
             {
                 findings.add(
@@ -407,7 +407,7 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     }
     let Some(source) = &camera.source else {
         let plain = CameraConfig::named(camera.name.clone());
-        for (name, given) in [
+        for (name, configured) in [
             ("max_rate", camera.max_rate.is_some()),
             (
                 "rtsp_transport",
@@ -416,7 +416,7 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             ("hardware", camera.hardware.is_some()),
             ("source_options", !camera.source_options.is_empty()),
         ] {
-            if given {
+            if configured {
                 findings.add(
                     key(name),
                     "is of a camera with a source, and this one has none",

@@ -22,7 +22,7 @@ use albireo_wire::{
     BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
 use backoff::Backoff;
-pub(super) use query::Asked;
+pub(super) use query::HubReply;
 use query::ask;
 pub(super) use schedule::{Outcome, Schedule};
 pub(super) use status::StatusTeller;
@@ -379,9 +379,9 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
     let Ok(Some((batch, payload))) = prepared.await else {
         return Ended::Batch(Outcome::Nothing, None);
     };
-    let asked = ask::<ReportAnswer>(reports, payload).await;
+    let reply = ask::<ReportAnswer>(reports, payload).await;
     let board = Arc::clone(&setup.board);
-    let taken = spawn_blocking(move || conclude(board.outbox(), &batch, asked, Now::system()));
+    let taken = spawn_blocking(move || conclude(board.outbox(), &batch, reply, Now::system()));
     let (outcome, desired) = taken.await.unwrap_or((Outcome::Unanswered, None));
     Ended::Batch(outcome, desired)
 }
@@ -390,21 +390,21 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
 pub(crate) fn conclude(
     outbox: &Outbox,
     batch: &ReportBatch,
-    asked: Asked<ReportAnswer>,
+    reply: HubReply<ReportAnswer>,
     now: Now,
 ) -> (Outcome, Option<Desired>) {
-    match asked {
-        Asked::Answered(answer) => {
+    match reply {
+        HubReply::Answer(answer) => {
             let stored = outbox.answered(batch, &answer, now);
             tracing::debug!(stored, "clip reports acknowledged");
             (Outcome::Done, answer.desired)
         }
-        Asked::Refused(refusal) => {
+        HubReply::Refusal(refusal) => {
             tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
             let at_least = refusal.retry_after_ms.map(Duration::from_millis);
             (Outcome::Refused(at_least), None)
         }
-        Asked::Nobody(reason) => {
+        HubReply::Missing(reason) => {
             tracing::debug!(reason, "clip reports not acknowledged");
             (Outcome::Unanswered, None)
         }
@@ -419,13 +419,13 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     match ask::<Desired>(pulls, payload).await {
-        Asked::Answered(desired) => Ended::Pull(Outcome::Done, Some(desired)),
-        Asked::Refused(refusal) => {
+        HubReply::Answer(desired) => Ended::Pull(Outcome::Done, Some(desired)),
+        HubReply::Refusal(refusal) => {
             tracing::debug!(refusal.detail, "nothing pulled");
             let at_least = refusal.retry_after_ms.map(Duration::from_millis);
             Ended::Pull(Outcome::Refused(at_least), None)
         }
-        Asked::Nobody(reason) => {
+        HubReply::Missing(reason) => {
             tracing::debug!(reason, "nothing pulled");
             Ended::Pull(Outcome::Unanswered, None)
         }

@@ -44,30 +44,30 @@ fn read_json(bytes: &[u8]) -> Result<Attachment, FrameFault> {
             bytes.len()
         )));
     }
-    let said: FrameAttachment = albireo_wire::read(bytes).map_err(|error| {
+    let attachment: FrameAttachment = albireo_wire::read(bytes).map_err(|error| {
         FrameFault::unknown_format(format!(
             "the attachment cannot be read: {error}; it should look like \
              {{\"v\":1,\"seq\":7,\"t_ns\":1700000000000000000,\"clip\":\"drive-1\"}}"
         ))
     })?;
-    if let Some(clip) = &said.clip
+    if let Some(clip) = &attachment.clip
         && (clip.is_empty() || clip.len() > MAX_CLIP_BYTES || clip.chars().any(char::is_control))
     {
         return Err(FrameFault::unknown_format(format!(
             "the attachment's clip id must be 1 to {MAX_CLIP_BYTES} bytes without control characters"
         )));
     }
-    let size = match (said.width, said.height) {
+    let size = match (attachment.width, attachment.height) {
         (Some(width), Some(height)) => Some(PictureSize::new(width, height)),
         _ => None,
     };
     Ok(Attachment {
         number: FrameNumber {
-            seq: said.seq,
-            stream: said.stream,
+            seq: attachment.seq,
+            stream: attachment.stream,
         },
-        time_ns: said.t_ns,
-        clip: said.clip.map(Arc::from),
+        time_ns: attachment.t_ns,
+        clip: attachment.clip.map(Arc::from),
         size,
     })
 }
@@ -143,10 +143,10 @@ mod tests {
         for (named, length_byte) in [(false, false), (false, true), (true, false), (true, true)] {
             let bytes = rmw(named, length_byte);
             for format in [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image] {
-                let said = read_attachment(Some(&bytes), format).unwrap();
-                assert_eq!(said.number.seq, Some(41), "{named} {length_byte}");
-                assert_eq!(said.time_ns, Some(1_700_000_000_123_456_789));
-                assert!(said.number.stream.is_some(), "a publisher's id");
+                let attachment = read_attachment(Some(&bytes), format).unwrap();
+                assert_eq!(attachment.number.seq, Some(41), "{named} {length_byte}");
+                assert_eq!(attachment.time_ns, Some(1_700_000_000_123_456_789));
+                assert!(attachment.number.stream.is_some(), "a publisher's id");
             }
         }
     }
@@ -160,19 +160,19 @@ mod tests {
             );
         }
         let json = br#"{"v":1,"seq":3}"#;
-        let said = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
-        assert_eq!(said.number.seq, Some(3));
+        let attachment = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
+        assert_eq!(attachment.number.seq, Some(3));
     }
 
     #[test]
     fn a_json_attachment_is_read_and_a_bad_one_says_what_is_wrong() {
-        let said = read_attachment(
+        let attachment = read_attachment(
             Some(br#"{"v":1,"seq":9,"t_ns":5,"clip":"a","width":4,"height":2}"#),
             PayloadFormat::Encoding,
         )
         .unwrap();
         assert_eq!(
-            said,
+            attachment,
             Attachment {
                 number: FrameNumber {
                     seq: Some(9),

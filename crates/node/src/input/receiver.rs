@@ -284,11 +284,11 @@ impl FrameReceiver {
 
     /// Takes a frame that came as a query. Without room for it the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
-        let asked = FrameQuery {
+        let waiting = FrameQuery {
             query: query.clone(),
             answers: Arc::clone(&self.answers),
         };
-        self.place(Some(asked), |arrival| {
+        self.place(Some(waiting), |arrival| {
             ZenohFrame::from(&query).read(arrival, self.format, &self.limits)
         });
     }

@@ -125,9 +125,10 @@ impl<T> Ring<T> {
 
 impl<T: RingItem> Ring<T> {
     fn has_room(&self, items: &VecDeque<T>, bytes: usize) -> bool {
-        let held: usize = items.iter().map(RingItem::bytes).sum();
+        let waiting: usize = items.iter().map(RingItem::bytes).sum();
         items.is_empty()
-            || (items.len() < self.limits.items && held.saturating_add(bytes) <= self.limits.bytes)
+            || (items.len() < self.limits.items
+                && waiting.saturating_add(bytes) <= self.limits.bytes)
     }
 }
 
@@ -313,8 +314,8 @@ mod tests {
     #[tokio::test]
     async fn the_next_item_can_be_looked_at_and_is_still_taken() {
         let (sender, mut receiver) = ring(2, true);
-        let (seen, _) = tokio::join!(receiver.peek(|&item| item), async { sender.push(1) });
-        assert_eq!(seen, Some(1));
+        let (peeked, _) = tokio::join!(receiver.peek(|&item| item), async { sender.push(1) });
+        assert_eq!(peeked, Some(1));
         assert_eq!(receiver.next().await, Some(1));
         sender.close();
         assert_eq!(receiver.peek(|&item| item).await, None);
@@ -449,11 +450,11 @@ mod tests {
                         }
                     }
                     Act::Peek => {
-                        let seen = pin!(receiver.peek(|&item| item)).poll(&mut context);
+                        let peeked = pin!(receiver.peek(|&item| item)).poll(&mut context);
                         let overrun = taken_since_overrun < 2;
-                        waits = seen.is_pending();
+                        waits = peeked.is_pending();
                         prop_assert_eq!(waits, queue.is_empty() && !closed && !overrun);
-                        if let Poll::Ready(item) = seen {
+                        if let Poll::Ready(item) = peeked {
                             prop_assert_eq!(item, queue.front().copied().filter(|_| !overrun));
                         }
                     }

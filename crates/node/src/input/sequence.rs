@@ -265,8 +265,8 @@ mod tests {
     }
 
     /// Frames that are not new, and numbers counted as lost.
-    fn losses(seen: &[Arrival]) -> (usize, u64) {
-        let lost = seen.iter().map(|seen| match seen {
+    fn losses(arrivals: &[Arrival]) -> (usize, u64) {
+        let lost = arrivals.iter().map(|arrivals| match arrivals {
             Arrival::New { lost, .. } => Some(*lost),
             _ => None,
         });
@@ -346,7 +346,7 @@ mod tests {
                 assert_eq!(camera.arrive(stray.0, stray.1), Arrival::Stray, "{stray:?}");
                 let after = camera.send(1050..1450, own);
                 assert_eq!(losses(&after), (0, 0), "{own:?} {stray:?}");
-                assert!(!after.iter().any(|seen| *seen == restarted(50)));
+                assert!(!after.iter().any(|arrivals| *arrivals == restarted(50)));
             }
         }
     }
@@ -398,17 +398,17 @@ mod tests {
         for (stream, numbers) in [(2, 0..50), (3, 20..60), (4, 500..520), (5, 0..5)] {
             camera.tracker.publisher_changed(stream - 1, true);
             // What was still on its way is processed.
-            let seen = camera.send(numbers, Some(stream));
-            assert_eq!(losses(&seen), (0, 0));
+            let arrivals = camera.send(numbers, Some(stream));
+            assert_eq!(losses(&arrivals), (0, 0));
             assert!(matches!(
-                seen[0],
+                arrivals[0],
                 Arrival::New {
                     restarted: true,
                     ..
                 }
             ));
             assert!(matches!(
-                seen[1],
+                arrivals[1],
                 Arrival::New {
                     restarted: false,
                     ..
@@ -432,14 +432,14 @@ mod tests {
         for sent in [20, 1000] {
             let mut camera = Camera::new();
             camera.send(0..sent, None);
-            let seen = camera.send(0..30, None);
-            let (dropped, lost) = losses(&seen);
+            let arrivals = camera.send(0..30, None);
+            let (dropped, lost) = losses(&arrivals);
             assert!(
                 (9..=10).contains(&dropped) && lost == 0,
                 "{sent}: {dropped}"
             );
-            assert_eq!(losses(&seen[dropped..]), (0, 0));
-            assert_eq!(seen[dropped], restarted(sent));
+            assert_eq!(losses(&arrivals[dropped..]), (0, 0));
+            assert_eq!(arrivals[dropped], restarted(sent));
         }
         let mut camera = Camera::new();
         camera.send(0..50, None);
@@ -470,13 +470,17 @@ mod tests {
     fn of_two_cameras_on_one_key_the_first_is_heard() {
         for (first, second) in [((0, Some(1)), (0, Some(2))), ((1000, None), (0, None))] {
             let mut camera = Camera::new();
-            let mut seen = [Vec::new(), Vec::new()];
+            let mut arrivals = [Vec::new(), Vec::new()];
             for number in 0..200 {
-                seen[0].push(camera.pass(PERIOD / 2).arrive(first.0 + number, first.1));
-                seen[1].push(camera.pass(PERIOD / 2).arrive(second.0 + number, second.1));
+                arrivals[0].push(camera.pass(PERIOD / 2).arrive(first.0 + number, first.1));
+                arrivals[1].push(camera.pass(PERIOD / 2).arrive(second.0 + number, second.1));
             }
-            assert_eq!(losses(&seen[0]), (0, 0));
-            assert!(seen[1].iter().all(|seen| *seen == Arrival::Stray));
+            assert_eq!(losses(&arrivals[0]), (0, 0));
+            assert!(
+                arrivals[1]
+                    .iter()
+                    .all(|arrivals| *arrivals == Arrival::Stray)
+            );
         }
     }
 
@@ -545,14 +549,14 @@ mod tests {
                     last_index = Some(index);
                 }
             }
-            let heard: Vec<bool> = camera
+            let accepted: Vec<bool> = camera
                 .send(start..start + 200, Some(stream))
                 .iter()
-                .map(|seen| matches!(seen, Arrival::New { .. }))
+                .map(|arrivals| matches!(arrivals, Arrival::New { .. }))
                 .collect();
-            let from = heard.iter().position(|heard| *heard).unwrap();
+            let from = accepted.iter().position(|accepted| *accepted).unwrap();
             prop_assert!(from < 100, "{from}");
-            prop_assert!(heard[from..].iter().all(|heard| *heard));
+            prop_assert!(accepted[from..].iter().all(|accepted| *accepted));
         }
     }
 }

@@ -51,7 +51,7 @@ pub struct SkipWatch {
     frames: u64,
     followed: u64,
     skipped: bool,
-    told: bool,
+    given: bool,
     taus: Vec<f64>,
 }
 
@@ -79,7 +79,7 @@ impl SkipWatch {
             self.taus.push(tau);
         }
         let clear = self.is_clear();
-        clear && !std::mem::replace(&mut self.told, clear)
+        clear && !std::mem::replace(&mut self.given, clear)
     }
 
     fn is_clear(&self) -> bool {

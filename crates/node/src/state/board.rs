@@ -310,11 +310,11 @@ impl Board {
 
     /// The present state as events: thresholds and counters of every camera.
     pub fn current(&self, t_ns: u64) -> Vec<Event> {
-        let told = |camera: &Arc<CameraBoard>| {
+        let thresholds = |camera: &Arc<CameraBoard>| {
             let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
             camera.threshold_event().into_iter().chain([counters])
         };
-        self.cameras.iter().flat_map(told).collect()
+        self.cameras.iter().flat_map(thresholds).collect()
     }
 
     /// The present counter message of one camera.
@@ -366,10 +366,10 @@ impl Board {
         target: Option<Target>,
         source: SettingSource,
     ) -> Result<(), TargetError> {
-        let held = self.target.is_on();
+        let has_target = self.target.is_on();
         let knob = self.cameras.first().and_then(|camera| camera.threshold());
         self.target.set(target, knob, source)?;
-        if held && target.is_none() {
+        if has_target && target.is_none() {
             for camera in &self.cameras {
                 if let Some(value) = camera.threshold()
                     && let Err(error) = camera.set_threshold(value, source)

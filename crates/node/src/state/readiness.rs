@@ -180,12 +180,12 @@ mod tests {
         readiness.part(ZENOH).works();
         detector.degraded("of no matter");
         readiness.part(UPLINK).degraded("the hub is away");
-        let seen = service_state(&readiness, limit);
-        assert_eq!((seen.ready, seen.stuck), (true, None));
+        let state = service_state(&readiness, limit);
+        assert_eq!((state.ready, state.stuck), (true, None));
         assert!(
-            seen.reasons.contains("uplink: the hub is away"),
+            state.reasons.contains("uplink: the hub is away"),
             "{}",
-            seen.reasons
+            state.reasons
         );
     }
 
@@ -232,8 +232,8 @@ mod tests {
         let lost = DetectorStatus::Lost { reason, provider };
         let stuck = service_state(&readiness, &lost, limit).stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
-        let told = of_detector(&lost).unwrap();
-        assert_eq!(told.effect, Effect::NotReady);
-        assert!(told.reason.contains("the GPU is lost"), "{told:?}");
+        let fault = of_detector(&lost).unwrap();
+        assert_eq!(fault.effect, Effect::NotReady);
+        assert!(fault.reason.contains("the GPU is lost"), "{fault:?}");
     }
 }

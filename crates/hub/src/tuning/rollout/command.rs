@@ -42,13 +42,13 @@ impl Rollout {
     ) -> Result<(), CommandError> {
         let returning = matches!(self.phase, Phase::Returning { .. } | Phase::Returned);
         let ended = self.phase.has_ended();
-        let held = matches!(self.phase, Phase::Held { .. });
+        let is_held = matches!(self.phase, Phase::Held { .. });
         let (what, possible) = match command {
             Command::Pause => (
                 What::Paused,
                 !ended && !returning && self.paused_ms.is_none(),
             ),
-            Command::Resume => (What::Resumed, self.paused_ms.is_some() || held),
+            Command::Resume => (What::Resumed, self.paused_ms.is_some() || is_held),
             Command::Next => {
                 let finishing = matches!(self.phase, Phase::Finishing { .. });
                 (What::Next, !ended && !returning && !finishing)
@@ -72,7 +72,7 @@ impl Rollout {
         }
         match command {
             Command::Pause => self.paused_ms = Some(now),
-            Command::Resume if held => self.soak(now),
+            Command::Resume if is_held => self.soak(now),
             Command::Resume => {}
             Command::Next => self.advance(now),
             Command::Return => self.go_back(now, format!("by hand: {who}")),

@@ -19,7 +19,7 @@ const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
 struct SimNode {
-    seen: Seen,
+    seen: Observation,
     desired: Option<(u64, Threshold)>,
     refuses: bool,
     /// Whether the new value kills it.
@@ -42,7 +42,7 @@ impl World {
     fn new(count: usize) -> Self {
         let node = |i: usize| {
             let node = SimNode {
-                seen: Seen {
+                seen: Observation {
                     reachable: true,
                     revision: 0,
                     knob: Some(old()),
@@ -483,7 +483,7 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
     rollout.asked(&order, 7, world.now);
     rollout.command(Command::Pause, "ops", world.now).unwrap();
     let silent = |_: &str| {
-        Some(Seen {
+        Some(Observation {
             reachable: true,
             revision: 0,
             knob: Some(old()),

@@ -35,7 +35,7 @@ fn obey(trial: &mut Trial, revision: &mut u64, now: Millis) {
         trial.asked(&order, *revision, now);
     }
     trial.observe(now, |node| {
-        have.get(node).map(|(revision, knob)| Seen {
+        have.get(node).map(|(revision, knob)| Observation {
             reachable: true,
             revision: *revision,
             knob: Some(*knob),

@@ -262,7 +262,7 @@ pub(super) struct SkipEstimates {
 /// Most values of one question.
 const MOST_VALUES: usize = 64;
 
-fn asked(text: &str) -> Result<Vec<f64>, Problem> {
+fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
     match values {
         Ok(values) if values.len() <= MOST_VALUES && values.iter().all(|v| *v > 0.0) => Ok(values),
@@ -308,7 +308,7 @@ pub(super) async fn skip_estimate(
         return Err(cannot(&format!("{why}`{}`", threshold.name)));
     }
     let values = match values.values.as_deref() {
-        Some(text) => asked(text)?,
+        Some(text) => thresholds(text)?,
         None => (0..=40)
             .map(|step| about.default * 10_f64.powf((f64::from(step) - 20.0) / 10.0))
             .collect(),

@@ -117,8 +117,8 @@ mod tests {
             };
             let asking: Vec<_> = (0..24).map(|_| ask()).collect();
             for asked in asking {
-                let (told, file) = asked.await.unwrap().unwrap();
-                assert_eq!(told, seq);
+                let (answered, file) = asked.await.unwrap().unwrap();
+                assert_eq!(answered, seq);
                 assert!(file.unwrap().starts_with(b"\xff\xd8\xff"));
             }
             assert_eq!(pictures.decoded().get(), number);

@@ -4,7 +4,7 @@ use crate::delivery::outbox::tests::report;
 use crate::delivery::outbox::{
     Disk, Outbox, OutboxConfig, OutboxCounts, OutboxError, StateFile, TableError,
 };
-use crate::delivery::uplink::{Asked, Outcome, Schedule, conclude, read_reply};
+use crate::delivery::uplink::{HubReply, Outcome, Schedule, conclude, read_reply};
 use albireo_service::clock::Now;
 use albireo_wire::{BatchCompression, ClipReport, FrameStates, ReportAnswer, ReportBatch};
 use rusqlite::Connection;
@@ -88,7 +88,7 @@ pub(super) struct Node {
     /// How far its wall clock is ahead.
     pub(super) clock_ms: i64,
     /// The question under way.
-    asked: Option<(u64, ReportBatch)>,
+    reply: Option<(u64, ReportBatch)>,
     /// Reports that it said are in memory only.
     pub(super) in_memory: Vec<usize>,
     /// What a power cut leaves where commits are not synced.
@@ -132,7 +132,7 @@ impl Node {
             outbox: None,
             schedule: Schedule::new(&OutboxConfig::default(), 0, Instant::now()),
             clock_ms: 0,
-            asked: None,
+            reply: None,
             in_memory: Vec::new(),
             unsynced: None,
             looks_at_ms: i64::MAX,
@@ -163,7 +163,7 @@ impl Node {
 
     /// The power goes; what was in memory only is lost, and returned.
     pub(super) fn crash(&mut self) -> Vec<usize> {
-        (self.outbox, self.asked) = (None, None);
+        (self.outbox, self.reply) = (None, None);
         if let Some(unsynced) = self.unsynced.take() {
             put(&self.file(), &unsynced);
         }
@@ -229,7 +229,7 @@ impl Node {
             match outbox.batch(&self.name, again, now) {
                 Some(batch) => {
                     payload = Some(batch.to_payload(BatchCompression::Quick).unwrap());
-                    self.asked = Some((question, batch));
+                    self.reply = Some((question, batch));
                 }
                 None => self.schedule.batch_ended(Outcome::Nothing, now.at),
             }
@@ -247,22 +247,22 @@ impl Node {
 
     /// Whether a reply to that question is waited for.
     pub(super) fn awaits(&self, question: u64) -> bool {
-        self.asked
+        self.reply
             .as_ref()
-            .is_some_and(|(asked, _)| *asked == question)
+            .is_some_and(|(reply, _)| *reply == question)
     }
 
     /// Takes a reply, or that none came in time; the reports that the hub refuses for good.
     pub(super) fn take(&mut self, reply: Option<Result<&[u8], &[u8]>>, now: Now) -> Vec<usize> {
-        let (Some(outbox), Some((_, batch))) = (&self.outbox, self.asked.take()) else {
+        let (Some(outbox), Some((_, batch))) = (&self.outbox, self.reply.take()) else {
             return Vec::new();
         };
-        let asked: Asked<ReportAnswer> = read_reply(reply.unwrap_or(Err(b"no reply")));
-        let refused = match &asked {
-            Asked::Answered(answer) => answer.refused.clone(),
+        let reply: HubReply<ReportAnswer> = read_reply(reply.unwrap_or(Err(b"no reply")));
+        let refused = match &reply {
+            HubReply::Answer(answer) => answer.refused.clone(),
             _ => Vec::new(),
         };
-        let (outcome, _) = conclude(outbox, &batch, asked, now);
+        let (outcome, _) = conclude(outbox, &batch, reply, now);
         if outcome == Outcome::Done {
             // What is acknowledged does not wait in memory any more.
             let sent: BTreeSet<usize> = batch.reports.iter().map(|one| serial(one.id)).collect();
@@ -281,7 +281,7 @@ impl Node {
     /// Whether everything was delivered.
     pub(super) fn is_settled(&self) -> bool {
         let is_empty = |counts: OutboxCounts| counts.waiting + counts.again == 0 && counts.durable;
-        self.asked.is_none() && self.counts().is_some_and(is_empty)
+        self.reply.is_none() && self.counts().is_some_and(is_empty)
     }
 }
 

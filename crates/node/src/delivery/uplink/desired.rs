@@ -173,7 +173,7 @@ pub(in crate::delivery) mod tests {
         }
     }
 
-    fn held(revision: u64, target: Option<Target>) -> Desired {
+    fn with_target(revision: u64, target: Option<Target>) -> Desired {
         Desired {
             revision,
             setting: Some(DesiredSetting::Target(target)),
@@ -192,21 +192,21 @@ pub(in crate::delivery) mod tests {
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
-        assert!(keeper.take(&held(3, half), &board));
+        assert!(keeper.take(&with_target(3, half), &board));
         assert_eq!((target(&board), keeper.revision_in_force()), (half, 3));
         // An older value, and the same target again, change nothing.
         assert!(!keeper.take(&desired(2, 0.07), &board));
-        assert!(!keeper.take(&held(3, half), &board));
+        assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), half);
         assert!(keeper.take(&desired(4, 0.07), &board));
         assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
         let off = board.target().report().off;
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
-        assert!(!keeper.take(&held(3, half), &board));
+        assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), None);
         // Nothing to hold leaves the knob where it is.
-        assert!(keeper.take(&held(5, half), &board));
-        assert!(keeper.take(&held(6, None), &board));
+        assert!(keeper.take(&with_target(5, half), &board));
+        assert!(keeper.take(&with_target(6, None), &board));
         assert_eq!((target(&board), keeper.revision_in_force()), (None, 6));
         assert_eq!(keeper.refused(), None);
         assert!(
@@ -223,7 +223,7 @@ pub(in crate::delivery) mod tests {
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         assert!(keeper.take(&desired(1, 0.07), &board));
-        assert!(keeper.take(&held(2, Some(Target::SkipRate(1.5))), &board));
+        assert!(keeper.take(&with_target(2, Some(Target::SkipRate(1.5))), &board));
         let refused = keeper.refused().unwrap();
         assert_eq!((refused.revision, keeper.revision_in_force()), (2, 1));
         assert!(
@@ -240,14 +240,14 @@ pub(in crate::delivery) mod tests {
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
-        assert!(keeper.take(&held(3, half), &board));
+        assert!(keeper.take(&with_target(3, half), &board));
         board.cameras()[1]
             .set_threshold(0.01, SettingSource::Local)
             .unwrap();
         assert_eq!(target(&board), None);
-        assert!(!keeper.take(&held(3, half), &board));
+        assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), None);
-        assert!(keeper.take(&held(4, half), &board));
+        assert!(keeper.take(&with_target(4, half), &board));
         assert_eq!(target(&board), half);
     }
 
@@ -257,7 +257,7 @@ pub(in crate::delivery) mod tests {
         let half = Some(Target::SkipRate(0.5));
         let before = opened(folder.path());
         let keeper = DesiredKeeper::open(before.outbox());
-        assert!(keeper.take(&held(7, half), &before));
+        assert!(keeper.take(&with_target(7, half), &before));
         drop((before, keeper));
         let restarted = opened(folder.path());
         let keeper = DesiredKeeper::open(restarted.outbox());

@@ -314,17 +314,17 @@ mod tests {
     #[test]
     fn a_question_that_is_not_answered_is_asked_again_after_pauses_that_grow() {
         let mut bench = Bench::new();
-        let (mut now, mut asked) = (0, Vec::new());
+        let (mut now, mut requests) = (0, Vec::new());
         while now < 300_000 {
             let at = bench.at(now);
             if bench.schedule.next_pull(at) {
-                asked.push(now);
+                requests.push(now);
                 bench.schedule.pull_ended(Outcome::Unanswered, at);
             }
             now += 100;
         }
-        let pauses: Vec<_> = asked.windows(2).map(|two| two[1] - two[0]).collect();
-        assert!(asked.len() < 20, "{pauses:?}");
+        let pauses: Vec<_> = requests.windows(2).map(|two| two[1] - two[0]).collect();
+        assert!(requests.len() < 20, "{pauses:?}");
         assert!(pauses.last() > Some(&25_000), "{pauses:?}");
         // An answer ends it, and a notice begins it again.
         let later = bench.at(400_000);

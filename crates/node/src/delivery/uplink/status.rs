@@ -21,7 +21,7 @@ pub(in crate::delivery) struct StatusTeller {
     run: u32,
     started_ns: u64,
     seq: u64,
-    told: Option<NodeStatus>,
+    last: Option<NodeStatus>,
     /// The revision that was reported last: a heartbeat says that it is in force.
     told_revision: Option<u64>,
     told_at: Option<Instant>,
@@ -36,7 +36,7 @@ impl StatusTeller {
             run,
             started_ns: nanoseconds(now),
             seq: 0,
-            told: None,
+            last: None,
             told_revision: None,
             told_at: None,
             full_due: true,
@@ -65,7 +65,7 @@ impl StatusTeller {
             return Ok(None);
         }
         let status = self.status(board, desired);
-        let changed = !self.told.as_ref().is_some_and(|told| same(told, &status));
+        let changed = !self.last.as_ref().is_some_and(|last| same(last, &status));
         if !changed && !self.full_due && since.is_some_and(|since| since < period) {
             return Ok(None);
         }
@@ -90,7 +90,7 @@ impl StatusTeller {
             revision,
             full: (changed || self.full_due).then(|| Box::new(status.clone())),
         };
-        self.told = Some(status);
+        self.last = Some(status);
         self.full_due = false;
         serde_json::to_vec(&message).map(Some)
     }
@@ -135,21 +135,21 @@ fn nanoseconds(now: Now) -> u64 {
 }
 
 /// Whether nothing changed that a full status is worth: what moves by itself is not.
-fn same(told: &NodeStatus, now: &NodeStatus) -> bool {
+fn same(last: &NodeStatus, now: &NodeStatus) -> bool {
     let mut now = now.clone();
-    now.outbox.waiting = told.outbox.waiting;
-    if let (Some(now_held), Some(told_held)) = (&mut now.target, &told.target)
-        && now_held.target == told_held.target
+    now.outbox.waiting = last.outbox.waiting;
+    if let (Some(now_target), Some(last_target)) = (&mut now.target, &last.target)
+        && now_target.target == last_target.target
     {
-        now_held.actual = told_held.actual;
+        now_target.actual = last_target.actual;
         // Between these it goes to and fro.
         let underway = [TargetStatus::Moving, TargetStatus::Held].map(Some);
-        if underway.contains(&now_held.status) && underway.contains(&told_held.status) {
-            now_held.status = told_held.status;
+        if underway.contains(&now_target.status) && underway.contains(&last_target.status) {
+            now_target.status = last_target.status;
         }
-        for (now, told) in now.cameras.iter_mut().zip(&told.cameras) {
-            now.threshold = told.threshold;
+        for (now, last) in now.cameras.iter_mut().zip(&last.cameras) {
+            now.threshold = last.threshold;
         }
     }
-    *told == now
+    *last == now
 }

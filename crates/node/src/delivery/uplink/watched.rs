@@ -31,8 +31,8 @@ pub(super) type PictureQuery = (Arc<str>, Query);
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
-    asked: Sender<PictureQuery>,
-    questions: Receiver<PictureQuery>,
+    queries: Sender<PictureQuery>,
+    waiting_queries: Receiver<PictureQuery>,
 }
 
 /// What is declared while somebody watches; undeclared when dropped.
@@ -45,12 +45,12 @@ pub(super) struct Shown {
 impl Watched {
     /// Nobody watches yet.
     pub(super) fn new() -> Self {
-        let (asked, questions) = channel(WAITING);
+        let (queries, waiting_queries) = channel(WAITING);
         Self {
             until: None,
             counted_at: None,
-            asked,
-            questions,
+            queries,
+            waiting_queries,
         }
     }
 
@@ -83,14 +83,14 @@ impl Watched {
             *shown = Some(self.declare(session, setup).await?);
         }
         if let Some(shown) = shown {
-            self.tell_counters(shown, &setup.board).await?;
+            self.send_counters(shown, &setup.board).await?;
         }
         Ok(())
     }
 
     /// The next question for a picture.
     pub(super) async fn question(&mut self) -> Option<PictureQuery> {
-        self.questions.recv().await
+        self.waiting_queries.recv().await
     }
 
     async fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
@@ -108,13 +108,13 @@ impl Watched {
                     .await?;
                 counters.push((camera.name().to_owned(), publisher));
             }
-            let asked = self.asked.clone();
+            let queries = self.queries.clone();
             let name: Arc<str> = camera.name().into();
             let queryable = session
                 .declare_queryable(keys.picture())
                 .callback(move |query| {
                     // Zenoh's thread must not encode a picture; a question too many ends unanswered.
-                    let _ = asked.try_send((Arc::clone(&name), query));
+                    let _ = queries.try_send((Arc::clone(&name), query));
                 })
                 .await?;
             pictures.push(queryable);
@@ -126,7 +126,7 @@ impl Watched {
     }
 
     /// Once a second.
-    async fn tell_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
+    async fn send_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
         let now = Instant::now();
         let early = |at: Instant| now.duration_since(at) < PERIOD;
         if self.counted_at.is_some_and(early) {

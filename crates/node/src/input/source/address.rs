@@ -451,16 +451,16 @@ mod tests {
     fn variables_are_filled_in_and_what_programs_say_is_cleaned_of_them() {
         let resolved = resolve("rtsp://${USER}:${PASSWORD}@cam/s").unwrap();
         assert_eq!(resolved.text(), "rtsp://viewer:p%40ss%2Fw%3Ard@cam/s");
-        let said = format!("{}: 401, password p@ss/w:rd of viewer", resolved.text());
-        let told = resolved.secrets.redact(&said);
+        let message = format!("{}: 401, password p@ss/w:rd of viewer", resolved.text());
+        let redacted = resolved.secrets.redact(&message);
         for secret in ["viewer", "p@ss", "p%40ss", "w%3A"] {
-            assert!(!told.contains(secret), "{told}");
+            assert!(!redacted.contains(secret), "{redacted}");
         }
-        assert!(told.contains("@cam/s: 401"), "{told}");
+        assert!(redacted.contains("@cam/s: 401"), "{redacted}");
 
         let resolved = resolve("http://cam/v?size=full&token=abcdef").unwrap();
-        let told = resolved.secrets.redact("GET /v?size=full&token=abcdef");
-        assert!(!told.contains("abcdef"), "{told}");
+        let redacted = resolved.secrets.redact("GET /v?size=full&token=abcdef");
+        assert!(!redacted.contains("abcdef"), "{redacted}");
 
         let resolved = resolve("rtspsrc user-pw=${PASSWORD} caps=\"a, b\" ! jpegenc").unwrap();
         let words = ["rtspsrc", "user-pw=p@ss/w:rd", "caps=a, b", "!", "jpegenc"];

@@ -240,7 +240,7 @@ impl LiveSource {
             Ok(Some(switch)) => return switch,
             Ok(None) => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
             Err(error) => match running.abort() {
-                Some(said) => format!("{error}; {name} said: {said}"),
+                Some(message) => format!("{error}; {name} said: {message}"),
                 None => error,
             },
         };

@@ -107,7 +107,7 @@ pub(super) struct RunningProgram {
     child: Child,
     output: ChildStdout,
     errors: Option<ChildStderr>,
-    said: ErrorOutput,
+    stderr: ErrorOutput,
     stop: CancellationToken,
     silence: Duration,
     deadline: Instant,
@@ -162,7 +162,7 @@ impl PictureProgram {
             child,
             output,
             errors,
-            said: ErrorOutput {
+            stderr: ErrorOutput {
                 secrets: self.secrets,
                 ..ErrorOutput::default()
             },
@@ -190,7 +190,7 @@ impl RunningProgram {
 
     /// Codec of its input, once it has named it.
     pub(super) fn codec(&self) -> Option<&str> {
-        self.said.codec.as_deref()
+        self.stderr.codec.as_deref()
     }
 
     #[cfg(test)]
@@ -208,7 +208,7 @@ impl RunningProgram {
         self.kill();
         match by_itself {
             Some(status) if !status.success() => Err(self
-                .said
+                .stderr
                 .reason()
                 .unwrap_or_else(|| format!("it ended with {status}"))),
             _ => Ok(()),
@@ -218,7 +218,7 @@ impl RunningProgram {
     /// Kills it, and gives its last complaint.
     pub(super) fn abort(&mut self) -> Option<String> {
         self.kill();
-        self.said.reason()
+        self.stderr.reason()
     }
 
     /// Waits for its end and the end of what it says.
@@ -261,7 +261,7 @@ impl RunningProgram {
         }
         let mut bytes = [0; MAX_LINE];
         match errors.read(&mut bytes) {
-            Ok(length @ 1..) => self.said.take(&bytes[..length]),
+            Ok(length @ 1..) => self.stderr.take(&bytes[..length]),
             _ => self.errors = None,
         }
     }
@@ -575,9 +575,9 @@ mod tests {
         ] {
             assert_eq!(is_passed_on(name), passed, "{name}");
         }
-        let seen = output(&mut start("env"));
-        assert!(seen.contains("PATH="), "{seen}");
-        assert!(!seen.contains("CARGO"), "{seen}");
+        let variables = output(&mut start("env"));
+        assert!(variables.contains("PATH="), "{variables}");
+        assert!(!variables.contains("CARGO"), "{variables}");
     }
 
     #[test]

@@ -120,8 +120,8 @@ pub struct SourceSettings {
 }
 
 /// The numbers in `ffmpeg version 5.1.9-0+deb12u1 …`. Builds between releases have none; they are young.
-pub(super) fn version(said: &str) -> Version {
-    let number = said
+pub(super) fn version(banner: &str) -> Version {
+    let number = banner
         .strip_prefix("ffmpeg version ")
         .unwrap_or_default()
         .trim_start_matches('n');

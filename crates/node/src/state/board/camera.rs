@@ -344,15 +344,15 @@ impl CameraBoard {
         if first {
             self.tell_first_frame(&detections);
         }
-        self.tell(Event::Frame, detections);
+        self.send_event(Event::Frame, detections);
     }
 
     /// Sends the final answer of a frame that was pending.
     pub fn show_late(&self, detections: Arc<DetectionsMessage>) {
-        self.tell(Event::Late, detections);
+        self.send_event(Event::Late, detections);
     }
 
-    fn tell(&self, kind: fn(FrameEvent) -> Event, detections: Arc<DetectionsMessage>) {
+    fn send_event(&self, kind: fn(FrameEvent) -> Event, detections: Arc<DetectionsMessage>) {
         if self.events.receiver_count() > 0 {
             let event = kind(FrameEvent {
                 camera: Arc::clone(&self.name),

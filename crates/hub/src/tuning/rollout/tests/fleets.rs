@@ -136,7 +136,7 @@ impl Fleet {
         }
         rollout.observe(self.now, |node| {
             let number = Self::number(node);
-            Some(Seen {
+            Some(Observation {
                 reachable: !self.is_parked(number, self.now),
                 revision: 1,
                 knob: Some(self.has[number as usize].0),

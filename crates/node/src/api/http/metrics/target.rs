@@ -8,18 +8,18 @@ use std::fmt;
 /// Writes the state of the target; nothing of it while there is none.
 pub(super) fn target(page: &mut Page<'_>, board: &Board) -> fmt::Result {
     let report = board.target().report();
-    let held = report.target;
-    let state = report.state.filter(|_| held.is_some());
-    let named = || held.iter().map(|target| vec![("target", target.name())]);
+    let target = report.target;
+    let state = report.state.filter(|_| target.is_some());
+    let label = || target.iter().map(|target| vec![("target", target.name())]);
     page.gauges(
         "target",
         "What is held instead of a fixed threshold, in its own unit; absent while nothing is",
-        named().zip(held.map(|target| target.value())),
+        label().zip(target.map(|target| target.value())),
     )?;
     page.gauges(
         "target_actual",
         "What is measured of the target; for recall the lower end of its interval. Absent before anything is",
-        named().zip(state.and_then(|state| state.actual)),
+        label().zip(state.and_then(|state| state.actual)),
     )?;
     page.gauges(
         "target_status",

@@ -145,7 +145,7 @@ impl Hub {
             return hub.fleet.alive(node, sign, now.at, now.unix_ms);
         }
         let message: StatusMessage = albireo_wire::read(payload).unwrap();
-        hub.fleet.heard(node, &message, now.at, now.unix_ms)
+        hub.fleet.apply_status(node, &message, now.at, now.unix_ms)
     }
 
     /// Answers what is desired of a node.

@@ -3,7 +3,7 @@
 use super::super::node::{Faults, open_outbox};
 use crate::delivery::outbox::OutboxConfig;
 use crate::delivery::uplink::{
-    Asked, DesiredKeeper, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
+    DesiredKeeper, HubReply, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
 };
 use crate::state::board::Board;
 use albireo_service::clock::Now;
@@ -131,7 +131,7 @@ impl Node {
     ) -> Option<(u64, DesiredSetting)> {
         let node = self.started.as_mut()?;
         node.asked.take_if(|asked| *asked == question)?;
-        let Asked::Answered(desired) = read_reply::<Desired>(answer.ok_or(b"no reply")) else {
+        let HubReply::Answer(desired) = read_reply::<Desired>(answer.ok_or(b"no reply")) else {
             node.schedule.pull_ended(Outcome::Unanswered, now.at);
             return None;
         };
