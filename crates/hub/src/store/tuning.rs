@@ -206,21 +206,23 @@ impl dyn Transaction + '_ {
         rows.iter().map(read).collect()
     }
 
-    /// Drives an ended rollout again: its values return.
-    pub(crate) fn reopen_run(
+    /// Stores the state of a rollout after a command. `driver` drives it from now on, also one that had ended.
+    pub(crate) fn take_run(
         &mut self,
         kind: &str,
         id: i64,
         driver: &str,
         until_ms: i64,
+        ended_ms: Option<i64>,
         state: &str,
     ) -> Result<(), StoreError> {
         self.execute(
-            "UPDATE runs SET ended_ms = NULL, driver = $3, driven_until_ms = $4, state = $5 \
+            "UPDATE runs SET ended_ms = $3, driver = $4, driven_until_ms = $5, state = $6 \
              WHERE kind = $1 AND id = $2",
             &[
                 kind.into(),
                 id.into(),
+                ended_ms.into(),
                 driver.into(),
                 until_ms.into(),
                 state.into(),

@@ -368,13 +368,13 @@ impl Tuner {
         }
         let run = Run::Rollout(rollout.clone());
         let state = serde_json::to_string(&run).map_err(StoreError::from)?;
-        let driver = self.driver.clone();
-        let written = self
-            .store
-            .write(move |writing| writing.reopen_run(KIND, id, &driver, now + CLAIM_MS, &state));
+        let (driver, ended) = (self.driver.clone(), run.has_ended().then_some(now));
+        // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
+        let written = self.store.write(move |writing| {
+            writing.take_run(KIND, id, &driver, now + CLAIM_MS, ended, &state)
+        });
         written.await?;
-        if run.has_ended() {
-            self.save(id, &run, now).await?;
+        if ended.is_some() {
             runs.running.remove(&key);
         }
         Ok(())
