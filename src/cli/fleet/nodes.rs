@@ -277,9 +277,9 @@ fn sums(energy: &Energy) -> String {
         ">joules",
         ">J/clip",
         ">skip rate",
-        ">calls avoided",
-        ">recall of the detector",
-        ">saved J (estimate)",
+        ">avoided",
+        ">recall",
+        ">saved J (est.)",
     ]);
     for group in &energy.groups {
         let joules = |value: f64| match group.quality {

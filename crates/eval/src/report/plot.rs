@@ -25,9 +25,10 @@ pub(super) struct Figure {
 /// Width and height of a chart, in CSS pixels.
 const SIZE: (f64, f64) = (720.0, 430.0);
 
-/// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white.
-const PALETTE: [&str; 7] = [
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785ef0",
+/// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white, and with a
+/// brown.
+const PALETTE: [&str; 8] = [
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785ef0", "#6b4226",
 ];
 
 /// Fill and ink of a frame state: cool where the detector rests, warm where it runs.
