@@ -12,7 +12,7 @@ use albireo_core::policy::Profile;
 use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked, StepTimes,
+    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsRequested, StepTimes,
     against_vanilla, collect, looks_at_pixels, run_pictured,
 };
 use albireo_eval::replay::Scoring;
@@ -424,7 +424,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
     let asked = |policies: &[&str]| looks_at_pixels(&specs(policies, nonempty)).unwrap();
-    assert_eq!(asked(&NO_PIXELS), PixelsAsked::default());
+    assert_eq!(asked(&NO_PIXELS), PixelsRequested::default());
     assert!(asked(&["albireo", "statues:75"]).half);
     let flow = asked(&["expected-loss", "expected-loss+flow"]);
     assert_eq!((flow.half, flow.small), (false, Some(320)));

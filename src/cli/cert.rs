@@ -162,7 +162,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Result<()> {
     for name in &members.names {
         let request = Request::lasting(role, name, &members.hosts, DAY * members.days)?;
-        tell(&authority.issue(&request)?);
+        print_issued(&authority.issue(&request)?);
     }
     Ok(())
 }
@@ -188,12 +188,12 @@ fn renew(
         println!("no certificate expires that soon");
     }
     for (role, name) in who {
-        tell(&authority.renew(role, &name, DAY * days)?);
+        print_issued(&authority.renew(role, &name, DAY * days)?);
     }
     Ok(())
 }
 
-fn tell(issued: &Issued) {
+fn print_issued(issued: &Issued) {
     println!(
         "{}: {} and {}",
         issued.entry.common_name(),

@@ -123,7 +123,7 @@ async fn online(config: &NodeConfig) -> anyhow::Result<()> {
     let mut failed = 0;
     try_all(config, |tried| {
         let line = match &tried.outcome {
-            Ok(seen) => format!("works  {}: {seen}", tried.key),
+            Ok(found) => format!("works  {}: {found}", tried.key),
             Err(reason) => {
                 failed += 1;
                 format!("fails  {}: {reason}", tried.key)

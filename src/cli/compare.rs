@@ -284,11 +284,11 @@ async fn play_all(
         if bar.is_hidden() {
             eprintln!("{name} …");
         }
-        let tell = |sent: u64, step: &str| {
+        let progress = |sent: u64, step: &str| {
             bar.set_position(before + sent);
             bar.set_message(format!("{name}: {step}"));
         };
-        let played = player.play(&variant.config, tell, shutdown).await;
+        let played = player.play(&variant.config, progress, shutdown).await;
         if shutdown.is_cancelled() {
             break;
         }

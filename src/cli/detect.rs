@@ -156,7 +156,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let found = network
                 .detect(&prepared)
                 .with_context(|| file.display().to_string())?;
-            tell(arguments.json, &file, &picture, decode_ms, &found, &names)?;
+            print_detections(arguments.json, &file, &picture, decode_ms, &found, &names)?;
             if let Some(folder) = &arguments.out {
                 write_drawn(folder, &file, &encoded, &found)
                     .with_context(|| file.display().to_string())?;
@@ -195,7 +195,7 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
     }
 }
 
-fn tell(
+fn print_detections(
     json: bool,
     file: &Path,
     picture: &Picture,

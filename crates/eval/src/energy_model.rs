@@ -191,12 +191,12 @@ impl EnergyModel {
 
 /// Looks at each frame of a clip; none where that is not known.
 fn looks_of(result: &ClipResult) -> impl Iterator<Item = f64> {
-    let looked = result
-        .looked
+    let examined = result
+        .examined
         .iter()
         .copied()
         .chain(std::iter::repeat(false));
-    looked.map(|looked| f64::from(u8::from(looked)))
+    examined.map(|examined| f64::from(u8::from(examined)))
 }
 
 /// Pieces of work of a frame: detector, predicted, screen.
@@ -267,7 +267,7 @@ mod tests {
         let mut blind = result(&[FrameState::I, FrameState::P]);
         let mut looking = blind.clone();
         looking.looked_frames = 2;
-        looking.looked = vec![true, true];
+        looking.examined = vec![true, true];
         model().apply(&mut blind);
         model().apply(&mut looking);
         let joules = |result: &ClipResult| result.energy.expect("projected").joules;

@@ -14,7 +14,7 @@ pub use observer::Observer;
 pub use pass::PassError;
 pub use pass::{PassSettings, PicturedClip, StepTimes, collect};
 pub(crate) use replayed::PictureEvidence;
-pub use replayed::{PixelsAsked, looks_at_pixels, run_pictured};
+pub use replayed::{PixelsRequested, looks_at_pixels, run_pictured};
 pub use truth::TruthError;
 pub use truth::{FrameTruth, GroundTruth, TruthFormat, against_vanilla};
 

@@ -38,7 +38,7 @@ pub struct FrameRecord {
     /// The empty-scene screen ran.
     pub screen: bool,
     /// A grey picture was looked at.
-    pub looked: bool,
+    pub examined: bool,
     /// Time inside the policy.
     pub decision: Duration,
     /// Time spent waiting for evidence: decoding, screen, detector. Near zero for stored detections.
@@ -171,7 +171,7 @@ pub(crate) struct ClipFrame<'a> {
     /// Whether the detector answered.
     pub detector: bool,
     screen: bool,
-    looked: bool,
+    examined: bool,
     waited: Duration,
 }
 
@@ -182,7 +182,7 @@ impl<'a> ClipFrame<'a> {
             frame,
             detector: false,
             screen: false,
-            looked: false,
+            examined: false,
             waited: Duration::ZERO,
         }
     }
@@ -203,7 +203,7 @@ impl EvidenceAtHand for ClipFrame<'_> {
             }
             Need::GreyPicture | Need::SmallGreyPicture { .. } => {
                 let grey = self.clip.grey_picture(self.frame, need)?;
-                self.looked |= grey.is_some();
+                self.examined |= grey.is_some();
                 grey.map(Evidence::GreyPicture)
             }
             Need::Detections => {
@@ -235,7 +235,7 @@ fn decide_frame(
         degraded: outcome.degraded,
         detector: source.detector,
         screen: source.screen,
-        looked: source.looked,
+        examined: source.examined,
         decision: start.elapsed().saturating_sub(source.waited),
         evidence: source.waited,
     })

@@ -204,7 +204,7 @@ pub struct ClipResult {
     pub sequence: Vec<FrameState>,
     /// Whether a grey picture was looked at, frame by frame.
     #[serde(skip)]
-    pub looked: Vec<bool>,
+    pub examined: Vec<bool>,
     /// The frames that lost most against the detector, where they were asked for.
     #[serde(skip)]
     pub worst: Vec<WorstFrame>,
@@ -234,7 +234,7 @@ impl ClipResult {
             states,
             detector_frames: count(|frame| frame.detector),
             screen_frames: count(|frame| frame.screen),
-            looked_frames: count(|frame| frame.looked),
+            looked_frames: count(|frame| frame.examined),
             occupied_frames: 0,
             false_empty_frames: 0,
             degraded_frames: count(|frame| frame.degraded),
@@ -256,7 +256,7 @@ impl ClipResult {
             frame_time: None,
             energy: None,
             sequence: replay.frames.iter().map(|frame| frame.state).collect(),
-            looked: replay.frames.iter().map(|frame| frame.looked).collect(),
+            examined: replay.frames.iter().map(|frame| frame.examined).collect(),
             worst: Vec::new(),
         }
     }

@@ -204,8 +204,8 @@ impl ClipEvidence for StoredEvidence<'_> {
             Screen::Nonempty => Some(false),
             Screen::Detections => Some(of_frame(&self.detections, frame).is_empty()),
             Screen::Recorded(verdicts, run) => {
-                let said = verdicts.get(frame).copied().flatten();
-                said.map(|empty| run.limit(empty))
+                let verdict = verdicts.get(frame).copied().flatten();
+                verdict.map(|empty| run.limit(empty))
             }
         })
     }

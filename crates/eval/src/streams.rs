@@ -212,16 +212,16 @@ fn at_once(
     let mut waits: Option<(usize, Need, f64)> = None;
     for frame in 0..source.frames() {
         let now = frame as f64 * timing.interval;
-        while let Some((asked, need, at)) = waits
+        while let Some((waiting_frame, need, at)) = waits
             && at <= now + SAME_TIME
         {
-            let mut stored = ClipFrame::new(&mut *source, asked);
+            let mut stored = ClipFrame::new(&mut *source, waiting_frame);
             let evidence = stored.evidence(need)?;
-            let next = late.deliver(asked as u64, evidence, &mut unused);
+            let next = late.deliver(waiting_frame as u64, evidence, &mut unused);
             let next = next.map_err(|error| failed(&error))?;
             let took = timing.of(next, published.calls);
             published.calls += usize::from(next == Need::Detections);
-            waits = (next != Need::Nothing).then_some((asked, next, at + took));
+            waits = (next != Need::Nothing).then_some((waiting_frame, next, at + took));
         }
         let need = late.frame(head(frame, 1, source.picture()), &mut outcome);
         if need != Need::Nothing {

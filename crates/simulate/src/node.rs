@@ -122,8 +122,8 @@ impl SimNode {
     /// Takes what is desired. Returns whether the status has to be sent at once.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
-        let seen = self.refused.as_ref().map_or(0, |refused| refused.revision);
-        if desired.revision <= self.revision.max(seen) {
+        let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
+        if desired.revision <= self.revision.max(refused_revision) {
             return desired.send_full_status;
         }
         let threshold = match desired.setting {
@@ -423,13 +423,13 @@ mod tests {
             ..Desired::nothing()
         };
         assert!(node.take(&hold(1, Some(Target::SkipRate(0.6)))));
-        let held = node.status(0).full.unwrap().target.unwrap();
-        assert_eq!(held.status, Some(TargetStatus::Held));
-        assert!((held.actual.unwrap() - 0.6).abs() < 1e-9 && node.u() > FIRST_U);
+        let target = node.status(0).full.unwrap().target.unwrap();
+        assert_eq!(target.status, Some(TargetStatus::Held));
+        assert!((target.actual.unwrap() - 0.6).abs() < 1e-9 && node.u() > FIRST_U);
         assert!(node.take(&hold(2, Some(Target::SkipRate(0.99)))));
-        let held = node.status(0).full.unwrap().target.unwrap();
+        let target = node.status(0).full.unwrap().target.unwrap();
         assert_eq!(
-            (held.status, node.u()),
+            (target.status, node.u()),
             (Some(TargetStatus::CannotBeMet), 2e-3)
         );
         assert!(node.take(&desired(3, 1e-3)));

@@ -43,7 +43,7 @@ enum Due {
 }
 
 /// What came for a node.
-enum Heard {
+enum Message {
     ConfigChanged(usize),
     Desired(usize, Desired),
     /// So many reports, and what else was answered.
@@ -73,8 +73,8 @@ pub(crate) struct Player {
     options: Arc<Options>,
     totals: Arc<Totals>,
     due: BinaryHeap<Reverse<(Instant, usize, Due)>>,
-    heard: mpsc::Receiver<Heard>,
-    tell: mpsc::Sender<Heard>,
+    message: mpsc::Receiver<Message>,
+    sender: mpsc::Sender<Message>,
     /// No more clips are made: what is left is sent, however little.
     ending: bool,
     /// From when on nothing is left of everybody's beginning at once.
@@ -131,19 +131,19 @@ impl Player {
         options: Arc<Options>,
         totals: Arc<Totals>,
     ) -> Result<Self, SimulateError> {
-        let (tell, heard) = mpsc::channel(HEARD);
+        let (sender, message) = mpsc::channel(HEARD);
         let (mut places, mut notices) = (Vec::new(), Vec::new());
         for (index, node) in nodes.into_iter().enumerate() {
             let keys = FleetKeys::new(PREFIX, &node.name)?;
             if options.notices {
-                let tell = tell.clone();
+                let sender = sender.clone();
                 let notified = session
                     .declare_subscriber(keys.changed())
                     .callback(move |sample| {
                         if albireo_wire::read::<ConfigChanged>(&sample.payload().to_bytes()).is_ok()
                         {
                             // Too many at once: the answer to the next report has the same.
-                            let _ = tell.try_send(Heard::ConfigChanged(index));
+                            let _ = sender.try_send(Message::ConfigChanged(index));
                         }
                     });
                 notices.push(notified.await.map_err(|error| {
@@ -163,8 +163,8 @@ impl Player {
             options,
             totals,
             due: BinaryHeap::new(),
-            heard,
-            tell,
+            message,
+            sender,
             ending: false,
             settled: Instant::now(),
             _notices: notices,
@@ -201,8 +201,8 @@ impl Player {
             let next = self.due.peek().map(|Reverse((at, ..))| *at);
             let next = next.unwrap_or_else(|| Instant::now() + status);
             tokio::select! {
-                heard = self.heard.recv() => match heard {
-                    Some(heard) => self.handle(heard),
+                message = self.message.recv() => match message {
+                    Some(message) => self.handle(message),
                     None => break,
                 },
                 () = tokio::time::sleep_until(next) => {
@@ -257,11 +257,11 @@ impl Player {
         name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()))
     }
 
-    fn handle(&mut self, heard: Heard) {
-        match heard {
-            Heard::ConfigChanged(index) => self.pull(index),
-            Heard::Desired(index, desired) => self.take(index, &desired),
-            Heard::Acknowledged(index, reports, answer, took) => {
+    fn handle(&mut self, message: Message) {
+        match message {
+            Message::ConfigChanged(index) => self.pull(index),
+            Message::Desired(index, desired) => self.take(index, &desired),
+            Message::Acknowledged(index, reports, answer, took) => {
                 self.totals.answers.add(took);
                 if !self.ending && self.settled <= Instant::now() {
                     self.totals.settled.add(took);
@@ -280,7 +280,7 @@ impl Player {
                     self.take(index, &desired);
                 }
             }
-            Heard::Refused(index, reason, after) => {
+            Message::Refused(index, reason, after) => {
                 let counter = match reason {
                     Some(RefusalReason::Busy) => &self.totals.busy,
                     Some(_) => &self.totals.refused,
@@ -336,24 +336,28 @@ impl Player {
             return;
         };
         place.sending = true;
-        let (session, key, tell) = (self.session.clone(), place.keys.report(), self.tell.clone());
+        let (session, key, sender) = (
+            self.session.clone(),
+            place.keys.report(),
+            self.sender.clone(),
+        );
         let totals = Arc::clone(&self.totals);
         tokio::spawn(async move {
             let began = Instant::now();
-            let heard = match report(&session, key, &batch, &totals).await {
+            let message = match report(&session, key, &batch, &totals).await {
                 Some(Ok(answer)) => {
                     let reports = batch.reports.len() as u64;
-                    Heard::Acknowledged(index, reports, answer, began.elapsed())
+                    Message::Acknowledged(index, reports, answer, began.elapsed())
                 }
-                Some(Err(refusal)) => Heard::Refused(
+                Some(Err(refusal)) => Message::Refused(
                     index,
                     Some(refusal.reason),
                     refusal.retry_after_ms.map(Duration::from_millis),
                 ),
-                None => Heard::Refused(index, None, None),
+                None => Message::Refused(index, None, None),
             };
             // Closed when the run is over.
-            let _ = tell.send(heard).await;
+            let _ = sender.send(message).await;
         });
     }
 
@@ -366,13 +370,13 @@ impl Player {
         let Ok(payload) = serde_json::to_vec(&request) else {
             return;
         };
-        let (session, key, tell) = (self.session.clone(), place.keys.pull(), self.tell.clone());
+        let (session, key, sender) = (self.session.clone(), place.keys.pull(), self.sender.clone());
         count(&self.totals.pulls, 1);
         tokio::spawn(async move {
             if let Some(Ok(answer)) = ask(&session, key, payload, Encoding::APPLICATION_JSON).await
                 && let Ok(desired) = albireo_wire::read::<Desired>(&answer)
             {
-                let _ = tell.send(Heard::Desired(index, desired)).await;
+                let _ = sender.send(Message::Desired(index, desired)).await;
             }
         });
     }

@@ -110,7 +110,7 @@ impl Player {
     pub(super) async fn play(
         &self,
         policy: &PolicyConfig,
-        tell: impl Fn(u64, &str),
+        progress: impl Fn(u64, &str),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Played> {
         let delivery = match self.rate {
@@ -118,12 +118,12 @@ impl Player {
             None => Delivery::Every,
         };
         let config = configuration(&self.config, policy, delivery)?;
-        tell(0, "rest");
+        progress(0, "rest");
         tokio::select! {
             () = tokio::time::sleep(self.cool_down) => {}
             () = shutdown.cancelled() => bail!("stopped"),
         }
-        tell(0, "loading the model");
+        progress(0, "loading the model");
         let prepared = PreparedNode::new(&config)?;
         let board = Arc::clone(prepared.board());
         let stop = shutdown.child_token();
@@ -132,7 +132,7 @@ impl Player {
         let endpoints = node.endpoints().await;
         let stopped = tokio::spawn(node.stopped());
         let played = tokio::select! {
-            played = self.play_to(&config, &board, &endpoints, &tell, shutdown) => played,
+            played = self.play_to(&config, &board, &endpoints, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
         // The clip ends with the node, and its report is on the board when the node has stopped.
@@ -158,7 +158,7 @@ impl Player {
         config: &NodeConfig,
         board: &Board,
         endpoints: &[String],
-        tell: &impl Fn(u64, &str),
+        progress: &impl Fn(u64, &str),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Measured> {
         let keys = config.keys()?.camera(CAMERA)?;
@@ -183,8 +183,9 @@ impl Player {
                 clip: ClipIds::Given(WARM_UP.to_owned()),
                 ..self.options()
             };
-            let told = |sent| tell(sent, "warm-up");
-            self.send(&sender, &options, told, shutdown).await?;
+            let sent_progress = |sent| progress(sent, "warm-up");
+            self.send(&sender, &options, sent_progress, shutdown)
+                .await?;
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
@@ -193,8 +194,9 @@ impl Player {
             ..self.options()
         };
         let before = process_cpu();
-        let told = |sent| tell(warm_up + sent, "playing");
-        self.send(&sender, &options, told, shutdown).await?;
+        let sent_progress = |sent| progress(warm_up + sent, "playing");
+        self.send(&sender, &options, sent_progress, shutdown)
+            .await?;
         if let Some(rate) = self.rate {
             // The last frame's time is part of the clip.
             tokio::time::sleep(Duration::from_secs_f64(1.0 / rate)).await;
@@ -226,11 +228,11 @@ impl Player {
         &self,
         sender: &FrameSender,
         options: &PublishOptions,
-        told: impl Fn(u64),
+        sent_progress: impl Fn(u64),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
-        let tell = |sent: &crate::cli::replay::Sent| told(sent.frames);
-        publish(self.clip.source(), sender, options, tell, shutdown)
+        let progress = |sent: &crate::cli::replay::Sent| sent_progress(sent.frames);
+        publish(self.clip.source(), sender, options, progress, shutdown)
             .await
             .map(drop)
     }

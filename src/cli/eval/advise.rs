@@ -88,8 +88,8 @@ fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
         }
     }
     if !footage.is_empty() {
-        let looked = look_at(&footage, arguments.rate, &arguments.pass)?;
-        recordings.extend(looked.into_iter().map(|pictured| pictured.clip));
+        let pictured = look_at(&footage, arguments.rate, &arguments.pass)?;
+        recordings.extend(pictured.into_iter().map(|pictured| pictured.clip));
     }
     Ok(recordings)
 }

@@ -9,8 +9,8 @@ use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{FrameSource, PictureFolder, SourceName, Thinned, VideoEncoding};
 use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked, StepTimes,
-    TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
+    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsRequested,
+    StepTimes, TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -139,7 +139,7 @@ struct Evaluation<'a> {
     /// Number of clips of the run that ground truth may be for.
     clips: usize,
     observer: Observer,
-    keep: PixelsAsked,
+    keep: PixelsRequested,
     report: LoadReport,
     results: Vec<ClipResult>,
     /// Of all clips, one for each stream that was asked for.
@@ -432,22 +432,26 @@ pub(super) fn look_at(
         ..PassSettings::default()
     };
     let mut report = LoadReport::default();
-    let mut looked = Vec::new();
+    let mut pictured = Vec::new();
     for clip in clips {
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
-            let seen = pass_over(source.as_mut(), &mut observer, &settings, &mut report)?;
-            looked.push(seen);
+            pictured.push(pass_over(
+                source.as_mut(),
+                &mut observer,
+                &settings,
+                &mut report,
+            )?);
         }
     }
     for line in report.lines() {
         eprintln!("{line}");
     }
     if let Some(folder) = &pass.save_detections {
-        let clips: Vec<Clip> = looked.iter().map(|seen| seen.clip.clone()).collect();
+        let clips: Vec<Clip> = pictured.iter().map(|pass| pass.clip.clone()).collect();
         recorded::write(folder, &clips)?;
         eprintln!("Detections written to {}", folder.display());
     }
-    Ok(looked)
+    Ok(pictured)
 }
 
 fn name_of(head: HeadName) -> String {

@@ -205,13 +205,13 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow:
         }
         lines.push(("revision", node.revision.to_string()));
         lines.push(("waiting", format!("{} reports", node.waiting)));
-        for status in status.iter() {
+        if let Some(status) = &status {
             if let Some(refused) = &status.refused {
                 let text = format!("revision {}: {}", refused.revision, refused.reason);
                 lines.push(("refused", text));
             }
             match (&status.target, &status.target_off) {
-                (Some(held), _) => lines.push(("target", target(held))),
+                (Some(report), _) => lines.push(("target", target_words(report))),
                 (None, Some(off)) => lines.push(("target", format!("none: {off}"))),
                 (None, None) => (),
             }
@@ -236,17 +236,18 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow:
 }
 
 /// The target of a node with its last reported state.
-fn target(held: &NodeTarget) -> String {
-    let actual = held
+fn target_words(report: &NodeTarget) -> String {
+    let actual = report
         .actual
         .map(|actual| format!(", now {}", figure(actual)));
     format!(
         "{}{}, {} (from {})",
-        held.target,
+        report.target,
         actual.unwrap_or_default(),
-        held.status
+        report
+            .status
             .map_or("begins".to_owned(), |status| name_of(&status)),
-        name_of(&held.source),
+        name_of(&report.source),
     )
 }
 

@@ -166,15 +166,15 @@ pub(super) async fn run(context: &Context, command: Command) -> anyhow::Result<E
 
 async fn start(context: &Context, arguments: StartArguments) -> anyhow::Result<Ended> {
     // What is not given has the hub's default.
-    let given = |list: Vec<String>| (!list.is_empty()).then_some(list);
+    let nonempty = |list: Vec<String>| (!list.is_empty()).then_some(list);
     let body = named(json!({
         (arguments.knob): arguments.value,
         "select": arguments.select,
-        "stages": given(arguments.stages),
+        "stages": nonempty(arguments.stages),
         "soak_s": arguments.soak,
         "patience_s": arguments.patience,
         "baseline_s": arguments.baseline,
-        "gates": given(arguments.gates),
+        "gates": nonempty(arguments.gates),
         "confidence": arguments.confidence,
         "fewest_clips": arguments.fewest_clips,
         "on_failure": arguments.on_failure,

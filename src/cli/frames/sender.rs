@@ -209,7 +209,7 @@ impl FrameSender {
             let (querier, attachment) = (Arc::clone(querier), attachment.clone());
             let (bytes, format) = (frame.picture.bytes.clone(), frame.picture.format);
             // What has to wait for room in the network blocks its thread.
-            let asked = tokio::task::spawn_blocking(move || {
+            let requested = tokio::task::spawn_blocking(move || {
                 querier
                     .get()
                     .payload(bytes.as_ref())
@@ -217,7 +217,7 @@ impl FrameSender {
                     .attachment(attachment)
                     .wait()
             });
-            let replies = asked
+            let replies = requested
                 .await
                 .context("sending a frame")?
                 .map_err(|error| anyhow!("a frame cannot be sent: {error}"))?;

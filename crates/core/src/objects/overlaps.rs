@@ -168,13 +168,13 @@ mod tests {
         });
         let mut index = OverlapIndex::default();
         index.fill(crowd.clone());
-        let mut looked = 0;
+        let mut visited = 0;
         for one in crowd {
-            index.visit(one, |_| looked += 1);
+            index.visit(one, |_| visited += 1);
         }
         assert!(
-            (400..=400 * 9).contains(&looked),
-            "{looked} of {}",
+            (400..=400 * 9).contains(&visited),
+            "{visited} of {}",
             400 * 400
         );
     }

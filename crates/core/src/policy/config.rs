@@ -165,10 +165,10 @@ impl PolicyConfig {
     /// # Errors
     /// [`PolicyConfigError`] when the name is not known, or the argument is no number or the policy takes
     /// none; the configuration is as before then.
-    pub fn select(&mut self, asked: &str) -> Result<(), PolicyConfigError> {
-        let (name, argument) = match asked.split_once(':') {
+    pub fn select(&mut self, text: &str) -> Result<(), PolicyConfigError> {
+        let (name, argument) = match text.split_once(':') {
             Some((name, argument)) => (name, Some(argument)),
-            None => (asked, None),
+            None => (text, None),
         };
         let before = std::mem::replace(&mut self.name, name.to_owned());
         let taken = match argument {

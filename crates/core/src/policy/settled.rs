@@ -44,7 +44,7 @@ pub struct SettledFrame<'a> {
 
 /// A frame that is held back, or the last call.
 #[derive(Clone, Debug)]
-struct Held {
+struct Buffered {
     index: u64,
     time: Duration,
     state: FrameState,
@@ -52,7 +52,7 @@ struct Held {
     boxes: Vec<OutputBox>,
 }
 
-impl Held {
+impl Buffered {
     fn finish(&mut self, outcome: &Outcome) {
         self.pending = false;
         self.state = outcome.state;
@@ -75,9 +75,9 @@ impl Held {
 pub struct Settler {
     longest_delay: Duration,
     /// Frames since the last call, in order.
-    held: VecDeque<Held>,
+    buffer: VecDeque<Buffered>,
     /// The last call before them.
-    call: Option<Held>,
+    call: Option<Buffered>,
     /// Index of the last frame taken.
     last: Option<u64>,
     /// The boxes of the frame that is given out.
@@ -91,7 +91,7 @@ impl Settler {
     pub fn new(longest_delay: Duration) -> Self {
         Self {
             longest_delay,
-            held: VecDeque::new(),
+            buffer: VecDeque::new(),
             call: None,
             last: None,
             drawn: Vec::new(),
@@ -116,7 +116,7 @@ impl Settler {
             self.recycle(call);
         }
         self.last = Some(index);
-        let mut frame = Held {
+        let mut frame = Buffered {
             index,
             time,
             state: outcome.state,
@@ -124,14 +124,14 @@ impl Settler {
             boxes: self.spare.pop().unwrap_or_default(),
         };
         frame.boxes.clone_from(&outcome.boxes);
-        self.held.push_back(frame);
+        self.buffer.push_back(frame);
         self.settle(&mut each);
         self.tick(time, each);
     }
 
     /// When the oldest frame held back will have waited for longer than the longest delay, in the frames' time.
     pub fn deadline(&self) -> Option<Duration> {
-        let oldest = self.held.front()?;
+        let oldest = self.buffer.front()?;
         let last = oldest.time.saturating_add(self.longest_delay);
         Some(last.saturating_add(Duration::from_nanos(1)))
     }
@@ -139,7 +139,7 @@ impl Settler {
     /// Gives out the frames that have waited for too long at `time`, as they were answered: a stream may pause.
     pub fn tick(&mut self, time: Duration, mut each: impl FnMut(SettledFrame<'_>)) {
         while self.deadline().is_some_and(|deadline| deadline <= time)
-            || self.held.len() > MOST_FRAMES
+            || self.buffer.len() > MOST_FRAMES
         {
             self.give_up_oldest(&mut each);
         }
@@ -148,9 +148,9 @@ impl Settler {
     /// Takes the final answer of a pending frame. If the frame has already gone out as it was answered, later frames
     /// are drawn from this answer all the same. Any other index is ignored.
     pub fn late(&mut self, index: u64, outcome: &Outcome, mut each: impl FnMut(SettledFrame<'_>)) {
-        if let Some(held) = self.held.iter_mut().find(|held| held.index == index) {
-            if held.pending {
-                held.finish(outcome);
+        if let Some(buffer) = self.buffer.iter_mut().find(|buffer| buffer.index == index) {
+            if buffer.pending {
+                buffer.finish(outcome);
                 self.settle(&mut each);
             }
             return;
@@ -158,7 +158,7 @@ impl Settler {
         let is_past = self.last.is_some_and(|last| index <= last);
         let is_newest = self.call.as_ref().is_none_or(|call| call.index < index);
         if is_past && is_newest && outcome.state != FrameState::P {
-            let mut call = self.call.take().unwrap_or_else(|| Held {
+            let mut call = self.call.take().unwrap_or_else(|| Buffered {
                 index,
                 time: Duration::ZERO,
                 state: outcome.state,
@@ -173,7 +173,7 @@ impl Settler {
 
     /// Gives out the frames held back, as they were answered: at the end of a clip or a stream.
     pub fn flush(&mut self, mut each: impl FnMut(SettledFrame<'_>)) {
-        while !self.held.is_empty() {
+        while !self.buffer.is_empty() {
             self.give_up_oldest(&mut each);
         }
     }
@@ -181,19 +181,19 @@ impl Settler {
     /// Gives out everything up to the last call whose boxes are known.
     fn settle(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
         loop {
-            let mut frames = self.held.iter();
+            let mut frames = self.buffer.iter();
             let Some(length) =
                 frames.position(|frame| frame.pending || frame.state != FrameState::P)
             else {
                 return;
             };
-            if self.held[length].pending {
+            if self.buffer[length].pending {
                 return;
             }
             for call_at in (0..length).rev() {
                 self.draw_oldest(call_at, each);
             }
-            let call = self.held.pop_front();
+            let call = self.buffer.pop_front();
             if let Some(call) = &call {
                 each(call.as_answered(true));
             }
@@ -204,8 +204,8 @@ impl Settler {
 
     /// Gives out the oldest frame as drawn between the last call and the one that is then at `call_at`.
     fn draw_oldest(&mut self, call_at: usize, each: &mut impl FnMut(SettledFrame<'_>)) {
-        let frame = self.held.pop_front();
-        match (&frame, &self.call, self.held.get(call_at)) {
+        let frame = self.buffer.pop_front();
+        match (&frame, &self.call, self.buffer.get(call_at)) {
             (Some(frame), Some(from), Some(to)) => {
                 draw(frame, from, to, &mut self.drawn);
                 each(SettledFrame {
@@ -221,20 +221,20 @@ impl Settler {
     }
 
     fn give_up_oldest(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
-        let frame = self.held.pop_front();
+        let frame = self.buffer.pop_front();
         if let Some(frame) = &frame {
             each(frame.as_answered(false));
         }
         self.recycle(frame);
     }
 
-    fn recycle(&mut self, frame: Option<Held>) {
+    fn recycle(&mut self, frame: Option<Buffered>) {
         self.spare.extend(frame.map(|frame| frame.boxes));
     }
 }
 
 /// Writes the boxes of `frame`, which lies between the calls `from` and `to`, over `drawn`.
-fn draw(frame: &Held, from: &Held, to: &Held, drawn: &mut Vec<OutputBox>) {
+fn draw(frame: &Buffered, from: &Buffered, to: &Buffered, drawn: &mut Vec<OutputBox>) {
     drawn.clear();
     for own in &frame.boxes {
         let kept = match find(to, own) {
@@ -277,7 +277,7 @@ fn draw(frame: &Held, from: &Held, to: &Held, drawn: &mut Vec<OutputBox>) {
 }
 
 /// The box in `frame` of the object that `known` shows.
-fn find<'a>(frame: &'a Held, known: &OutputBox) -> Option<&'a OutputBox> {
+fn find<'a>(frame: &'a Buffered, known: &OutputBox) -> Option<&'a OutputBox> {
     let mut boxes = frame.boxes.iter();
     boxes.find(|other| other.object == known.object)
 }

@@ -15,10 +15,10 @@ const WINDOW_FRAMES: u64 = 50;
 
 /// Seconds over which the load is reported and compared with the target: the pauses between calls vary, so over five
 /// seconds it fluctuates by about ten per cent by itself.
-const TOLD_S: f64 = 20.0;
+const REPORTED_S: f64 = 20.0;
 
 /// Fewest frames of that time.
-const TOLD_FRAMES: u64 = 200;
+const REPORTED_FRAMES: u64 = 200;
 
 /// Longest time that is looked back for frames, seconds.
 const LONGEST_S: f64 = 60.0;
@@ -48,7 +48,7 @@ const MEMORY_S: f64 = 120.0;
 pub(super) struct LoadControl {
     target: Target,
     window: Window,
-    told: Window,
+    reported: Window,
     power: PowerAnswer,
     /// Seconds at the end of the range that the target lies beyond.
     beyond_s: f64,
@@ -59,7 +59,7 @@ impl LoadControl {
         Self {
             target,
             window: Window::new(WINDOW_S, WINDOW_FRAMES),
-            told: Window::new(TOLD_S, TOLD_FRAMES),
+            reported: Window::new(REPORTED_S, REPORTED_FRAMES),
             power: PowerAnswer::default(),
             beyond_s: 0.0,
         }
@@ -67,7 +67,7 @@ impl LoadControl {
 
     pub(super) fn step(&mut self, measured: &Measured, seconds: f64, lever: &mut Lever) -> Verdict {
         if seconds > 0.0 {
-            for window in [&mut self.window, &mut self.told] {
+            for window in [&mut self.window, &mut self.reported] {
                 window.add(measured);
             }
         }
@@ -87,8 +87,8 @@ impl LoadControl {
         if let Some(watts) = lately.watts {
             self.power.learn(share, watts, seconds);
         }
-        let told = self.told.load().of(self.target);
-        let Some((actual, (wanted, error))) = told.zip(self.error(&lately)) else {
+        let reported = self.reported.load().of(self.target);
+        let Some((actual, (wanted, error))) = reported.zip(self.error(&lately)) else {
             return status(TargetStatus::NoPower);
         };
         if lately.seconds < WINDOW_S {
@@ -105,10 +105,10 @@ impl LoadControl {
         if error.abs() > DEAD_BAND {
             lever.push(gain * error * seconds.min(LONGEST_STEP_S));
         }
-        let held = (actual / wanted - 1.0).abs() <= HELD;
+        let is_held = (actual / wanted - 1.0).abs() <= HELD;
         // At an end for a moment says nothing: the window is still of the values before.
-        let beyond =
-            !held && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
+        let beyond = !is_held
+            && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
         self.beyond_s = if beyond { self.beyond_s + seconds } else { 0.0 };
         let end = if error > 0.0 {
             TargetStatus::CannotBeMet
@@ -117,7 +117,7 @@ impl LoadControl {
         };
         Verdict {
             actual: Some(actual),
-            status: match held {
+            status: match is_held {
                 true => TargetStatus::Held,
                 false if self.beyond_s > WINDOW_S => end,
                 false => TargetStatus::Moving,

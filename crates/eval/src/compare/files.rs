@@ -68,7 +68,7 @@ fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
     let figure = |figure: Figure| number(figure.of(run));
     let quality = serde_json::to_value(energy.quality).unwrap_or_default();
     let threshold = report.threshold.as_ref().map(|threshold| threshold.value);
-    let throttled = board.throttled.map(|held| held.to_string());
+    let throttled = board.throttled.map(|throttled| throttled.to_string());
     vec![
         ("round", (run.round + 1).to_string()),
         (

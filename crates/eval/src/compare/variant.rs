@@ -64,8 +64,8 @@ pub fn variants(
     if !taken {
         return Err(VariantError::NoThreshold);
     }
-    let mut seen = BTreeSet::new();
-    found.retain(|variant| seen.insert(variant.label.clone()));
+    let mut labels = BTreeSet::new();
+    found.retain(|variant| labels.insert(variant.label.clone()));
     match found.as_slice() {
         [alone] => Err(VariantError::Alone(alone.label.clone())),
         _ => Ok(found),

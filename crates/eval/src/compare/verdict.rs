@@ -182,7 +182,7 @@ mod tests {
     use super::super::{Advice, Agreement, summarise};
     use super::*;
 
-    fn told(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
+    fn lines(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
         let runs = (0..3)
             .flat_map(|round| {
                 let noise = [0.0, 0.5, -0.5][round];
@@ -217,21 +217,21 @@ mod tests {
     #[test]
     fn a_policy_comes_to_calls_boxes_and_kilowatt_hours_in_a_sentence() {
         // 8 W against 6 W for a year are 17.5 kWh.
-        let told = told([80.0, 60.0], 0.968, 39);
+        let lines = lines([80.0, 60.0], 0.968, 39);
         assert_eq!(
-            told[0],
+            lines[0],
             "expected-loss lambda=0.3: 61 % fewer detector calls than vanilla, AP@50 96.8 % against the boxes of \
              vanilla, 18 ± 2 kWh for a year like this clip saved (measured by `rapl`)."
         );
-        assert_eq!(told.len(), 1);
+        assert_eq!(lines.len(), 1);
     }
 
     #[test]
     fn a_difference_that_the_rounds_cannot_tell_is_none() {
-        let told = told([80.0, 79.9], 0.9, 39);
+        let lines = lines([80.0, 79.9], 0.9, 39);
         assert!(
-            told[0].contains("no difference in energy that 3 rounds can tell"),
-            "{told:?}"
+            lines[0].contains("no difference in energy that 3 rounds can tell"),
+            "{lines:?}"
         );
     }
 
@@ -243,9 +243,9 @@ mod tests {
             attempt: 4e-4,
         });
         let comparison = comparison(&["vanilla", "albireo u=1e-4"], runs);
-        let told = sentences(&comparison);
+        let lines = sentences(&comparison);
         assert_eq!(
-            told[0],
+            lines[0],
             "albireo u=1e-4: no frame was skipped, so nothing was saved; try u = 4e-4."
         );
     }
@@ -255,17 +255,17 @@ mod tests {
         let runs = vec![run(0, 0, 100, Some(80.0)), run(0, 1, 40, Some(60.0))];
         let mut comparison = comparison(&["vanilla", "albireo u=5e-4"], runs);
         comparison.playing.played_rate = None;
-        let told = sentences(&comparison);
-        assert!(told[0].contains("25 % of the energy saved"), "{told:?}");
+        let lines = sentences(&comparison);
+        assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
     }
 
     #[test]
     fn one_round_has_no_interval_and_so_no_sum_of_a_year() {
         let runs = vec![run(0, 0, 100, Some(80.0)), run(0, 1, 40, Some(60.0))];
         let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs);
-        let told = sentences(&comparison);
-        assert!(told[0].contains("25 % of the energy saved"), "{told:?}");
-        assert!(!told[0].contains("year"), "{told:?}");
+        let lines = sentences(&comparison);
+        assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
+        assert!(!lines[0].contains("year"), "{lines:?}");
     }
 
     #[test]
@@ -275,10 +275,10 @@ mod tests {
             [run(round, 0, first, None), run(round, 1, own, None)]
         });
         let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs.collect());
-        let told = sentences(&comparison);
+        let lines = sentences(&comparison);
         assert!(
-            told[0].contains("no difference in detector calls to vanilla that 3 rounds can tell"),
-            "{told:?}"
+            lines[0].contains("no difference in detector calls to vanilla that 3 rounds can tell"),
+            "{lines:?}"
         );
     }
 }

@@ -137,16 +137,16 @@ impl Observer {
         self.picture = Arc::new(picture);
 
         let start = Instant::now();
-        let asked = self.detector.detect(CAMERA, Arc::clone(&self.picture));
-        let found = self.runtime.block_on(asked)?;
+        let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
+        let found = self.runtime.block_on(run)?;
         let detector = start.elapsed();
 
         let mut screened = None;
         let mut empty = None;
         if let Some(screen) = &self.screen {
             let start = Instant::now();
-            let asked = screen.ask(CAMERA, Arc::clone(&self.picture));
-            empty = self.runtime.block_on(asked).ok().map(|said| said.empty);
+            let run = screen.ask(CAMERA, Arc::clone(&self.picture));
+            empty = self.runtime.block_on(run).ok().map(|verdict| verdict.empty);
             screened = Some(start.elapsed());
         }
         let mut unmapped = Vec::new();

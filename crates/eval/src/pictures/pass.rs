@@ -98,7 +98,7 @@ pub fn collect(
     observer: &mut Observer,
     settings: &PassSettings,
     report: &mut LoadReport,
-    seen: &mut dyn FnMut(),
+    progress: &mut dyn FnMut(),
 ) -> Result<PicturedClip, PassError> {
     let name = source.name().to_owned();
     let mut size = None;
@@ -144,13 +144,13 @@ pub fn collect(
         verdicts.push(observed.empty);
         detections.push(stored(&observed, first, &name, frame, report));
         times.push(step);
-        seen();
+        progress();
     }
     let Some(picture) = size else {
         return Err(PassError::Empty { clip: name });
     };
     if observer.has_screen() {
-        let silent = verdicts.iter().filter(|said| said.is_none()).count();
+        let silent = verdicts.iter().filter(|verdict| verdict.is_none()).count();
         if silent > 0 {
             report.notes.push(format!(
                 "{name}: the screen could not say on {silent} frames"

@@ -12,7 +12,7 @@ use albireo_core::policy::{FrameState, GreyPicture, Need};
 
 /// Which steps a frame needed.
 #[derive(Clone, Copy, Debug, Default)]
-struct Asked {
+struct Requested {
     detector: bool,
     screen: bool,
     grey: bool,
@@ -24,7 +24,7 @@ pub(crate) struct PictureEvidence<'a> {
     stored: StoredEvidence<'a>,
     pictured: &'a PicturedClip,
     rule: ScreenRule,
-    asked: Vec<Asked>,
+    requested: Vec<Requested>,
 }
 
 impl<'a> PictureEvidence<'a> {
@@ -40,7 +40,7 @@ impl<'a> PictureEvidence<'a> {
             stored: StoredEvidence::new(&pictured.clip, settings)?,
             pictured,
             rule: settings.screen,
-            asked: vec![Asked::default(); pictured.clip.frames],
+            requested: vec![Requested::default(); pictured.clip.frames],
         })
     }
 
@@ -56,19 +56,19 @@ impl<'a> PictureEvidence<'a> {
     /// Milliseconds of each frame: its decision as `records` has it, and the steps it asked for as they were
     /// measured in the pass. Screen and detector share one decoded picture.
     pub(crate) fn frame_times(&self, records: &[FrameRecord]) -> Vec<f64> {
-        let steps = self.asked.iter().zip(&self.pictured.times);
+        let steps = self.requested.iter().zip(&self.pictured.times);
         records
             .iter()
             .zip(steps)
-            .map(|(record, (asked, times))| {
-                let real_screen = asked.screen && self.rule == ScreenRule::Recorded;
+            .map(|(record, (requested, times))| {
+                let real_screen = requested.screen && self.rule == ScreenRule::Recorded;
                 let mut time = record.decision.as_secs_f64() * 1e3;
                 for (needed, step) in [
-                    (asked.detector || real_screen, times.decode),
-                    (asked.detector, times.detector),
+                    (requested.detector || real_screen, times.decode),
+                    (requested.detector, times.detector),
                     (real_screen, times.screen),
-                    (asked.grey, times.grey),
-                    (asked.small, times.small),
+                    (requested.grey, times.grey),
+                    (requested.small, times.small),
                 ] {
                     if needed {
                         time += step;
@@ -90,15 +90,15 @@ impl ClipEvidence for PictureEvidence<'_> {
     }
 
     fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
-        if let Some(asked) = self.asked.get_mut(frame) {
-            asked.detector = true;
+        if let Some(requested) = self.requested.get_mut(frame) {
+            requested.detector = true;
         }
         self.stored.detections(frame)
     }
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
-        if let Some(asked) = self.asked.get_mut(frame) {
-            asked.screen = true;
+        if let Some(requested) = self.requested.get_mut(frame) {
+            requested.screen = true;
         }
         self.stored.screen_says_empty(frame)
     }
@@ -117,10 +117,10 @@ impl ClipEvidence for PictureEvidence<'_> {
             _ => None,
         };
         let picture = kept.ok_or(SourceError::NoPictures)?;
-        if let Some(asked) = self.asked.get_mut(frame) {
+        if let Some(requested) = self.requested.get_mut(frame) {
             match need {
-                Need::GreyPicture => asked.grey = true,
-                _ => asked.small = true,
+                Need::GreyPicture => requested.grey = true,
+                _ => requested.small = true,
             }
         }
         Ok(Some(GreyPicture {
@@ -132,7 +132,7 @@ impl ClipEvidence for PictureEvidence<'_> {
 
 /// The grey pictures that policies ask for, so that the pass must keep them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PixelsAsked {
+pub struct PixelsRequested {
     /// Those at half size.
     pub half: bool,
     /// Small ones, of this width.
@@ -143,20 +143,20 @@ pub struct PixelsAsked {
 ///
 /// # Errors
 /// [`RunError::Policy`] when one cannot be built.
-pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PixelsAsked, RunError> {
-    let mut asked = PixelsAsked::default();
+pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PixelsRequested, RunError> {
+    let mut requested = PixelsRequested::default();
     for policy in policies {
         let built = policy.config.build().map_err(|source| RunError::Policy {
             policy: policy.label.clone(),
             source,
         })?;
         match built.pictures() {
-            Some(Need::GreyPicture) => asked.half = true,
-            Some(Need::SmallGreyPicture { width }) => asked.small = Some(width),
+            Some(Need::GreyPicture) => requested.half = true,
+            Some(Need::SmallGreyPicture { width }) => requested.small = Some(width),
             _ => {}
         }
     }
-    Ok(asked)
+    Ok(requested)
 }
 
 /// Every policy over one clip, in parallel; the results in order of policies. Frame times are composed of

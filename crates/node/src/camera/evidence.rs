@@ -31,7 +31,7 @@ pub struct Times {
     /// The run that answered, and this frame's part in it.
     pub(crate) detector_run: Option<DetectorRun>,
     /// Whether a grey picture was looked at.
-    pub looked: bool,
+    pub examined: bool,
     /// All of it together: what is left of the frame's time is the policy's own.
     pub evidence: Duration,
 }
@@ -166,7 +166,7 @@ impl LiveEvidence {
             Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
             Need::SmallGreyPicture { width } => {
                 self.look(encoded, Stage::SmallGrey(width)).await?;
-                self.times.looked = true;
+                self.times.examined = true;
             }
             Need::Detections => self.detected = self.detect(encoded, next()).await?,
         }

@@ -20,7 +20,7 @@ pub struct FrameRecord {
     /// The detector run that found the boxes.
     pub(crate) detector_run: Option<DetectorRun>,
     /// Whether a small grey picture was examined.
-    pub(crate) looked: bool,
+    pub(crate) examined: bool,
 }
 
 impl FrameRecord {
@@ -32,7 +32,7 @@ impl FrameRecord {
             first_answer,
             detector: None,
             detector_run: None,
-            looked: false,
+            examined: false,
         }
     }
 
@@ -42,7 +42,7 @@ impl FrameRecord {
         Self {
             detector: times.detector(),
             detector_run: times.detector_run,
-            looked: times.looked,
+            examined: times.examined,
             ..self
         }
     }

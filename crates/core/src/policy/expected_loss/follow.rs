@@ -43,7 +43,7 @@ pub(super) struct Follower {
     /// Frames since the picture before.
     age: u32,
     /// Whether it was given a picture since it began.
-    looked: bool,
+    examined: bool,
 }
 
 /// No followed box is farther from the filter's, picture heights and natural logarithms.
@@ -56,7 +56,7 @@ impl Follower {
             before: Pyramid::default(),
             now: Pyramid::default(),
             age: 0,
-            looked: false,
+            examined: false,
         }
     }
 
@@ -67,12 +67,12 @@ impl Follower {
             before,
             now,
             age,
-            looked,
+            examined,
         } = other;
         self.before.copy_from(before);
         self.now.copy_from(now);
         self.age = *age;
-        self.looked = *looked;
+        self.examined = *examined;
     }
 
     /// Forgets the pictures and what was learnt from them.
@@ -80,12 +80,12 @@ impl Follower {
         self.before.clear();
         self.now.clear();
         self.age = 0;
-        self.looked = false;
+        self.examined = false;
     }
 
     /// Whether it was given a picture since it began.
     pub(crate) fn has_looked(&self) -> bool {
-        self.looked
+        self.examined
     }
 
     /// Another `step` frames began.
@@ -108,7 +108,7 @@ impl Follower {
         let Some(view) = grey_view(picture) else {
             return;
         };
-        self.looked = true;
+        self.examined = true;
         let (width, height) = (view.width(), view.height());
         self.now.fill(view, self.flow.settings().tracker.levels);
         if self.before.size() != self.now.size() {
@@ -160,11 +160,11 @@ impl Follower {
         let filtered = object.filter.position();
         let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
         let margin = BORDER / scale[1];
-        for (held, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
+        for (border_shift, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
             .into_iter()
             .enumerate()
         {
-            object.held[held] += hold(&then, &mut end, sides, length, margin);
+            object.border_shift[border_shift] += hold(&then, &mut end, sides, length, margin);
         }
         object.offset = Some(std::array::from_fn(|axis| {
             // No box is carried away by more than a few of its sides.
@@ -284,7 +284,7 @@ mod tests {
 
     /// A box from `low` to `high` along x, held on its way `from` there in a picture of width 2: its sides and by how
     /// much it is longer.
-    fn held(from: [f64; 2], [low, high]: [f64; 2]) -> ([f64; 2], f64) {
+    fn border_shift(from: [f64; 2], [low, high]: [f64; 2]) -> ([f64; 2], f64) {
         let along = |low: f64, high: f64| [(low + high) / 2.0, 0.5, (high - low).ln(), 0.0];
         let mut end = along(low, high);
         let longer = hold(&along(from[0], from[1]), &mut end, [0, 2], 2.0, 0.01);
@@ -306,13 +306,22 @@ mod tests {
             );
         };
         // Entering at the left and at the right.
-        near(held([0.0, 0.1], [0.04, 0.15]), ([0.0, 0.15], 0.04));
-        near(held([1.8, 1.995], [1.7, 1.9]), ([1.7, 1.995], 0.095));
+        near(border_shift([0.0, 0.1], [0.04, 0.15]), ([0.0, 0.15], 0.04));
+        near(
+            border_shift([1.8, 1.995], [1.7, 1.9]),
+            ([1.7, 1.995], 0.095),
+        );
         // Leaving, and far from the border.
-        near(held([0.0, 0.1], [-0.03, 0.07]), ([-0.03, 0.07], 0.0));
-        near(held([0.1, 0.2], [0.15, 0.25]), ([0.15, 0.25], 0.0));
+        near(
+            border_shift([0.0, 0.1], [-0.03, 0.07]),
+            ([-0.03, 0.07], 0.0),
+        );
+        near(border_shift([0.1, 0.2], [0.15, 0.25]), ([0.15, 0.25], 0.0));
         // Half outside and coming back: no farther out than the border.
-        near(held([-0.05, 0.05], [0.02, 0.12]), ([0.0, 0.12], 0.02));
+        near(
+            border_shift([-0.05, 0.05], [0.02, 0.12]),
+            ([0.0, 0.12], 0.02),
+        );
     }
 
     #[test]

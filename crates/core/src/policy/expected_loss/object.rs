@@ -49,7 +49,7 @@ pub(super) struct Object {
     /// The probability π that the predicted box is off by too much: see [`Object::judge`].
     pub miss_probability: f64,
     /// The detector's box of this frame, if it found the object.
-    pub seen: Option<BoundingBox>,
+    pub detected_box: Option<BoundingBox>,
     /// Whether optical flow followed it into this frame.
     pub followed: bool,
     /// Probability, 0 to 1, that the followed box is still this object, given the flow since the last detection.
@@ -60,7 +60,7 @@ pub(super) struct Object {
     pub trailing: bool,
     /// How far sides that lie on the picture's border were held there since the last detection, while what is inside
     /// moved away from it; along x and y, picture heights.
-    pub held: [f64; 2],
+    pub border_shift: [f64; 2],
 }
 
 impl Object {
@@ -86,11 +86,11 @@ impl Object {
             mean_score: detection.confidence,
             last_score: detection.confidence,
             miss_probability: 0.0,
-            seen: Some(detection.bounding_box),
+            detected_box: Some(detection.bounding_box),
             followed: false,
             health: 1.0,
             trailing: false,
-            held: [0.0; 2],
+            border_shift: [0.0; 2],
             offset: (pixels == Pixels::Flow).then_some([0.0; 4]),
         }
     }
@@ -100,7 +100,7 @@ impl Object {
         self.filter.predict();
         self.since_match = self.since_match.saturating_add(1);
         self.since_detector = self.since_detector.saturating_add(1);
-        self.seen = None;
+        self.detected_box = None;
         self.followed = false;
     }
 
@@ -126,10 +126,10 @@ impl Object {
         self.last_score = detection.confidence;
         let rate = SCORE_RATE.max(1.0 / f64::from(self.hits));
         self.mean_score += rate * (detection.confidence - self.mean_score);
-        self.seen = Some(detection.bounding_box);
+        self.detected_box = Some(detection.bounding_box);
         self.health = 1.0;
         self.trailing = false;
-        self.held = [0.0; 2];
+        self.border_shift = [0.0; 2];
         if let Some(offset) = &mut self.offset {
             let own = self.filter.position();
             *offset = std::array::from_fn(|axis| DETECTED_SHARE * (measured[axis] - own[axis]));
@@ -164,8 +164,9 @@ impl Object {
     /// `σ² += (held_x/w)² + (held_y/h)²`.
     pub(crate) fn judge(&mut self) {
         let [width, height] = self.filter.sides();
-        let held = (self.held[0] / width).powi(2) + (self.held[1] / height).powi(2);
-        let off = fading(0.125 / (self.alpha * self.filter.relative_variance() + held));
+        let border_shift =
+            (self.border_shift[0] / width).powi(2) + (self.border_shift[1] / height).powi(2);
+        let off = fading(0.125 / (self.alpha * self.filter.relative_variance() + border_shift));
         self.miss_probability = if self.health < 1.0 {
             1.0 - (1.0 - off) * self.health
         } else {
@@ -183,7 +184,7 @@ impl Object {
         let blend = LAST_SCORE * self.last_score + (1.0 - LAST_SCORE) * self.mean_score;
         let age = f64::from(self.hits.saturating_sub(1));
         let base = blend * (1.0 - NEWCOMER * fading(NEWCOMER_FADING * age));
-        if self.seen.is_some() {
+        if self.detected_box.is_some() {
             return base;
         }
         let located = 1.0 - PREDICTION * self.miss_probability;
@@ -207,8 +208,8 @@ impl Object {
         let [width, height] = self.filter.sides();
         let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
         let inside = |center: f64, side: f64, end: f64| {
-            let seen = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
-            seen.max(0.0) / side
+            let detected_box = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
+            detected_box.max(0.0) / side
         };
         inside(x, width, aspect) * inside(y, height, 1.0)
     }
@@ -216,7 +217,7 @@ impl Object {
     /// The box to report, not clipped: if seen, the mean of the detector's box and the filter's.
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
-        match self.seen {
+        match self.detected_box {
             None => match self.offset.filter(|_| self.trailing) {
                 Some([x, y, log_width, log_height]) => BoundingBox {
                     center_x: own.center_x + x / aspect,
@@ -226,11 +227,11 @@ impl Object {
                 },
                 None => own,
             },
-            Some(seen) => BoundingBox {
-                center_x: (own.center_x + seen.center_x) / 2.0,
-                center_y: (own.center_y + seen.center_y) / 2.0,
-                width: (own.width + seen.width) / 2.0,
-                height: (own.height + seen.height) / 2.0,
+            Some(detected_box) => BoundingBox {
+                center_x: (own.center_x + detected_box.center_x) / 2.0,
+                center_y: (own.center_y + detected_box.center_y) / 2.0,
+                width: (own.width + detected_box.width) / 2.0,
+                height: (own.height + detected_box.height) / 2.0,
             },
         }
     }

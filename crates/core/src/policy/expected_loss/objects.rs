@@ -203,7 +203,7 @@ impl Objects {
             let Some(bounding_box) = clip(object.bounding_box(self.aspect), least) else {
                 continue;
             };
-            let source = match (detected, object.seen) {
+            let source = match (detected, object.detected_box) {
                 (false, _) if object.followed => BoxSource::Followed,
                 (false, _) => BoxSource::Predicted,
                 (true, Some(_)) => BoxSource::Detected,

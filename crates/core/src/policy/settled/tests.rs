@@ -150,7 +150,7 @@ fn a_stream_without_calls_holds_back_a_bounded_number_of_frames() {
     let mut given = 0;
     for index in 0..10_000 {
         settler.frame(index, Duration::ZERO, &own, index == 0, |_| given += 1);
-        assert!(settler.held.len() <= MOST_FRAMES && settler.spare.len() <= MOST_FRAMES);
+        assert!(settler.buffer.len() <= MOST_FRAMES && settler.spare.len() <= MOST_FRAMES);
     }
     assert_eq!(given, 10_000 - MOST_FRAMES);
 }

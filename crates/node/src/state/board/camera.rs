@@ -314,7 +314,7 @@ impl CameraBoard {
         let mut counts = self.counts.lock();
         counts.shown.states.count(detections.state);
         counts.shown.degraded_frames += u64::from(detections.degraded);
-        counts.shown.looks += u64::from(frame.looked);
+        counts.shown.looks += u64::from(frame.examined);
         counts.detector_us =
             (counts.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
         counts.count_boxes(&detections.boxes);
