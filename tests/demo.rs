@@ -51,7 +51,7 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines();
     let hub = loop {
         let line = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap();
-        let line = line.expect("the demonstration tells where its hub is");
+        let line = line.expect("the demonstration prints where its hub is");
         if let Some(rest) = line.split("hub      curl ").nth(1) {
             break rest.trim_end_matches("/api/v1/clips").to_owned();
         }

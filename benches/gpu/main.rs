@@ -32,7 +32,7 @@ fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // In one line: the parent of a process of its own tells the last.
+            // In one line: a parent process reads the last one.
             eprintln!("{error:#}");
             ExitCode::FAILURE
         }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
 Zenoh's rules know no templates: each node gets its own, by the common name of
-its certificate. What they do not allow is denied. Generate them anew after each
+its certificate. What they do not allow is denied. Generate them again after each
 `albireo cert node` and `albireo cert revoke`, and restart the router:
 its sessions come back by themselves.
 

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "\
-The folder has the authority's key: whoever reads it can let anybody in. Keep it
+The folder has the authority's key: anyone who can read it can let any node in. Keep it
 on a machine of its own, and bring each member only authority.pem, its
 certificate and its key.
 

@@ -161,7 +161,7 @@ fn sample(
         .get_mut(current)
         .expect("samples come after their description");
     let suffix = name.strip_prefix(current).unwrap_or_else(|| {
-        panic!("{name} stands among the samples of {current}");
+        panic!("{name} is among the samples of {current}");
     });
     let others: Vec<String> = labels
         .iter()

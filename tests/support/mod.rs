@@ -162,7 +162,7 @@ impl Node {
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
         let http = timeout(PATIENCE, http_address(&mut lines))
             .await
-            .expect("the node tells its HTTP address in time");
+            .expect("the node logs its HTTP address in time");
         let log = tokio::spawn(async move {
             let mut log = String::new();
             while let Ok(Some(line)) = lines.next_line().await {

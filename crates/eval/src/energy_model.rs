@@ -1,6 +1,6 @@
 //! Projecting a clip's energy and time on a board from the numbers of its frames.
 //!
-//! Where no meter can be read, a model stands in: so many joules and milliseconds for each frame the
+//! Where no meter can be read, a model replaces it: so many joules and milliseconds for each frame the
 //! detector sees, each frame it is skipped by prediction, and each call of the empty-scene screen, as
 //! fitted on published per-clip results ([`super::energy_fit`]). Everything it gives is marked
 //! `projected`.

@@ -131,7 +131,7 @@ async fn targets_reach_nodes(database: &str) {
     played.end().await;
     hub.stop().await;
 
-    // What was desired is desired after a restart of the hub: the nodes are made anew too, and hold nothing at first.
+    // What was desired is desired after a restart of the hub: the nodes restart too, and hold nothing at first.
     let restarted = i64::try_from(now_ns() / 1_000_000).unwrap();
     let hub = Hub::start(config(database)).await;
     let played = Played::begin(&hub, fleet(6)).await;

@@ -639,7 +639,7 @@ async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back()
         (&arms[0]["applied"], &arms[1]["applied"]),
         (&json!(8), &json!(8))
     );
-    // Three decades of u are most of the frames: the difference stands out of any noise.
+    // Three decades of u are most of the frames: the difference is far above any noise.
     let difference = &joules(&arms[1])["difference"];
     assert!(difference["upper"].as_f64().unwrap() < 0.0, "{done}");
     hub.until("/api/v1/nodes?limit=1000", |nodes| {

@@ -156,7 +156,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
                     rule(&format!("{name} {what}"), "ingress", messages, keys)
                 };
                 let mut own = vec![
-                    may("tells", &["put"], &[keys.status(), counters]),
+                    may("publishes", &["put"], &[keys.status(), counters]),
                     may("asks", &["query"], &[keys.report(), keys.pull()]),
                     may("hears", &["declare_subscriber"], &[keys.changed()]),
                     may("lives", &["liveliness_token"], &[keys.alive()]),
@@ -227,7 +227,7 @@ mod tests {
             rules.iter().find(|rule| rule["id"] == id).unwrap()["key_exprs"].clone()
         };
         assert_eq!(rule("car-7 asks")[0], "fleet/north/@report/car-7");
-        assert_eq!(rule("car-8 tells")[1], "fleet/north/car-8/*/counters");
+        assert_eq!(rule("car-8 publishes")[1], "fleet/north/car-8/*/counters");
         let subjects = access["subjects"].as_array().unwrap();
         assert_eq!(subjects[0]["cert_common_names"][0], "node/car-7/2");
         let of = |access: &Value, subject: &str| {

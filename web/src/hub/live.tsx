@@ -17,7 +17,7 @@ export interface Rate {
   skipRate: number;
 }
 
-/** Frames a second and skip rate between the first and the last of some counters; none where the node began anew. */
+/** Frames a second and skip rate between the first and the last of some counters; none where the node restarted. */
 export function rate(samples: readonly CountersMessage[]): Rate | undefined {
   const [first, last] = [samples[0], samples.at(-1)];
   if (!first || !last || first === last) return undefined;
@@ -45,8 +45,8 @@ export function Live({ node }: { node: string }) {
         const message = data as CountersMessage;
         setCameras((known) => {
           const before = known.get(message.camera) ?? [];
-          const anew = (before.at(-1)?.frames ?? 0) > message.frames;
-          return new Map(known).set(message.camera, [...(anew ? [] : before), message].slice(-WINDOW));
+          const restarted = (before.at(-1)?.frames ?? 0) > message.frames;
+          return new Map(known).set(message.camera, [...(restarted ? [] : before), message].slice(-WINDOW));
         });
       },
       signal: stop.signal,
@@ -72,7 +72,7 @@ export function Live({ node }: { node: string }) {
   );
 }
 
-/** What the node holds, and where that stands now. */
+/** The target of the node, and how far it is met. */
 function Held({ report }: { report: TargetReport | null | undefined }) {
   if (!report?.target) return null;
   const { state, range } = report;
@@ -114,7 +114,7 @@ function Camera({ path, samples }: { path: string; samples: CountersMessage[] })
   );
 }
 
-/** The newest picture, anew every two seconds while the page is visible. */
+/** The newest picture, loaded every two seconds while the page is visible. */
 function Newest({ path, camera }: { path: string; camera: string }) {
   const [shown, setShown] = useState<string | undefined>(undefined);
   const [note, setNote] = useState("");

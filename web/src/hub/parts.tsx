@@ -89,7 +89,7 @@ export interface Loaded<T> {
   again: () => void;
 }
 
-/** What a path answers; anew every `everyMs`, when the fleet changed (sums over long times wait for their turn), and when asked to. */
+/** What a path answers; loaded again every `everyMs`, when the fleet changed (sums over long times wait for their turn), and when asked to. */
 export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded<T> {
   const [value, setValue] = useState<T | undefined>(undefined);
   const [fault, setFault] = useState("");

@@ -64,7 +64,7 @@ export class Rows {
     }
   }
 
-  /** Reads what is seen anew. */
+  /** Reloads the visible rows. */
   refresh(): void {
     for (const page of this.#wanted) void this.#load(page);
   }

@@ -24,7 +24,7 @@ export const changedSlowly = signal(0);
 let scheduled = false;
 let slowlyAt = 0;
 
-/** Looks anew, soon, and not more often than four times a second however much happens. */
+/** Reloads soon, at most four times a second however much happens. */
 export function lookSoon(): void {
   if (scheduled) return;
   scheduled = true;

@@ -36,7 +36,7 @@ export class LineParser {
   }
 }
 
-/** What stands before the name of a target among the names of knobs, one of which is called the same. */
+/** The prefix of a target's name in the list of knobs: a knob may have the same name. */
 const HOLD = "hold ";
 const NOTHING = `${HOLD}nothing`;
 

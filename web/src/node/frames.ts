@@ -46,7 +46,7 @@ export interface CauseWords {
   meaning: string;
 }
 
-/** Why the detector is called, in words: each cause that a node tells. */
+/** Why the detector is called, in words: each cause that a node reports. */
 export const CAUSES: Record<CallCause, CauseWords> = {
   uncertain: { name: "uncertain", meaning: "an object became too uncertain" },
   new_object: { name: "new object", meaning: "a new object is not certain yet" },

@@ -356,7 +356,7 @@ mod tests {
         clock.note("a", false);
         assert!(!clock.is_believed(hour(3), ms(3 + 2400)));
         assert!(!clock.is_believed(hour(4), ms(4)), "and back");
-        // Where no node's clock is right, a day without a step tells.
+        // Where no node's clock is right, a day without a step decides.
         clock.note("a", false);
         assert!(clock.is_believed(hour(29), ms(29)));
     }

@@ -41,7 +41,7 @@ fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() 
     ] {
         assert_eq!(day(made_ms, made_ms - NOW_MS), -wanted);
     }
-    // An identity that tells no time.
+    // An id without a time.
     let random = Builder::from_random_bytes([9; 16]).into_uuid();
     assert_eq!(key(random, present(0)).unwrap().day, -20_780);
 }

@@ -68,7 +68,7 @@ fn the_hottest_sensor_that_is_on_is_told_with_mean_clocks() {
     assert_eq!(found.hottest, Some(("cpu-thermal".into(), 51.25)));
     assert_eq!(found.cpu_mhz, Some(1500.0));
     assert_eq!(found.gpu_mhz, Some(612.0));
-    assert_eq!(found.throttled, None, "nothing here tells of throttling");
+    assert_eq!(found.throttled, None, "nothing here reports throttling");
 }
 
 #[test]

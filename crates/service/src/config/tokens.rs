@@ -19,7 +19,7 @@ pub enum Role {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedToken {
-    /// Who holds it: stands in the history of changes.
+    /// Who holds it: the name in the history of changes.
     pub name: String,
     /// What it allows.
     #[serde(default)]

@@ -63,7 +63,7 @@ impl UplinkConfig {
         !self.connect.is_empty()
     }
 
-    /// The same in Zenoh's own terms; `first_retry` is drawn anew for each session.
+    /// The same in Zenoh's own terms; `first_retry` is drawn again for each session.
     ///
     /// # Errors
     /// What Zenoh does not accept, in words.

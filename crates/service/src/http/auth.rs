@@ -85,7 +85,7 @@ impl Caller {
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// A token, whose it is, and the file it comes from.
-struct Held {
+struct TokenEntry {
     caller: Caller,
     token: Token,
     file: Option<PathBuf>,
@@ -93,10 +93,10 @@ struct Held {
 
 enum Rule {
     /// Requests must carry one of the tokens.
-    Tokens(RwLock<Vec<Held>>),
+    Tokens(RwLock<Vec<TokenEntry>>),
     /// Only programs of this machine reach the listener. A web page could still have its own name point
-    /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` it was called by
-    /// tells.
+    /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` header shows
+    /// that.
     ThisMachine,
     /// Anybody, as the configuration says.
     Anybody,
@@ -293,7 +293,7 @@ fn unauthorized() -> Response {
     response
 }
 
-fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<Held>, TokenError> {
+fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<TokenEntry>, TokenError> {
     let own = (
         Arc::from("token"),
         Role::Tune,
@@ -317,7 +317,7 @@ fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<Held>, TokenE
         if let Some(token) = &token {
             crate::logging::conceal(token.secret());
         }
-        tokens.extend(token.map(|token| Held {
+        tokens.extend(token.map(|token| TokenEntry {
             caller: Caller { name, role },
             token,
             file: file.clone(),

@@ -108,7 +108,7 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
             assert_eq!(
                 frame.attachment.width,
                 Some(1),
-                "a raw picture tells its size"
+                "a raw picture gives its size"
             );
         }
     }

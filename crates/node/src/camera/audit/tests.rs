@@ -59,7 +59,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         (2, 1, 1)
     );
 
-    // One in hand and one that waits when the camera ends; what comes of it afterwards counts no more.
+    // One is examined and one waits when the camera ends; their results are not counted.
     audit.offer(frame());
     audit.offer(frame());
     let (third, _) = audit.next().await;
@@ -68,7 +68,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let taken = audit.take().expect("something was counted");
     assert_eq!((taken.sums.drawn(), taken.sums.missed), (2, 2));
 
-    // A camera's loop that begins anew goes on.
+    // A camera's loop that restarts goes on.
     audit.offer(frame());
     let (fourth, _) = audit.next().await;
     audit.done(fourth, Some(compared()));

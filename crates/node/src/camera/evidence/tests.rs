@@ -56,7 +56,7 @@ async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_it
     assert_eq!(
         detected.detections,
         found_alone(&first).await.detections,
-        "looking ahead changes nothing of the frame in hand"
+        "looking ahead does not change the current frame"
     );
     let prefetch = evidence.prefetch.as_ref().unwrap();
     assert!(prefetch.is_of(&second) && !prefetch.is_of(&first));

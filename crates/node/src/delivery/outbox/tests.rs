@@ -78,7 +78,7 @@ impl Bench {
         Outbox::open(&self.config, Some(&self.state())).unwrap()
     }
 
-    /// Takes the disk away; something stands in its place, so that no folder is made anew.
+    /// Takes the disk away and puts a file in its place, so that no folder can be made there.
     fn take_disk(&self) {
         std::fs::rename(self.state(), self.folder.path().join("away")).unwrap();
         std::fs::write(self.state(), b"").unwrap();
@@ -217,7 +217,7 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 4);
     outbox.answered(&sent, &other, Now::system());
-    // Both are known now, whoever answers.
+    // Both are known now, whichever hub answers.
     for answer in [ReportAnswer::new(HUB), other] {
         keep(&outbox, 5..6);
         if let Some(sent) = batch(&outbox) {
@@ -515,7 +515,7 @@ fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() 
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
-    // Somebody else writes and does not end: opening the file anew is of no use.
+    // Somebody else writes and does not end: opening the file again does not help.
     let other = rusqlite::Connection::open(bench.file()).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
     keep(&outbox, 3..5);

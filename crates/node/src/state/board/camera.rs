@@ -65,7 +65,7 @@ pub struct LatestFrame {
     pub picture: EncodedPicture,
 }
 
-/// Where one camera stands; all numbers are of the same moment.
+/// The state of one camera; all numbers are of the same moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraSnapshot {
     /// Frame states since the node started.

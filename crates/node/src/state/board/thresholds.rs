@@ -36,8 +36,8 @@ pub(super) fn kept(
     configured: f64,
 ) -> Option<(f64, SettingSource)> {
     let kept: Kept = outbox.setting(&name(camera))?;
-    let stands = kept.configured == configured || kept.source == SettingSource::Hub;
-    let value = (kept.knob == knob.name && stands)
+    let is_current = kept.configured == configured || kept.source == SettingSource::Hub;
+    let value = (kept.knob == knob.name && is_current)
         .then(|| knob.check(kept.value).ok())
         .flatten()?;
     Some((value, kept.source))

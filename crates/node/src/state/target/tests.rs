@@ -85,7 +85,7 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&board, 10);
     assert_eq!(board.cameras()[1].threshold(), Some(7e-4));
-    // Another one begins where the knob stands, and its end leaves it there.
+    // Another one begins at the knob's value, and leaves it there at its end.
     board
         .set_target(Some(Target::SkipRate(0.6)), SettingSource::Local)
         .unwrap();
@@ -248,7 +248,7 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
         assert!(reason.contains(policy), "{reason}");
         assert_eq!(board.target().report().target, None);
     }
-    // A policy that was changed since: what was kept is not held, and the reason stands there.
+    // A policy that was changed since: what was kept is not held, and the reason is given.
     let configured = TargetConfig {
         hold: Some(Target::SkipRate(0.5)),
         ..TargetConfig::default()
