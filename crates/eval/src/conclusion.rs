@@ -1,4 +1,4 @@
-//! What a comparison on recordings comes to, in sentences: the first thing a report says.
+//! The conclusion of an evaluation on recordings, in sentences.
 
 use crate::spec::BASELINE;
 use crate::summary::PolicySummary;

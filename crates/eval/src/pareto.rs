@@ -1,4 +1,4 @@
-//! The Pareto frontier: who is not beaten in cost and value at once.
+//! The Pareto frontier of cost and value.
 
 /// One choice: what it costs (less is better) and what it is worth (more is better).
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! Takes one policy through one clip and writes down what it did.
+//! Replays one clip through one policy and records its answers.
 
 use crate::average_precision::ScoredBox;
 use crate::scoring::{decayed_confidence, score_object, score_published, score_truncated};

@@ -1,4 +1,4 @@
-//! What one policy did with one clip, in figures.
+//! The figures of one policy on one clip.
 
 use crate::average_precision::Accuracy;
 use crate::replay::{FrameRecord, Replay};

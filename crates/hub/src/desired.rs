@@ -1,4 +1,4 @@
-//! What a node is answered when it asks what is desired: from memory.
+//! The desired setting of each node, in memory, for answering pulls.
 
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;

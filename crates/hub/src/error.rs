@@ -1,4 +1,4 @@
-//! Why a hub cannot start, or ended: which part, and what to do.
+//! Errors that keep a hub from starting or end it.
 
 use crate::store::StoreError;
 use albireo_service::http::HttpError;

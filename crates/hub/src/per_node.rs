@@ -1,4 +1,4 @@
-//! Bounds what waits of each node in a queue that all nodes share.
+//! Bounds the entries of each node in a queue that all nodes share.
 
 use parking_lot::Mutex;
 use std::collections::HashMap;

@@ -1,4 +1,4 @@
-//! Which parts of the hub do not work, and why.
+//! The parts of a hub whose faults its readiness reports.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;

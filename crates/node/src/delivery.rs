@@ -1,4 +1,4 @@
-//! Clip reports: kept until a hub has them, and sent.
+//! Keeps clip reports until a hub has them, and sends them.
 
 pub mod outbox;
 pub(crate) mod report;

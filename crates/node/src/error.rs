@@ -1,4 +1,4 @@
-//! Why a node cannot start, or had to end: which part, and what to do.
+//! Errors that keep a node from starting or end it.
 
 use crate::input::source::SourceError;
 use crate::state::board::SetupError;

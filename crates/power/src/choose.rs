@@ -1,4 +1,4 @@
-//! Which meter: the one asked for, or the best this machine has.
+//! Chooses the power meter: the one configured, or the best of this machine.
 
 use crate::config::{PowerConfig, PowerSource};
 use crate::error::MeterError;

@@ -1,4 +1,4 @@
-//! Why a power meter cannot be used or read.
+//! Errors of power meters.
 
 use std::path::PathBuf;
 

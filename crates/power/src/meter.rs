@@ -1,4 +1,4 @@
-//! What every power meter can do.
+//! The trait of all power meters.
 
 use crate::condition::Condition;
 use crate::error::MeterError;

@@ -1,4 +1,4 @@
-//! What a power meter reads: watts or joules by domain, and rail by rail.
+//! A reading of a power meter: watts or joules by domain and rail.
 
 use std::sync::Arc;
 use tokio::time::Instant;

@@ -1,4 +1,4 @@
-//! The wall clock, and times and figures as messages have them.
+//! The wall clock, and times and figures in the form of messages.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 

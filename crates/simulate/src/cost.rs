@@ -1,4 +1,4 @@
-//! What processes cost, as the kernel reports it: processor time and resident memory.
+//! Processor time and memory of processes, as the kernel reports them.
 
 use rustix::param::{clock_ticks_per_second, page_size};
 use serde::Serialize;

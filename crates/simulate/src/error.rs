@@ -1,4 +1,4 @@
-//! Why a fleet cannot be played.
+//! Errors of playing a fleet.
 
 /// Why a fleet cannot be played.
 #[derive(Debug, thiserror::Error)]

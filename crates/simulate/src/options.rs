@@ -1,4 +1,4 @@
-//! What is to be played, and its bounds.
+//! The options of a simulated fleet, and their bounds.
 
 use serde::Serialize;
 use std::net::ToSocketAddrs;

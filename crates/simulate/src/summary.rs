@@ -1,4 +1,4 @@
-//! What a run came to, as a table and as JSON.
+//! The summary of a run, as a table and as JSON.
 
 use super::cost::ProcessCost;
 use super::totals::DelaySummary;

@@ -1,4 +1,4 @@
-//! Which frames are drawn.
+//! Draws the frames to audit.
 
 /// Draws frames at random by a seed and the frame's number, never by what is in them.
 ///

@@ -1,4 +1,4 @@
-//! A rate with the interval that contains it.
+//! A rate and its confidence interval.
 
 use serde::{Deserialize, Serialize};
 

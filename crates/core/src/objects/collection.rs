@@ -1,4 +1,4 @@
-//! All object states of one stream.
+//! The states of all objects of one stream.
 
 use super::{Association, LifeCycle, Matcher, Missed, ObjectState, is_usable};
 use crate::detection::Detection;

@@ -1,4 +1,4 @@
-//! When an object is created, confirmed, rescued and removed.
+//! Rules for when an object is created, confirmed, rescued and removed.
 
 use super::ObjectState;
 use crate::geometry::BoundingBox;

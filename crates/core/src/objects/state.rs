@@ -1,4 +1,4 @@
-//! What is remembered of one object.
+//! The state of one object.
 
 use crate::detection::ObjectId;
 use crate::detection::{ClassId, Detection};

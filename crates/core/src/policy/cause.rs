@@ -1,4 +1,4 @@
-//! Why the detector was called.
+//! Reasons for calling the detector.
 
 use serde::{Deserialize, Serialize};
 

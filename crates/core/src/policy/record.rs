@@ -1,4 +1,4 @@
-//! What a policy remembers of one object, in the form of the golden traces.
+//! The record of one object, in the form of the golden traces.
 
 use super::ObjectId;
 use crate::detection::ClassId;

@@ -1,4 +1,4 @@
-//! The targets of load: skip rate, detector time, power.
+//! The load targets: skip rate, detector time, power.
 //!
 //! All are brought to one measure, the logarithm of the load over the load wanted, whose answer to the knob hardly depends
 //! on the scene: where a share `d` of frames takes the detector, a knob larger by a factor e takes about 0.22 off `d` (the

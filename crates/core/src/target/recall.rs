@@ -1,4 +1,4 @@
-//! The target of recall: the lower end of its interval is held.
+//! The recall target: holds the lower end of the recall's interval.
 //!
 //! It goes by the boxes that the audit compares, so that it is as fast as they come: the knob moves whenever
 //! [`ENOUGH`] independent boxes have been compared since it moved last. At 2 % of the skipped frames of 10 a second with

@@ -1,4 +1,4 @@
-//! What the advice has to meet.
+//! The target that the advice has to meet.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! How far a policy's boxes are those that the detector finds on every frame.
+//! Agreement of a policy's boxes with those of the detector on every frame.
 
 use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
 use albireo_core::detection::ClassId;

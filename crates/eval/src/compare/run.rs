@@ -1,4 +1,4 @@
-//! What is known of a comparison and of each of its runs.
+//! The records of a comparison and of each of its runs.
 
 use super::agreement::Agreement;
 use albireo_wire::ClipReport;

@@ -1,4 +1,4 @@
-//! In which order the runs are played.
+//! The order in which runs are played.
 
 /// One run of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! What is compared: policies with the values of their knobs.
+//! The variants of a comparison: policies with the values of their knobs.
 
 use albireo_core::policy::{Albireo, Policy, PolicyConfig, PolicyConfigError};
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! What a comparison comes to: a sentence per policy, and what to try.
+//! The verdict of a comparison: a sentence per policy, and what to try.
 
 use super::run::{Comparison, Run};
 use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};

@@ -1,4 +1,4 @@
-//! What an empty-scene screen said of each frame, beside stored detections: `screen/<name>.csv`.
+//! Recorded verdicts of an empty-scene screen: `screen/<name>.csv`.
 
 use super::recorded::put;
 use super::rows::{comma_separated, read_text};

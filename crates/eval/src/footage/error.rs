@@ -1,4 +1,4 @@
-//! Why footage cannot be read.
+//! Errors of reading footage.
 
 use albireo_vision::picture::{CutError, FrameFault, PictureFileError};
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! Opens the footage that a name on the command line means.
+//! Opens footage by its name on the command line.
 
 use super::archive::PictureArchive;
 use super::error::FootageError;

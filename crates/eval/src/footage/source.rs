@@ -1,4 +1,4 @@
-//! Where replayed frames come from.
+//! The trait of everything that gives frames to replay.
 
 use super::error::FootageError;
 use albireo_vision::picture::EncodedPicture;

@@ -1,4 +1,4 @@
-//! The history of what was ordered, and who has something else.
+//! The history of orders, and nodes that have something else.
 
 use super::HubView;
 use crate::store::{OrderNodeRow, OrderRow};

@@ -1,4 +1,4 @@
-//! What the fleet's clips cost.
+//! Energy of the fleet's clips.
 
 use super::{HubView, query};
 use crate::store::{AuditCounts, EnergyBy, EnergyGroup, EnergyQuery, Resolution};

@@ -1,4 +1,4 @@
-//! Whether the hub lives, and whether it works.
+//! Liveness and readiness of the hub.
 
 use super::HubView;
 use albireo_service::http::{self, Problem};

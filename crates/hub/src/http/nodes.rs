@@ -1,4 +1,4 @@
-//! One node: what is known of it, and forgetting it.
+//! Shows one node, and forgets one.
 
 use super::HubView;
 use crate::presence::NodeView;

@@ -1,4 +1,4 @@
-//! Carrying out an order for selected nodes, whatever it orders, with the outcome at each as it comes.
+//! Carries out an order for selected nodes and reports the outcome at each.
 
 use super::{HubView, body};
 use crate::tuning::change::{Change, ChangeRequest};

@@ -1,4 +1,4 @@
-//! A target for selected nodes.
+//! Sets a target on selected nodes.
 
 use super::HubView;
 use super::body;

@@ -1,4 +1,4 @@
-//! A value for selected nodes.
+//! Sets a threshold on selected nodes.
 
 use super::HubView;
 use super::body;

@@ -1,4 +1,4 @@
-//! What ingest counts.
+//! Counters of ingest.
 
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;

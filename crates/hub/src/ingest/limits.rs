@@ -1,4 +1,4 @@
-//! What one node may send: enough for every honest node, too little for another to stop the rest.
+//! Limits on what one node may send.
 
 use crate::per_node::{PerNode, Place};
 use crate::store::tables::EventRow;

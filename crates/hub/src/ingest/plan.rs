@@ -1,4 +1,4 @@
-//! Decides what is stored. No clock, no database.
+//! Decides which reports of a batch are stored. No clock, no database.
 
 use crate::store::ReportKey;
 use crate::store::tables::ReportCountsRow;

@@ -1,4 +1,4 @@
-//! What is known of one node.
+//! The state that the hub keeps of one node.
 
 use super::fleet::NodeView;
 use super::settings::{ReportedSettings, labels};

@@ -1,4 +1,4 @@
-//! Every node, in memory.
+//! The states of all nodes, in memory.
 
 use super::entry::{Entry, Run};
 use super::news::News;

@@ -1,4 +1,4 @@
-//! What presence has for the database: nodes that changed, and notices.
+//! Changes of presence that are to be stored: nodes and notices.
 
 use crate::store::tables::{EventRow, NodeRow};
 use crate::store::{StoreError, Transaction};

@@ -1,4 +1,4 @@
-//! Why the database did not do what was asked.
+//! Errors of the database.
 
 /// Why the database did not do what was asked.
 #[derive(Debug, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! Reading, on separate connections.
+//! Reads, on connections of their own.
 
 mod audit;
 mod energy;

@@ -1,4 +1,4 @@
-//! Rows as they go to a database and come from it.
+//! Conversions between rows and structs.
 
 use super::StoreError;
 use albireo_wire::DesiredSetting;

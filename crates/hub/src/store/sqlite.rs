@@ -1,4 +1,4 @@
-//! SQLite.
+//! A connection to SQLite.
 
 use super::StoreError;
 use super::database::{Database, Transaction, list};

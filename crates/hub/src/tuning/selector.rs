@@ -1,4 +1,4 @@
-//! Which nodes a change is about: names, globs, labels, all.
+//! Selects nodes by names, globs and labels.
 //!
 //! A [`Selector`] is a list of terms; a node is selected when any term matches it. A term is `all`, a name or
 //! glob (`cam-7`, `cam-*`), or a label (`region=north`, `region=n*`); parts joined by `&` must all match

@@ -1,4 +1,4 @@
-//! From a policy's outcome to the message on the wire.
+//! Converts a policy's outcome to its message.
 
 use crate::input::Frame;
 use albireo_core::geometry::{BoundingBox, PictureSize};

@@ -1,4 +1,4 @@
-//! What of a frame's boxes a camera publishes.
+//! Selects the boxes of a frame that a camera publishes.
 
 use serde::{Deserialize, Serialize};
 

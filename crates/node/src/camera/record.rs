@@ -1,4 +1,4 @@
-//! What is known of a frame once its answer is final.
+//! The record of a frame with its final answer.
 
 use super::evidence::{DetectorRun, Times};
 use albireo_wire::DetectionsMessage;

@@ -1,4 +1,4 @@
-//! The list of what an authority made.
+//! The list of the certificates that an authority has issued.
 
 use super::AuthorityError;
 use super::files::{read, write_private};

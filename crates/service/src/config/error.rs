@@ -1,4 +1,4 @@
-//! What is wrong with a configuration: where it was read, which key, and why.
+//! Errors in a configuration: where it was read, which key, and why.
 
 use std::fmt;
 

@@ -1,4 +1,4 @@
-//! A configuration as it may be shown.
+//! Removes secrets from a configuration that is shown.
 
 use serde::Serialize;
 use serde_json::Value;

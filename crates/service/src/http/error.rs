@@ -1,4 +1,4 @@
-//! Why the HTTP interface cannot be served.
+//! Errors that keep the HTTP interface from being served.
 
 use super::TokenError;
 use std::net::SocketAddr;

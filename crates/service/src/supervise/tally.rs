@@ -1,4 +1,4 @@
-//! How often tasks failed and were restarted.
+//! Counts failures and restarts of tasks.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;

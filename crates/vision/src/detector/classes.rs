@@ -1,4 +1,4 @@
-//! Which of a model's classes are reported, and under which names and numbers.
+//! Selects the classes that are reported, with their names and numbers.
 
 use super::{DetectorConfig, StartError};
 use albireo_core::detection::{BDD100K_CLASSES, ClassId};

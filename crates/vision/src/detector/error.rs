@@ -1,4 +1,4 @@
-//! What can go wrong: when a session is started, and when it is asked.
+//! Errors of starting a session and of running it.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! The sessions of this process, so that none runs when the process ends.
+//! All sessions of this process, so that none runs when the process ends.
 //!
 //! ONNX Runtime's library is destroyed as the process exits. A thread that still loads or runs a model then uses
 //! destroyed objects: it logs strange errors and may crash.

@@ -1,4 +1,4 @@
-//! How the detector is doing: what readiness, metrics and clip reports tell.
+//! The state of the detector, for readiness, metrics and clip reports.
 
 use super::ExecutionProvider;
 

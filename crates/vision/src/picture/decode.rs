@@ -1,4 +1,4 @@
-//! From an encoded picture to pixels.
+//! Decodes a picture to pixels.
 
 #[cfg(feature = "turbojpeg")]
 use super::decode_jpeg_scaled;

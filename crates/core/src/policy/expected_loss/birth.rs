@@ -1,4 +1,4 @@
-//! How much may have appeared since the detector last looked.
+//! The expected number of new objects since the last detector call.
 
 use super::settings::{BIRTH_MEMORY, BIRTH_PRIOR, BIRTH_WEIGHT};
 

@@ -1,4 +1,4 @@
-//! Follows what people order.
+//! Commands of people to a rollout.
 
 use super::super::members::Millis;
 use super::record::{Entry, What};

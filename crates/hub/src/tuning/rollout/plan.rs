@@ -1,4 +1,4 @@
-//! What a rollout is to do.
+//! The plan of a rollout.
 
 use super::super::gate::Gate;
 use super::super::selector::Selector;

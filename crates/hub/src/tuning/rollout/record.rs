@@ -1,4 +1,4 @@
-//! What happened to a rollout, with its numbers.
+//! The record of a rollout: its events with their numbers.
 
 use super::super::gate::{GateResult, Verdict};
 use super::super::members::Millis;

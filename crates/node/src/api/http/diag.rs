@@ -1,4 +1,4 @@
-//! Diagnostics of a node in one archive, for finding a fault from afar.
+//! Diagnostics of a node as one archive.
 
 use super::{RouteState, cameras, metrics, node, states};
 use albireo_service::clock::unix_milliseconds;

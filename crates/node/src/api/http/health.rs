@@ -1,4 +1,4 @@
-//! Whether the node lives, and whether it works.
+//! Liveness and readiness of the node.
 
 use super::RouteState;
 use crate::state::board::Board;

@@ -1,4 +1,4 @@
-//! The past, as a page that is opened now shows it.
+//! The recent past of a node, for a page that has just been opened.
 
 use super::RouteState;
 use crate::state::board::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};

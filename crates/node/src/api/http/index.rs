@@ -1,4 +1,4 @@
-//! The list of routes, for those who have no manual at hand.
+//! The list of routes.
 
 use super::RouteState;
 use albireo_service::http::Route;

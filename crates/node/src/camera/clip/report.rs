@@ -1,4 +1,4 @@
-//! From a closed clip to its report on the wire.
+//! Converts a closed clip to its report.
 
 use super::latencies::Latencies;
 use crate::camera::audit::AuditCount;

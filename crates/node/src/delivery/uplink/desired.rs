@@ -1,4 +1,4 @@
-//! What the hub desires of the node, and what came of it.
+//! Applies and acknowledges the setting that the hub desires.
 
 use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;

@@ -1,4 +1,4 @@
-//! When a status is due, and what it says.
+//! Decides when a status is due, and writes it.
 
 use super::DesiredKeeper;
 use crate::state::board::Board;

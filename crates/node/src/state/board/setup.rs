@@ -1,4 +1,4 @@
-//! What a board is made from.
+//! The parts that a board is built from.
 
 use super::camera::CameraSetup;
 use crate::config::{CameraConfig, NodeConfig};
