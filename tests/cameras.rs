@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
-use crate::support::{Node, PATIENCE, albireo};
+use crate::support::{Node, PATIENCE, albireo, memory_mb};
 use albireo::cli::replay::open_session;
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -634,14 +634,6 @@ async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
             .unwrap();
     }
     session.close().await.unwrap();
-}
-
-/// A figure of a process's memory, MB: `VmRSS:` with shared pages, `VmHWM:` its peak. 0 when it is gone.
-fn memory_mb(process: u32, figure: &str) -> f64 {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with(figure));
-    let kb = line.and_then(|line| line.split_whitespace().nth(1));
-    kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,27 +1,42 @@
-//! The hub as a process when its disk fails: it acknowledges only what is on the disk, and loses nothing.
+//! The hub as a process when its disk fails or a node floods it: it acknowledges only what is on the disk, and loses
+//! nothing.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::PATIENCE;
-use crate::support::fleet::{HubProcess, now_ns, send, settings, sqlite, uplink};
-use albireo_wire::RefusalReason;
+use crate::support::fleet::{HubProcess, now_ns, report, send, settings, sqlite, uplink};
+use crate::support::{PATIENCE, memory_mb};
+use albireo_wire::{
+    BatchCompression, LARGEST_BATCH_BYTES, PullRequest, RefusalReason, ReportBatch, VERSION,
+};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::process::Command;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
 
 const NODE: &str = "car-1";
 
-/// Sends the reports until they are acknowledged; what else was answered, by reason.
+/// Sends the reports of [`NODE`] until they are acknowledged; what else was answered, by reason.
 async fn deliver(
     session: &zenoh::Session,
+    numbers: std::ops::RangeInclusive<u64>,
+    begun: u64,
+) -> BTreeMap<String, u64> {
+    deliver_of(session, NODE, numbers, begun).await
+}
+
+/// As [`deliver`], of any node.
+async fn deliver_of(
+    session: &zenoh::Session,
+    node: &str,
     numbers: std::ops::RangeInclusive<u64>,
     begun: u64,
 ) -> BTreeMap<String, u64> {
     let until = Instant::now() + PATIENCE;
     let mut refused = BTreeMap::new();
     loop {
-        match send(session, NODE, numbers.clone(), begun).await {
+        match send(session, node, numbers.clone(), begun).await {
             Some(Ok(answer)) => {
                 assert!(answer.refused.is_empty(), "{answer:?}");
                 return refused;
@@ -151,6 +166,104 @@ async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
     let hub = HubProcess::start(&settings);
     let refused = deliver(&session, 1..=3, begun).await;
     assert_eq!(hub.clips(NODE).await.len(), 3, "{refused:?}");
+    session.close().await.unwrap();
+    hub.kill().await;
+}
+
+/// What a hostile node sends, by the kind of key.
+fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
+    let batch = |clip: String| {
+        let mut report = report("hostile", 1, now_ns());
+        report.clip = clip;
+        let batch = ReportBatch {
+            v: VERSION,
+            node: "hostile".to_owned(),
+            t_ms: now_ns() / 1_000_000,
+            reports: vec![report],
+        };
+        batch.to_payload(BatchCompression::Best).unwrap()
+    };
+    let pull = PullRequest { v: 1, revision: 0 };
+    vec![
+        ("report", batch("small".to_owned())),
+        // Two megabytes that are a kilobyte on the wire.
+        ("report", batch("x".repeat(LARGEST_BATCH_BYTES - 4096))),
+        ("report", b"nonsense".to_vec()),
+        ("report", vec![b'x'; 2 << 20]),
+        ("pull", serde_json::to_vec(&pull).unwrap()),
+        ("status", b"nonsense".to_vec()),
+        ("status", vec![b' '; 60 << 10]),
+        ("status", vec![b' '; 4 << 20]),
+    ]
+}
+
+/// Sends as fast as it can, and reads no answer; how often.
+async fn flood(
+    session: zenoh::Session,
+    kind: &str,
+    payload: Vec<u8>,
+    stop: CancellationToken,
+) -> u64 {
+    let key = format!("albireo/@{kind}/hostile");
+    let mut sent = 0;
+    while !stop.is_cancelled() {
+        if kind == "status" {
+            session.put(&key, payload.clone()).await.unwrap();
+        } else {
+            drop(session.get(&key).payload(payload.clone()).await.unwrap());
+        }
+        sent += 1;
+        tokio::task::yield_now().await;
+    }
+    session.close().await.unwrap();
+    sent
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_up_nobody() {
+    const OTHERS: usize = 100;
+    let folder = tempfile::tempdir().unwrap();
+    let (zenoh, mut settings) = settings(&sqlite(folder.path()));
+    // Its share is no limit here: the hub has to deal with everything that it sends.
+    let unlimited = (1_u64 << 40).to_string();
+    settings.push(("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited));
+    let hub = HubProcess::start(&settings);
+    hub.until_ready().await;
+    let (stop, mut floods) = (CancellationToken::new(), JoinSet::new());
+    for (kind, payload) in hostile_payloads() {
+        floods.spawn(flood(uplink(&zenoh).await, kind, payload, stop.clone()));
+    }
+    let (session, begun) = (uplink(&zenoh).await, now_ns());
+    let mut delays = Vec::new();
+    for first in [1, 6] {
+        for node in 0..OTHERS {
+            let sent = Instant::now();
+            deliver_of(&session, &format!("car-{node}"), first..=first + 4, begun).await;
+            delays.push(sent.elapsed());
+        }
+    }
+    let peak = memory_mb(hub.id(), "VmHWM:");
+    stop.cancel();
+    let mut hostile = 0;
+    while let Some(sent) = floods.join_next().await {
+        let sent = sent.unwrap();
+        assert!(sent > 0);
+        hostile += sent;
+    }
+    delays.sort();
+    let at = |share: f64| delays[(delays.len() as f64 * share) as usize];
+    println!(
+        "{hostile} hostile messages; {} batches of {OTHERS} nodes acknowledged after p50 {:?}, p99 {:?}; hub's peak {peak:.0} MB",
+        delays.len(),
+        at(0.5),
+        at(0.99)
+    );
+    for node in 0..OTHERS {
+        assert_eq!(hub.clips(&format!("car-{node}")).await.len(), 10);
+    }
+    // An optimised hub on a quiet machine keeps within a second.
+    assert!(at(0.99) < Duration::from_secs(10), "{:?}", at(0.99));
+    assert!(peak < 200.0, "{peak} MB");
     session.close().await.unwrap();
     hub.kill().await;
 }

@@ -271,7 +271,10 @@ pub(crate) async fn send(
 /// A different id for each node, time and number.
 fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
     let mut random = [0; 10];
-    random[..2].copy_from_slice(&node.bytes().map(u16::from).sum::<u16>().to_be_bytes());
+    let name = node.bytes().fold(0_u16, |sum, byte| {
+        sum.wrapping_mul(31).wrapping_add(byte.into())
+    });
+    random[..2].copy_from_slice(&name.to_be_bytes());
     random[2..].copy_from_slice(&number.to_be_bytes());
     Builder::from_unix_timestamp_millis(begun_ns / 1_000_000, &random).into_uuid()
 }

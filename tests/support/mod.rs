@@ -334,3 +334,11 @@ impl Client {
         rest
     }
 }
+
+/// A figure of a process's memory, MB: `VmRSS:` with shared pages, `VmHWM:` its peak. 0 when it is gone.
+pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with(figure));
+    let kb = line.and_then(|line| line.split_whitespace().nth(1));
+    kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
+}
