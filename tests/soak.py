@@ -1,9 +1,10 @@
 """A long run of a node under faults: `make soak` (30 minutes), or soak.py --minutes 2 to try it.
 
 A node with two cameras behind a router, a hub, and a subscriber. Mixed in: corrupt frames, cameras that restart, a router
-that is killed and comes back, a detector that hangs (the model of the fixtures computes for ever on a bright picture), a
-subscriber that stops reading, a hub killed with -9. At the end every report the node has made must be in the hub once, and
-every frame the node received must be answered or counted. Prints what it counted, and how memory went.
+that is killed and comes back, a detector that hangs (the model of the fixtures computes for ever on a bright picture: the
+node ends after 30 s, and the script starts it again as a service manager does), a subscriber that stops reading, a hub killed
+with -9. At the end every report the node has made must be in the hub once. Prints what it counted, and how memory went in
+the longest run of the node.
 """
 
 import argparse
@@ -167,6 +168,18 @@ def memory(pid):
     return int(fields["VmRSS"].split()[0]) / 1024, int(fields["Threads"]), len(os.listdir(f"/proc/{pid}/fd"))
 
 
+def until_alive(url):
+    """Waits until a service answers."""
+    deadline = time.monotonic() + 30
+    while True:
+        try:
+            return get(url)
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.1)
+
+
 def stored(hub):
     """Counts of reports, as the hub lists them."""
     found, cursor = [], ""
@@ -209,10 +222,13 @@ def main():
     for camera in cameras:
         camera.start()
 
-    chance, begun, counts = random.Random(5), time.monotonic(), {"router": 0, "hub": 0, "deaf": 0, "slow health": 0}
-    samples, deaf_until = [], None
+    chance, begun, counts = random.Random(5), time.monotonic(), {"router": 0, "hub": 0, "deaf": 0, "node": 0, "slow health": 0}
+    # Of each run of the node.
+    runs, deaf_until = [[]], None
+    health = f"http://127.0.0.1:{node_http}/healthz"
+    until_alive(health)
     # Seconds from one fault of a kind to the next.
-    every = {"sample": 5, "restart": 47, "bright": 31, "router": 97, "hub": 131, "deaf": 83}
+    every = {"sample": 5, "restart": 47, "bright": 580, "router": 97, "hub": 131, "deaf": 83}
     due = {kind: seconds * 0.7 for kind, seconds in every.items()}
     print(f"soak of {arguments.minutes:g} minutes; logs in {folder}", flush=True)
     while (now := time.monotonic() - begun) < arguments.minutes * 60:
@@ -220,9 +236,15 @@ def main():
             due[kind] = now + every[kind]
             if kind == "sample":
                 asked = time.monotonic()
-                get(f"http://127.0.0.1:{node_http}/healthz")
+                try:
+                    get(health)
+                except OSError:
+                    # It is ending; if it is not, it should have answered.
+                    time.sleep(1)
+                    counts["slow health"] += node.process.poll() is None
+                    continue
                 counts["slow health"] += time.monotonic() - asked > 1.0
-                samples.append((now, *memory(node.process.pid)))
+                runs[-1].append((now, *memory(node.process.pid)))
             elif kind == "restart":
                 chance.choice(cameras).restart.set()
             elif kind == "bright":
@@ -242,7 +264,12 @@ def main():
             deaf_until = None
         time.sleep(0.2)
         if node.process.poll() is not None:
-            sys.exit(f"the node ended by itself with {node.process.returncode}: see {folder}/node.log")
+            counts["node"] += 1
+            if node.process.returncode != 1 or counts["node"] > sum(camera.hangs for camera in cameras):
+                sys.exit(f"the node ended by itself with {node.process.returncode}: see {folder}/node.log")
+            node.start()
+            until_alive(health)
+            runs.append([])
 
     subscriber.process.send_signal(signal.SIGCONT)
     done.set()
@@ -285,15 +312,21 @@ def main():
         failures.append("a report is missing or there twice")
     if not found:
         failures.append("no report reached the hub")
-    print(f"faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} times a deaf subscriber")
+    if counts["node"] != sum(camera.hangs for camera in cameras):
+        failures.append("a detector that hangs did not end the node")
+    print(
+        f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} times a "
+        f"deaf subscriber, {counts['node']} times a detector that hangs"
+    )
     if counts["slow health"]:
         failures.append(f"health took more than a second {counts['slow health']} times")
-    rest = numpy.array([sample for sample in samples if sample[0] > samples[-1][0] / 3])
+    samples = max(runs, key=len)
+    rest = numpy.array([sample for sample in samples if sample[0] > samples[0][0] + (samples[-1][0] - samples[0][0]) / 3])
     slope = numpy.polyfit(rest[:, 0] / 3600, rest[:, 1], 1)[0]
     print(
-        f"node: {samples[0][1]:.1f} MiB after {samples[0][0]:.0f} s, {rest[0][1]:.1f} after a third, {samples[-1][1]:.1f} at the "
-        f"end ({slope:+.1f} MiB/h over the last two thirds); threads {samples[0][2]} to {samples[-1][2]}, descriptors "
-        f"{samples[0][3]} to {samples[-1][3]}; exit {code} in {stopping:.2f} s"
+        f"node, longest run of {samples[-1][0] - samples[0][0]:.0f} s: {samples[0][1]:.1f} MiB, "
+        f"{rest[0][1]:.1f} after a third, {samples[-1][1]:.1f} at the end ({slope:+.1f} MiB/h over the last two thirds); "
+        f"threads {samples[0][2]} to {samples[-1][2]}, descriptors {samples[0][3]} to {samples[-1][3]}; exit {code} in {stopping:.2f} s"
     )
     if code != 0:
         failures.append(f"the node's exit code was {code}")
