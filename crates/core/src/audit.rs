@@ -23,4 +23,4 @@ pub use rate::AuditRate;
 pub use sums::{AuditSquares, AuditSums};
 
 /// Smallest intersection over union of a shown and a detected box that count as the same object.
-pub const AUDIT_OVERLAP: f64 = 0.5;
+pub(crate) const AUDIT_OVERLAP: f64 = 0.5;

@@ -13,6 +13,6 @@ pub use archive::PictureArchive;
 pub use error::FootageError;
 pub use folder::PictureFolder;
 pub use open::SourceName;
-pub use source::{FrameSource, Stopper, clip_name};
+pub use source::{FrameSource, Stopper};
 pub use thinned::{Sieve, Thinned};
 pub use video::{Ffmpeg, Video, VideoEncoding};

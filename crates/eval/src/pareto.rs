@@ -12,7 +12,7 @@ pub struct Choice {
 /// Indices of the choices that no other beats: none has at most the cost and at least the value, and is
 /// better in one of the two. Sorted by rising cost; equal choices are all on it. Choices with a NaN never
 /// are.
-pub fn frontier(choices: &[Choice]) -> Vec<usize> {
+pub(crate) fn frontier(choices: &[Choice]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..choices.len())
         .filter(|&index| !choices[index].cost.is_nan() && !choices[index].value.is_nan())
         .collect();

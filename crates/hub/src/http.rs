@@ -104,7 +104,7 @@ impl HubView {
     }
 
     /// Gives the routes the database, once it is open.
-    pub fn attach(&self, store: Store) {
+    pub(crate) fn attach(&self, store: Store) {
         // It is opened once.
         let _ = self.store.set(store);
     }

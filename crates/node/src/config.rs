@@ -102,7 +102,7 @@ impl NodeConfig {
     }
 
     /// When a camera's frames are answered.
-    pub fn answer_time(&self, camera: &CameraConfig) -> AnswerTime {
+    pub(crate) fn answer_time(&self, camera: &CameraConfig) -> AnswerTime {
         camera.answer.unwrap_or(self.node.answer)
     }
 
@@ -148,7 +148,7 @@ impl NodeSection {
     }
 
     /// [`stuck_after_s`](Self::stuck_after_s) as a time.
-    pub fn stuck_after(&self) -> Duration {
+    pub(crate) fn stuck_after(&self) -> Duration {
         Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
     }
 }
@@ -253,7 +253,7 @@ impl CameraConfig {
     }
 
     /// How its source is opened, if it has one.
-    pub fn source_settings(&self, limits: FrameLimits) -> Option<SourceSettings> {
+    pub(crate) fn source_settings(&self, limits: FrameLimits) -> Option<SourceSettings> {
         Some(SourceSettings {
             address: self.source.clone()?,
             max_rate: self.max_rate,

@@ -33,7 +33,7 @@ pub fn unix_milliseconds() -> i64 {
 
 /// A time of the wall clock, milliseconds since the Unix epoch, as people and logs write it (RFC 3339, UTC):
 /// `2026-11-22T03:20:07.123Z`.
-pub fn rfc3339(ms: i64) -> String {
+pub(crate) fn rfc3339(ms: i64) -> String {
     let (days, of_day) = (ms.div_euclid(86_400_000), ms.rem_euclid(86_400_000));
     // Howard Hinnant, "chrono-Compatible Low-Level Date Algorithms", `civil_from_days`: years begin in March.
     let days = days + 719_468;

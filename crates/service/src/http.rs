@@ -10,7 +10,7 @@ mod page;
 mod problem;
 mod serve;
 
-pub use auth::{Caller, TokenError, token_file_fault, wrong_tokens};
+pub use auth::{Caller, TokenError, token_file_fault};
 pub use caller::*;
 pub use error::HttpError;
 pub use index::{Route, routes};

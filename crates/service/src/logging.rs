@@ -57,7 +57,7 @@ fn nothing() -> impl Layer<Registry> + Send + Sync {
 ///
 /// # Errors
 /// As there.
-pub fn start_beside(
+pub(crate) fn start_beside(
     config: &LogConfig,
     beside: impl Layer<Registry> + Send + Sync,
 ) -> Result<(), LogError> {

@@ -22,7 +22,7 @@ thread_local! {
 static LOGGED: Mutex<BTreeMap<(String, u32), (Instant, u64)>> = Mutex::new(BTreeMap::new());
 
 /// Has every panic of the process logged by `tracing` from now on. To be called once, when the log is set up.
-pub fn log_panics() {
+pub(crate) fn log_panics() {
     std::panic::set_hook(Box::new(log));
 }
 

@@ -11,7 +11,7 @@ mod totals;
 
 pub use cost::ProcessCost;
 pub use error::SimulateError;
-pub use options::{Behaviour, LONGEST, MOST_NODES, MOST_SESSIONS, Options};
+pub use options::{Behaviour, LONGEST, MOST_NODES, Options};
 pub use summary::Summary;
 pub use totals::DelaySummary;
 

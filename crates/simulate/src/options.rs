@@ -8,7 +8,7 @@ use std::time::Duration;
 /// Most nodes of a run.
 pub const MOST_NODES: usize = 1_000_000;
 /// Most sessions of a run: each is a connection with threads' worth of state on both ends.
-pub const MOST_SESSIONS: usize = 20_000;
+pub(crate) const MOST_SESSIONS: usize = 20_000;
 /// Longest run.
 pub const LONGEST: Duration = Duration::from_secs(86_400);
 

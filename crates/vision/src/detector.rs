@@ -20,7 +20,6 @@ mod sessions;
 mod signature;
 mod status;
 
-pub use config::LONGEST_TIMEOUT_MS;
 pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
 pub use error::{InferenceError, RunError, StartError};
 pub use gpu::GpuConfig;
@@ -31,12 +30,12 @@ pub use network::{DetectorNetwork, Found};
 pub use onnxruntime::find_library;
 pub use preparation::Preparation;
 pub use preparation::PreparedPicture;
-pub use preparation::prepare_off_thread;
+pub(crate) use preparation::prepare_off_thread;
 pub use reader::HeadCounts;
 pub use session::{OnnxSession, SessionSettings};
 pub use sessions::end_all_sessions;
 pub use signature::PictureInput;
-pub use signature::shape_text;
+pub(crate) use signature::shape_text;
 pub use signature::{ElementType, Signature, TensorSpec};
 pub use status::DetectorStatus;
 

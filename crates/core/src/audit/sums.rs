@@ -131,7 +131,7 @@ impl AuditSums {
     }
 
     /// Share of the drawn frames that were missed, 0 to 1; 0 when none was drawn.
-    pub fn missed_share(&self) -> f64 {
+    pub(crate) fn missed_share(&self) -> f64 {
         self.missed as f64 / self.drawn().max(1) as f64
     }
 

@@ -117,11 +117,11 @@ impl ExpectedLoss {
     /// The name with evenly spaced detector calls.
     pub const EVEN_SKIP_NAME: &'static str = Trigger::Even { skip_rate: 0.0 }.policy_name();
     /// The name that follows boxes in pictures.
-    pub const FLOW_NAME: &'static str = "expected-loss+flow";
+    pub(crate) const FLOW_NAME: &'static str = "expected-loss+flow";
     /// The name with a detector call on one frame of N that follows boxes in pictures.
-    pub const FIXED_SKIP_FLOW_NAME: &'static str = "fixed-skip-in-tracker+flow";
+    pub(crate) const FIXED_SKIP_FLOW_NAME: &'static str = "fixed-skip-in-tracker+flow";
     /// The name with evenly spaced detector calls that follows boxes in pictures.
-    pub const EVEN_SKIP_FLOW_NAME: &'static str = "even-skip-in-tracker+flow";
+    pub(crate) const EVEN_SKIP_FLOW_NAME: &'static str = "even-skip-in-tracker+flow";
 
     /// λ, the price of a detector call. At 0 every frame runs the detector.
     pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();

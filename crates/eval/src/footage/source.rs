@@ -43,7 +43,7 @@ pub trait FrameSource: Send {
 
 /// The name that the clip of a file or folder gets: its stem, or its parent's for the folder `img1`, in which
 /// MOTChallenge keeps every sequence's pictures.
-pub fn clip_name(path: &Path) -> String {
+pub(crate) fn clip_name(path: &Path) -> String {
     let own = path.file_stem().unwrap_or_default();
     let parent = path.parent().and_then(Path::file_name);
     let stem = parent.filter(|_| own == "img1").unwrap_or(own);

@@ -31,11 +31,6 @@ impl Sieve {
         let due = |index: u64| (index as f64 * self.share + 1e-9).floor();
         index == 0 || due(index) > due(index - 1)
     }
-
-    /// With how many of the first frames the thinned footage can begin without showing the same pictures.
-    pub fn phases(&self) -> usize {
-        (1.0 / self.share + 1e-9).floor() as usize
-    }
 }
 
 /// A source of which only some frames per second are taken.
@@ -124,9 +119,6 @@ mod tests {
             let (least, most) = (gaps.iter().min().unwrap(), gaps.iter().max().unwrap());
             assert!(most - least <= 1, "{wanted}: {least} to {most}");
         }
-        assert_eq!(Sieve::new(25.0, 5.0).phases(), 5);
-        assert_eq!(Sieve::new(25.0, 10.0).phases(), 2);
-        assert_eq!(Sieve::new(10.0, 10.0).phases(), 1);
     }
 
     #[test]

@@ -16,7 +16,7 @@ pub enum LocalChange {
 
 impl LocalChange {
     /// Whether the desired value is set again.
-    pub const fn is_set_back(self) -> bool {
+    pub(crate) const fn is_set_back(self) -> bool {
         matches!(self, Self::SetBack)
     }
 }

@@ -362,7 +362,7 @@ impl Fleet {
     }
 
     /// How many nodes have each state, in the order of [`PresenceState::ALL`].
-    pub fn by_state(&self) -> [u64; 4] {
+    pub(crate) fn by_state(&self) -> [u64; 4] {
         let mut counts = [0; 4];
         for entry in self.nodes.read().values() {
             for (count, state) in counts.iter_mut().zip(PresenceState::ALL) {
@@ -373,7 +373,7 @@ impl Fleet {
     }
 
     /// Counts the nodes; `desired` is the revision desired of one.
-    pub fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
+    pub(crate) fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
             let heard = entry.state.is_heard();

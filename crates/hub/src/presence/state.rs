@@ -20,7 +20,7 @@ named! {
 
 impl PresenceState {
     /// Whether it is heard.
-    pub const fn is_heard(self) -> bool {
+    pub(crate) const fn is_heard(self) -> bool {
         matches!(self, Self::Online | Self::Degraded)
     }
 }

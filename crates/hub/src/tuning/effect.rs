@@ -22,7 +22,7 @@ use statrs::distribution::{ContinuousCDF, DiscreteCDF, Hypergeometric, StudentsT
 use utoipa::ToSchema;
 
 /// Fewest measured nodes in each group.
-pub const FEWEST_NODES: usize = 8;
+pub(crate) const FEWEST_NODES: usize = 8;
 
 /// Share of a group's nodes that is left out at each end.
 const TRIMMED: f64 = 0.2;
@@ -164,7 +164,7 @@ pub struct Silence {
 impl Silence {
     /// The probability that this many of this group are silent, or more, if the change has nothing to do with it: Fisher's
     /// exact test, one side. 1 without nodes to compare with.
-    pub fn by_chance(self, others: Self) -> f64 {
+    pub(crate) fn by_chance(self, others: Self) -> f64 {
         if self.silent == 0 || others.nodes == 0 {
             return 1.0;
         }

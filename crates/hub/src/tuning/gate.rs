@@ -220,7 +220,7 @@ pub fn judge(gates: &[Gate], measured: Measured<'_>, rates: ErrorRates) -> Vec<G
 }
 
 /// All gates together: one failed is failed, one undecided is undecided, one not measured is not measured.
-pub fn overall(results: &[GateResult]) -> Verdict {
+pub(crate) fn overall(results: &[GateResult]) -> Verdict {
     [Verdict::Failed, Verdict::Undecided, Verdict::NotMeasured]
         .into_iter()
         .find(|verdict| results.iter().any(|result| result.verdict == *verdict))

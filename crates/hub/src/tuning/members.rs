@@ -57,7 +57,7 @@ pub enum Outcome {
 
 impl Outcome {
     /// Whether the node answered what became of the value, or is known to be unable to.
-    pub const fn is_decided(&self) -> bool {
+    pub(crate) const fn is_decided(&self) -> bool {
         !matches!(self, Self::Pending)
     }
 
@@ -105,7 +105,7 @@ impl Outcome {
     }
 
     /// When it was applied.
-    pub const fn applied_at(&self) -> Option<Millis> {
+    pub(crate) const fn applied_at(&self) -> Option<Millis> {
         match self {
             Self::Applied { at_ms } => Some(*at_ms),
             _ => None,
@@ -272,7 +272,7 @@ impl Member {
 }
 
 /// The order of `0..count` that `seed` gives: Fisher and Yates.
-pub fn shuffled(count: usize, seed: u64) -> Vec<usize> {
+pub(crate) fn shuffled(count: usize, seed: u64) -> Vec<usize> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut order: Vec<usize> = (0..count).collect();
     for i in (1..count).rev() {

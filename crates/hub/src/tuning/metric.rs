@@ -27,7 +27,7 @@ named! {
 
 impl Metric {
     /// Whether more of it is worse.
-    pub const fn more_is_worse(self) -> bool {
+    pub(crate) const fn more_is_worse(self) -> bool {
         !matches!(self, Self::SkipRate | Self::Recall | Self::Precision)
     }
 
@@ -94,7 +94,7 @@ pub struct Mean {
 
 impl Mean {
     /// The mean, with at least `fewest` clips.
-    pub fn of_at_least(self, fewest: u64) -> Option<f64> {
+    pub(crate) fn of_at_least(self, fewest: u64) -> Option<f64> {
         (self.clips >= fewest.max(1)).then(|| self.sum / self.clips as f64)
     }
 }
@@ -125,7 +125,7 @@ impl BeforeAfter {
     }
 
     /// Whether the node made clips before and none since.
-    pub fn fell_silent(&self) -> bool {
+    pub(crate) fn fell_silent(&self) -> bool {
         let clips = |figures: &Figures| figures.values().map(|mean| mean.clips).max();
         clips(&self.before) > Some(0) && clips(&self.after).unwrap_or(0) == 0
     }

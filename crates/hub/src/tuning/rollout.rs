@@ -24,7 +24,7 @@ use utoipa::ToSchema;
 
 /// How often at most a stage's gates are judged: half-way (only a failure counts), at the end of the soak, at the
 /// end of the patience.
-pub const LOOKS: u8 = 3;
+pub(crate) const LOOKS: u8 = 3;
 
 /// Most entries of a rollout's record; the oldest beyond are left out.
 const MOST_ENTRIES: usize = 500;
@@ -88,7 +88,7 @@ impl Phase {
     }
 
     /// Whether nothing more happens by itself or by hand, but a return.
-    pub const fn has_ended(&self) -> bool {
+    pub(crate) const fn has_ended(&self) -> bool {
         matches!(self, Self::Done | Self::Returned | Self::Stopped)
     }
 }

@@ -314,7 +314,7 @@ impl Trial {
     }
 
     /// The measurements failed. They are asked for again at the next tick; after many attempts the trial ends without a result.
-    pub fn not_measured(&mut self, now: Millis) {
+    pub(crate) fn not_measured(&mut self, now: Millis) {
         self.failed_attempts += 1;
         if self.failed_attempts >= ATTEMPTS {
             self.give_back(now);

@@ -46,7 +46,7 @@ pub struct OutcomeLine {
 
 impl OutcomeLine {
     /// Whether nothing more is to come for the node within a request.
-    pub fn is_final(&self) -> bool {
+    pub(crate) fn is_final(&self) -> bool {
         self.outcome != "pending"
     }
 }

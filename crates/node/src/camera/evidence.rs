@@ -101,7 +101,7 @@ impl LiveEvidence {
 
     /// Once `give_up` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
     #[must_use]
-    pub fn giving_up_on(mut self, give_up: CancellationToken) -> Self {
+    pub(crate) fn giving_up_on(mut self, give_up: CancellationToken) -> Self {
         self.give_up = give_up;
         self
     }

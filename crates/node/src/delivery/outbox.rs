@@ -139,7 +139,7 @@ impl Outbox {
     }
 
     /// One that keeps nothing on disk.
-    pub fn in_memory() -> Self {
+    pub(crate) fn in_memory() -> Self {
         Self::of(Waiting::new(None, 0), None)
     }
 

@@ -23,25 +23,25 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// The detector.
-pub const DETECTOR: &str = "detector";
+pub(crate) const DETECTOR: &str = "detector";
 /// The empty-scene screen, where it is a model.
-pub const SCREEN: &str = "screen";
+pub(crate) const SCREEN: &str = "screen";
 /// The cameras; the subject is a camera's name.
 pub const CAMERAS: &str = "cameras";
 /// The power meter.
-pub const POWER: &str = "power";
+pub(crate) const POWER: &str = "power";
 /// Clip reports on their way to the hub.
-pub const OUTBOX: &str = "outbox";
+pub(crate) const OUTBOX: &str = "outbox";
 /// The local Zenoh session.
 pub const ZENOH: &str = "zenoh";
 /// Subject of [`ZENOH`]: the session was open, and is closed for good.
 pub(crate) const ZENOH_SESSION: &str = "session";
 /// The Zenoh session toward the hub.
-pub const UPLINK: &str = "uplink";
+pub(crate) const UPLINK: &str = "uplink";
 /// The state directory.
-pub const DISK: &str = "disk";
+pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
-pub const TASKS: &str = albireo_service::supervise::PART;
+pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 
 /// A meter may take so long for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
@@ -50,7 +50,7 @@ const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 const LOSS_IS_TOLD: Duration = Duration::from_secs(600);
 
 /// All parts, as metrics list them.
-pub const PARTS: [&str; 9] = [
+pub(crate) const PARTS: [&str; 9] = [
     DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
 ];
 

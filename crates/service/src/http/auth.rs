@@ -14,7 +14,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
@@ -225,7 +224,7 @@ impl Guard {
                     .find(|entry| carries(headers, &entry.token))
                     .map(|entry| entry.caller.clone());
                 if holder.is_none() && headers.contains_key(AUTHORIZATION) {
-                    count_wrong_token();
+                    log_wrong_token();
                 }
                 match holder {
                     Some(caller) if looks || caller.role == Role::Tune => Ok(caller),
@@ -271,16 +270,8 @@ fn is_json(headers: &HeaderMap) -> bool {
     media_type.trim().eq_ignore_ascii_case("application/json")
 }
 
-static WRONG_TOKENS: AtomicU64 = AtomicU64::new(0);
-
-/// Requests of this process's interfaces that carried a token which is none of theirs.
-pub fn wrong_tokens() -> u64 {
-    WRONG_TOKENS.load(Ordering::Relaxed)
-}
-
-fn count_wrong_token() {
+fn log_wrong_token() {
     static LOG: SharedLimit = SharedLimit::new();
-    WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
     LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
 }
 

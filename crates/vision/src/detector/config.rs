@@ -32,7 +32,7 @@ impl ExecutionProvider {
 }
 
 /// The longest time limit that can be set: a day.
-pub const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
+pub(crate) const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 
 /// Where the names of a model's classes are.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -35,13 +35,13 @@ impl Default for GpuConfig {
 
 impl GpuConfig {
     /// The most memory in bytes, if there is a limit.
-    pub fn memory_limit(&self) -> Option<usize> {
+    pub(crate) fn memory_limit(&self) -> Option<usize> {
         let bytes = usize::try_from(self.memory_limit_mib).ok()? << 20;
         (bytes > 0).then_some(bytes)
     }
 
     /// The number of the GPU as ONNX Runtime takes it.
-    pub fn device_id(&self) -> i32 {
+    pub(crate) fn device_id(&self) -> i32 {
         i32::try_from(self.device).unwrap_or(i32::MAX)
     }
 

@@ -34,7 +34,7 @@ pub enum HeadName {
 
 impl HeadName {
     /// What `auto` can find.
-    pub const RECOGNISED: [Self; 5] = [
+    pub(crate) const RECOGNISED: [Self; 5] = [
         Self::Yolo,
         Self::EndToEnd,
         Self::Detr,
@@ -55,7 +55,7 @@ impl HeadName {
     }
 
     /// The outputs of its models, in words.
-    pub const fn looks_for(self) -> &'static str {
+    pub(crate) const fn looks_for(self) -> &'static str {
         match self {
             Self::Auto => "any of the others",
             Self::Yolo => "one output [1, 4 + classes, anchors]",

@@ -27,7 +27,7 @@ impl Metadata {
     }
 
     /// Whether an Ultralytics exporter wrote it: it names the task, the stride and the classes.
-    pub fn is_ultralytics(&self) -> bool {
+    pub(crate) fn is_ultralytics(&self) -> bool {
         self.get("author") == Some("Ultralytics")
             || ["task", "stride", "names"]
                 .iter()

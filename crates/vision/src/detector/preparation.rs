@@ -66,7 +66,7 @@ impl Preparation {
 ///
 /// # Errors
 /// When it cannot be prepared.
-pub async fn prepare_off_thread(
+pub(crate) async fn prepare_off_thread(
     preparation: Preparation,
     picture: Arc<Picture>,
 ) -> Result<PreparedPicture, InferenceError> {

@@ -23,7 +23,7 @@ pub enum ElementType {
 
 impl ElementType {
     /// Whether the elements are floating-point numbers that can be read.
-    pub fn is_float(&self) -> bool {
+    pub(crate) fn is_float(&self) -> bool {
         matches!(self, Self::Float32 | Self::Float16)
     }
 }
@@ -117,7 +117,7 @@ impl Signature {
     ///
     /// # Errors
     /// What is wrong with the outputs, in words.
-    pub fn only_output(&self) -> Result<&TensorSpec, String> {
+    pub(crate) fn only_output(&self) -> Result<&TensorSpec, String> {
         let [output] = self.outputs.as_slice() else {
             return Err(format!(
                 "it has {} outputs instead of one",
@@ -196,7 +196,7 @@ impl fmt::Display for TensorSpec {
 }
 
 /// A shape as messages have it: `[1, 3, ?, ?]`.
-pub fn shape_text(shape: &[i64]) -> String {
+pub(crate) fn shape_text(shape: &[i64]) -> String {
     let sides: Vec<_> = shape
         .iter()
         .map(|side| match side {

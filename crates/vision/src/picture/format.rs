@@ -56,7 +56,7 @@ impl PictureFormat {
 
     /// The number of bytes a raw picture of `size` has; `None` for the compressed formats and when the
     /// number does not fit 64 bits.
-    pub fn raw_bytes(self, size: PictureSize) -> Option<u64> {
+    pub(crate) fn raw_bytes(self, size: PictureSize) -> Option<u64> {
         match self {
             Self::Jpeg | Self::Png => None,
             Self::Rgb8 | Self::Bgr8 => size.pixels().checked_mul(3),

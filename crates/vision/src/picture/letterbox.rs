@@ -121,7 +121,7 @@ pub struct InputMapping {
 impl InputMapping {
     /// The box with these corners in input pixels, in normalised coordinates of the source picture; not
     /// clipped.
-    pub fn to_source(self, corners: Corners) -> BoundingBox {
+    pub(crate) fn to_source(self, corners: Corners) -> BoundingBox {
         let x1 = (corners.x1 - self.offset_x) / self.width;
         let y1 = (corners.y1 - self.offset_y) / self.height;
         let x2 = (corners.x2 - self.offset_x) / self.width;

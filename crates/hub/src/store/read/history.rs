@@ -240,7 +240,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn last_event(&self) -> Result<i64, StoreError> {
+    pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
         let text = "SELECT COALESCE(max(id), 0) AS id FROM events";
         let rows = self.query(text, Vec::new()).await?;
         match rows.first() {
@@ -253,7 +253,11 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn events_after(&self, id: i64, limit: i64) -> Result<Vec<StoredEvent>, StoreError> {
+    pub(crate) async fn events_after(
+        &self,
+        id: i64,
+        limit: i64,
+    ) -> Result<Vec<StoredEvent>, StoreError> {
         let text = "SELECT * FROM events WHERE id > $1 ORDER BY id LIMIT $2";
         self.query(text, vec![id.into(), limit.into()])
             .await?

@@ -136,7 +136,7 @@ impl Rollout {
     }
 
     /// The measurements failed: they are asked for again at the next tick, and after many attempts the rollout is held.
-    pub fn not_measured(&mut self, now: Millis) {
+    pub(crate) fn not_measured(&mut self, now: Millis) {
         self.measuring = false;
         self.failed_attempts += 1;
         if self.failed_attempts >= ATTEMPTS {

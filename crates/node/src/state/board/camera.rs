@@ -348,7 +348,7 @@ impl CameraBoard {
     }
 
     /// Sends the final answer of a frame that was pending.
-    pub fn show_late(&self, detections: Arc<DetectionsMessage>) {
+    pub(crate) fn show_late(&self, detections: Arc<DetectionsMessage>) {
         self.send_event(Event::Late, detections);
     }
 
@@ -476,7 +476,7 @@ impl CameraBoard {
     }
 
     /// The same with its name.
-    pub fn threshold_in_force(&self) -> Option<Threshold> {
+    pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
         Some(Threshold::new(self.setup.knob?.name, self.threshold()?))
     }
 
