@@ -111,7 +111,7 @@ impl HubConfig {
     ///
     /// # Errors
     /// When the prefix cannot be used; a configuration that passed its check has one that can.
-    pub fn keys(&self) -> Result<FleetKeys, albireo_wire::KeyError> {
+    pub(crate) fn keys(&self) -> Result<FleetKeys, albireo_wire::KeyError> {
         FleetKeys::all(&self.hub.prefix)
     }
 }

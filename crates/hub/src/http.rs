@@ -250,7 +250,7 @@ pub fn openapi() -> OpenApi {
 }
 
 /// All routes, with their description.
-pub fn router(view: HubView) -> Router {
+pub(crate) fn router(view: HubView) -> Router {
     let (router, openapi) = described().split_for_parts();
     let routes: Arc<[Route]> = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);

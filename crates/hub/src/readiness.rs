@@ -9,7 +9,7 @@ pub struct Readiness(Mutex<BTreeMap<&'static str, String>>);
 
 impl Readiness {
     /// Says that `part` does not work.
-    pub fn hold(&self, part: &'static str, reason: &str) {
+    pub(crate) fn hold(&self, part: &'static str, reason: &str) {
         self.0.lock().insert(part, reason.to_owned());
     }
 
@@ -19,7 +19,7 @@ impl Readiness {
     }
 
     /// What does not work, by part.
-    pub fn reasons(&self) -> BTreeMap<&'static str, String> {
+    pub(crate) fn reasons(&self) -> BTreeMap<&'static str, String> {
         self.0.lock().clone()
     }
 }

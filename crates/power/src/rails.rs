@@ -125,7 +125,7 @@ impl RailMap {
     }
 
     /// The table that names most of `rails`, if one names any.
-    pub fn board(&self, rails: &[RailWatts]) -> Option<&RailTable> {
+    pub(crate) fn board(&self, rails: &[RailWatts]) -> Option<&RailTable> {
         let score = |t: &RailTable| rails.iter().filter(|r| t.knows(&r.name)).count();
         let best = self.tables.iter().map(score).max().filter(|s| *s > 0)?;
         self.tables.iter().find(|t| score(t) == best)

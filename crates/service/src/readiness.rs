@@ -305,7 +305,7 @@ impl Part {
     }
 
     /// It does not work.
-    pub fn fault(&self, fault: Fault) {
+    pub(crate) fn fault(&self, fault: Fault) {
         self.readiness.set(&self.key, Some(fault));
     }
 }
@@ -317,7 +317,7 @@ pub struct Latch(Part);
 
 impl Latch {
     /// Gives another reason.
-    pub fn because(&self, reason: impl Into<String>) {
+    pub(crate) fn because(&self, reason: impl Into<String>) {
         self.0.not_ready(reason);
     }
 }

@@ -72,7 +72,7 @@ impl DatabaseConfig {
     }
 
     /// The passwords in the URL: that of the user, and one among the parameters.
-    pub fn passwords(&self) -> impl Iterator<Item = &str> {
+    pub(crate) fn passwords(&self) -> impl Iterator<Item = &str> {
         let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
         let user = place
             .split_once("://")

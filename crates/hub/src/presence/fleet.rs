@@ -393,12 +393,12 @@ impl Fleet {
     }
 
     /// Status messages taken since the start.
-    pub fn statuses(&self) -> u64 {
+    pub(crate) fn statuses(&self) -> u64 {
         self.statuses.load(Ordering::Relaxed)
     }
 
     /// One node.
-    pub fn view(&self, node: &str) -> Option<NodeView> {
+    pub(crate) fn view(&self, node: &str) -> Option<NodeView> {
         let nodes = self.nodes.read();
         let day = day_of(unix_milliseconds());
         nodes.get(node).map(|entry| entry.view(node, day))

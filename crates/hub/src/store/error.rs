@@ -16,7 +16,7 @@ pub enum StoreError {
 
 impl StoreError {
     /// Whether the same may succeed later, without anything else being changed by the caller.
-    pub fn passes(&self) -> bool {
+    pub(crate) fn passes(&self) -> bool {
         matches!(self, Self::Unavailable(_))
     }
 }

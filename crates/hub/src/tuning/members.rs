@@ -210,7 +210,7 @@ impl Member {
     }
 
     /// Sets what it is to have. One that was never asked for anything has nothing to go back from.
-    pub fn aim(&mut self, target: Target) {
+    pub(crate) fn aim(&mut self, target: Target) {
         self.target = match (target, self.asked) {
             (Target::Old, Target::Untouched) => Target::Untouched,
             _ => target,
@@ -226,7 +226,7 @@ impl Member {
     }
 
     /// Whether it has to be asked.
-    pub fn is_due(&self) -> bool {
+    pub(crate) fn is_due(&self) -> bool {
         self.target != self.asked && self.target != Target::Untouched
     }
 
@@ -242,7 +242,7 @@ impl Member {
     }
 
     /// Takes in what is known of the node. `new` is the value of its group. Returns whether the outcome changed.
-    pub fn observe(
+    pub(crate) fn observe(
         &mut self,
         observed: &Observation,
         new: Threshold,

@@ -228,7 +228,7 @@ impl Rollout {
 
     /// The nodes that have to be asked, by value. Once the request is in the database, [`Rollout::asked`] notes
     /// it.
-    pub fn due(&self) -> Vec<Order> {
+    pub(crate) fn due(&self) -> Vec<Order> {
         // At its end there may be some too: nodes that missed their deadline get the old value.
         if self.paused_ms.is_some() || self.phase == Phase::Stopped {
             return Vec::new();
@@ -242,7 +242,7 @@ impl Rollout {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
+    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
         // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
         let patience = seconds(self.plan.apply_within_s);

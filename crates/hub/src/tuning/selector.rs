@@ -69,7 +69,7 @@ impl Selector {
     }
 
     /// Selects every node.
-    pub fn everybody() -> Self {
+    pub(crate) fn everybody() -> Self {
         Self(vec![Term(vec![Part {
             negated: false,
             what: What::All,

@@ -246,7 +246,7 @@ impl Trial {
     }
 
     /// The nodes that have to be asked, by value.
-    pub fn due(&self) -> Vec<Order> {
+    pub(crate) fn due(&self) -> Vec<Order> {
         members::due(&self.members, |member| self.plan.values[member.group])
     }
 
@@ -256,7 +256,7 @@ impl Trial {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
+    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {
@@ -293,7 +293,7 @@ impl Trial {
     }
 
     /// What to measure if the trial ends now: the nodes that have their value.
-    pub fn windows(&self, now: Millis) -> Vec<Window> {
+    pub(crate) fn windows(&self, now: Millis) -> Vec<Window> {
         let from = self.measured_from(now);
         let baseline = seconds(self.plan.baseline_s);
         let window = |member: &Member| Window {

@@ -473,7 +473,7 @@ impl Tuner {
     }
 
     /// The nodes that have drifted.
-    pub fn drift(&self) -> Vec<Drift> {
+    pub(crate) fn drift(&self) -> Vec<Drift> {
         self.drift.lock().values().cloned().collect()
     }
 }

@@ -26,7 +26,7 @@ impl Token {
     }
 
     /// Why it cannot be sent as a bearer token (RFC 6750, section 2.1), if it cannot.
-    pub fn fault(&self) -> Option<&'static str> {
+    pub(crate) fn fault(&self) -> Option<&'static str> {
         if self.0.is_empty() {
             Some("is empty; leave it out for no authentication")
         } else if !self.0.bytes().all(|byte| byte.is_ascii_graphic()) {

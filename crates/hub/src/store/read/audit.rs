@@ -45,7 +45,7 @@ impl AuditCounts {
     }
 
     /// Adds the other's counts.
-    pub fn merge(&mut self, more: &Self) {
+    pub(crate) fn merge(&mut self, more: &Self) {
         self.sums.merge(&more.sums);
         self.calls = self.calls.saturating_add(more.calls);
         self.detector_us = self.detector_us.saturating_add(more.detector_us);

@@ -211,7 +211,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn clips(&self, wanted: &ClipQuery) -> Result<Vec<StoredClip>, StoreError> {
+    pub(crate) async fn clips(&self, wanted: &ClipQuery) -> Result<Vec<StoredClip>, StoreError> {
         let mut text = format!("{CLIPS} WHERE c.id < $1 AND c.at_ms >= $2 AND c.at_ms < $3");
         if wanted.node.is_some() {
             text += " AND c.camera_id IN (SELECT m2.id FROM cameras m2 JOIN nodes n2 ON n2.id = m2.node_id \
@@ -279,7 +279,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn set_aside(
+    pub(crate) async fn set_aside(
         &self,
         node: Option<&str>,
         before_id: Option<i64>,
@@ -312,7 +312,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn report_counts(&self, node: &str) -> Result<Option<ReportCounts>, StoreError> {
+    pub(crate) async fn report_counts(&self, node: &str) -> Result<Option<ReportCounts>, StoreError> {
         let text =
             "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
         let read = |row: &Row| {

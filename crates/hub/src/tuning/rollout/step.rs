@@ -297,7 +297,7 @@ impl Rollout {
     }
 
     /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
-    pub fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
+    pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
         for member in self.members.iter_mut() {
             if member.asked != Target::Untouched && changed_since(member) {
                 member.asked = Target::Untouched;
