@@ -158,7 +158,7 @@ impl EnergyModel {
     }
 
     /// Fills in the energy and frame time of `result`.
-    pub fn apply(&self, result: &mut ClipResult) {
+    pub(crate) fn apply(&self, result: &mut ClipResult) {
         if result.frames == 0 {
             return;
         }

@@ -67,7 +67,7 @@ pub struct Replay {
 ///
 /// # Errors
 /// [`SourceError`] when the source cannot give what the policy asks for.
-pub fn replay(
+pub(crate) fn replay(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     scoring: Scoring,

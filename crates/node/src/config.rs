@@ -110,7 +110,7 @@ impl NodeConfig {
     ///
     /// # Errors
     /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
-    pub fn frame_key(&self, camera: &CameraConfig) -> Result<String, KeyError> {
+    pub(crate) fn frame_key(&self, camera: &CameraConfig) -> Result<String, KeyError> {
         match &camera.key {
             Some(key) => Ok(key.clone()),
             None => Ok(self.keys()?.camera(&camera.name)?.frame()),

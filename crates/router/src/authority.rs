@@ -298,7 +298,7 @@ fn common_name(name: &str) -> DistinguishedName {
 ///
 /// # Errors
 /// When the file has no certificate with a common name.
-pub fn subject(file: &Path) -> Result<(String, i64), AuthorityError> {
+pub(crate) fn subject(file: &Path) -> Result<(String, i64), AuthorityError> {
     let text = files::read(file)?;
     let wrong = |reason: String| AuthorityError::Content {
         file: file.to_owned(),

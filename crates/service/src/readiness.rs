@@ -315,13 +315,6 @@ impl Part {
 #[must_use = "dropped at once it holds nothing"]
 pub struct Latch(Part);
 
-impl Latch {
-    /// Gives another reason.
-    pub(crate) fn because(&self, reason: impl Into<String>) {
-        self.0.not_ready(reason);
-    }
-}
-
 impl Drop for Latch {
     fn drop(&mut self) {
         self.0.works();
@@ -362,10 +355,9 @@ mod tests {
     async fn a_latch_that_is_dropped_makes_ready() {
         let readiness = Readiness::default();
         let latch = readiness.latch("zenoh", "the session is being opened");
-        latch.because("the router does not answer");
         assert_eq!(
             readiness.health().status().reasons["zenoh"],
-            "the router does not answer"
+            "the session is being opened"
         );
         drop(latch);
         assert_eq!(readiness.health(), Health::default());

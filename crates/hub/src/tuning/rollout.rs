@@ -242,7 +242,11 @@ impl Rollout {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
+    pub(crate) fn observe(
+        &mut self,
+        now: Millis,
+        look: impl Fn(&str) -> Option<Observation>,
+    ) -> bool {
         // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
         let patience = seconds(self.plan.apply_within_s);

@@ -256,7 +256,11 @@ impl Trial {
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
-    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Observation>) -> bool {
+    pub(crate) fn observe(
+        &mut self,
+        now: Millis,
+        look: impl Fn(&str) -> Option<Observation>,
+    ) -> bool {
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {

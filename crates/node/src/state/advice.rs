@@ -87,7 +87,7 @@ impl SkipWatch {
     }
 
     /// What to try, when it is clear that nothing is skipped and `knob` can change that.
-    pub fn advice(&self, knob: &Knob) -> Option<Advice> {
+    pub(crate) fn advice(&self, knob: &Knob) -> Option<Advice> {
         self.is_clear().then(|| self.attempt(knob)).flatten()
     }
 

@@ -309,7 +309,7 @@ impl Board {
     }
 
     /// The present state as events: thresholds and counters of every camera.
-    pub fn current(&self, t_ns: u64) -> Vec<Event> {
+    pub(crate) fn current(&self, t_ns: u64) -> Vec<Event> {
         let thresholds = |camera: &Arc<CameraBoard>| {
             let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
             camera.threshold_event().into_iter().chain([counters])
@@ -393,7 +393,7 @@ impl Board {
     }
 
     /// Where reports wait for a hub, and what must survive.
-    pub fn outbox(&self) -> &Outbox {
+    pub(crate) fn outbox(&self) -> &Outbox {
         &self.outbox
     }
 
@@ -403,7 +403,7 @@ impl Board {
     }
 
     /// How the detector is doing now.
-    pub fn detector_status(&self) -> DetectorStatus {
+    pub(crate) fn detector_status(&self) -> DetectorStatus {
         self.detector_status.borrow().clone()
     }
 

@@ -78,7 +78,7 @@ impl Entry {
     }
 
     /// Where the newest certificate is, in the authority's folder.
-    pub fn certificate(&self) -> PathBuf {
+    pub(crate) fn certificate(&self) -> PathBuf {
         Path::new(self.role.as_str()).join(format!("{}.pem", self.name))
     }
 }

@@ -118,7 +118,7 @@ impl Default for DetectorConfig {
 
 impl DetectorConfig {
     /// The size that the configuration names for an open input.
-    pub fn input_size(&self) -> Option<PictureSize> {
+    pub(crate) fn input_size(&self) -> Option<PictureSize> {
         self.input_size
             .map(|[width, height]| PictureSize::new(width, height))
     }

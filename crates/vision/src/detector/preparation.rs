@@ -88,7 +88,7 @@ impl PreparedPicture {
     }
 
     /// The way back from the input's pixels to the picture.
-    pub fn mapping(&self) -> InputMapping {
+    pub(crate) fn mapping(&self) -> InputMapping {
         self.mapping
     }
 

@@ -32,7 +32,7 @@ impl FrameFault {
     }
 
     /// A frame above a limit.
-    pub fn oversized(reason: impl Into<String>) -> Self {
+    pub(crate) fn oversized(reason: impl Into<String>) -> Self {
         Self::Oversized {
             reason: reason.into(),
         }

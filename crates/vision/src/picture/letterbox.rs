@@ -88,7 +88,7 @@ impl InputFormat {
 
     /// How large a picture of `source` is in the input, margins not counted: a decoder that scales need not
     /// deliver more.
-    pub fn fitted(&self, source: PictureSize) -> PictureSize {
+    pub(crate) fn fitted(&self, source: PictureSize) -> PictureSize {
         let (placement, _) = place(source, *self);
         PictureSize::new(placement.width, placement.height)
     }

@@ -312,7 +312,10 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub(crate) async fn report_counts(&self, node: &str) -> Result<Option<ReportCounts>, StoreError> {
+    pub(crate) async fn report_counts(
+        &self,
+        node: &str,
+    ) -> Result<Option<ReportCounts>, StoreError> {
         let text =
             "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
         let read = |row: &Row| {

@@ -33,7 +33,7 @@ impl BoardSetup {
     ///
     /// # Errors
     /// What cannot be used; a configuration that passed its check has nothing of the kind.
-    pub fn from_config(
+    pub(crate) fn from_config(
         config: &NodeConfig,
         detector_status: watch::Receiver<DetectorStatus>,
     ) -> Result<Self, SetupError> {
