@@ -1,7 +1,7 @@
 //! `ls`, `show`, `energy`, `watch`.
 
 use super::table::{Table, WIDTH, cut};
-use super::units::{ago, figure, name_of, now_ms, seconds, threshold};
+use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
@@ -346,8 +346,13 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
 fn overview(page: &NodeList, known: u64, nodes: Option<&[NodeView]>) -> String {
     let counts = &page.counts;
     let line = format!(
-        "{known} nodes: {} online, {} degraded, {} silent, {} offline; {} reports wait",
-        counts.online, counts.degraded, counts.silent, counts.offline, page.waiting
+        "{}: {} online, {} degraded, {} silent, {} offline; {} reports wait",
+        units::nodes(known),
+        counts.online,
+        counts.degraded,
+        counts.silent,
+        counts.offline,
+        page.waiting
     );
     let mut text = cut(&line, WIDTH) + "\n";
     if let Some(nodes) = nodes {

@@ -2,7 +2,7 @@
 
 use super::table::{Table, WIDTH, cut, wrapped};
 use super::units::{
-    counts, figure, finite, interval, name_of, named, seconds, span, threshold, when,
+    counts, figure, finite, interval, name_of, named, nodes, seconds, span, threshold, when,
 };
 use super::{Context, Ended};
 use albireo_hub::http::{RolloutView, Rollouts};
@@ -298,7 +298,11 @@ fn whole(rollout: &RolloutView) -> String {
             true => "not begun".to_owned(),
             false => counts(&stage.counts),
         };
-        let _ = writeln!(text, "  stage {number}: {} nodes, {counts}", stage.nodes);
+        let _ = writeln!(
+            text,
+            "  stage {number}: {}, {counts}",
+            nodes(stage.nodes as u64)
+        );
     }
     for entry in rollout.record.iter().flatten() {
         text += &entry_text(entry, rollout.begun_ms);

@@ -84,6 +84,12 @@ pub(super) fn interval(change: &Interval, relative: bool) -> String {
     format!("{} [{}, {}]", shown(estimate), shown(lower), shown(upper))
 }
 
+/// A number of nodes: `1 node`, `20 nodes`.
+pub(super) fn nodes(count: u64) -> String {
+    let noun = if count == 1 { "node" } else { "nodes" };
+    format!("{count} {noun}")
+}
+
 /// A number of seconds in its largest unit.
 pub(super) fn span(seconds: i64) -> String {
     match seconds {

@@ -267,7 +267,11 @@ impl Rollout {
             member.outcome = Outcome::Pending;
             count += 1;
         }
-        self.note(now, Entry::new(What::Stage).with(format!("{count} nodes")));
+        let nodes = if count == 1 { "node" } else { "nodes" };
+        self.note(
+            now,
+            Entry::new(What::Stage).with(format!("{count} {nodes}")),
+        );
     }
 
     fn fail(&mut self, now: Millis, reason: String) {

@@ -226,7 +226,7 @@ fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
     world.run_until(&mut rollout, "done");
     assert_eq!(
         stages_entered(&rollout),
-        ["1 nodes", "3 nodes", "16 nodes", "20 nodes"]
+        ["1 node", "3 nodes", "16 nodes", "20 nodes"]
     );
     assert_eq!(world.have(new()), 40);
     // Four stages of a hundred seconds: none was shorter than its soak.
@@ -257,7 +257,7 @@ fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_ba
     }
     world.run_until(&mut rollout, "returned");
     // The first stages have too few nodes to tell.
-    assert_eq!(stages_entered(&rollout), ["1 nodes", "3 nodes", "16 nodes"]);
+    assert_eq!(stages_entered(&rollout), ["1 node", "3 nodes", "16 nodes"]);
     assert_eq!(world.most_new, 20);
     assert_eq!((world.have(new()), world.have(old())), (0, 40));
     let failed = (rollout.record.iter())
