@@ -8,6 +8,7 @@ the longest run of the node.
 """
 
 import argparse
+import atexit
 import json
 import os
 import pathlib
@@ -34,6 +35,7 @@ name = "soak"
 state_dir = "{folder}/state"
 [zenoh]
 mode = "client"
+listen = []
 connect = ["{router}"]
 [uplink]
 connect = ["{uplink}"]
@@ -110,6 +112,7 @@ class Child:
     def __init__(self, command, log):
         self.command, self.log, self.process = command, open(log, "ab"), None
         self.start()
+        atexit.register(lambda: self.process.kill())
 
     def start(self):
         self.process = subprocess.Popen(self.command, stdin=subprocess.PIPE, stdout=self.log, stderr=self.log)
