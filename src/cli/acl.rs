@@ -7,9 +7,9 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
 Zenoh's rules know no templates: each node gets its own, by the common name of
-its certificate. What they do not allow is denied. Generate them again after each
-`albireo cert node` and `albireo cert revoke`, and restart the router:
-its sessions come back by themselves.
+its certificate. What they do not allow is denied. Generate them again after
+each `albireo cert node` and `albireo cert revoke`, and restart the router: its
+sessions come back by themselves.
 
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json

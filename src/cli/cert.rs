@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "\
-The folder has the authority's key: anyone who can read it can let any node in. Keep it
-on a machine of its own, and bring each member only authority.pem, its
-certificate and its key.
+The folder has the authority's key: who can read it can let any node in. Keep it
+on a separate machine, and bring each member only authority.pem, its certificate
+and its key.
 
 Examples:
   albireo cert authority --name 'fleet north'
