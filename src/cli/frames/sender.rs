@@ -77,6 +77,7 @@ impl FrameSender {
     pub async fn declare(session: &Session, key: &str, pacing: Pacing) -> anyhow::Result<Self> {
         let refused = |error| anyhow!("cannot publish on `{key}`: {error}");
         let (changed, receivers) = watch::channel(None);
+        let first = changed.clone();
         // The first report of "no subscriber" is unreliable; it counts only after a subscriber was there.
         let note = move |status: MatchingStatus| {
             changed.send_if_modified(|known| {
@@ -84,7 +85,8 @@ impl FrameSender {
                 std::mem::replace(known, now) != now
             });
         };
-        // Listening comes before looking, so that none is missed in between.
+        // Listening comes before looking, so that none is missed in between. What was found by looking is older than what was
+        // heard by then.
         let (mode, matching) = if pacing == Pacing::WaitForNode {
             let querier = session
                 .declare_querier(key.to_owned())
@@ -92,7 +94,7 @@ impl FrameSender {
                 .timeout(TURN)
                 .await
                 .map_err(refused)?;
-            let listener = querier.matching_listener().callback(note.clone());
+            let listener = querier.matching_listener().callback(note);
             listener.background().await.map_err(refused)?;
             let matching = querier.matching_status().await.map_err(refused)?;
             (SendMode::Ask(Arc::new(querier)), matching)
@@ -111,7 +113,13 @@ impl FrameSender {
             let matching = publisher.matching_status().await.map_err(refused)?;
             (SendMode::Put(Arc::new(publisher)), matching)
         };
-        note(matching);
+        first.send_if_modified(|known| {
+            let found = known.is_none() && matching.matching();
+            if found {
+                *known = Some(true);
+            }
+            found
+        });
         let (stream, token) = new_stream(session, key)?;
         Ok(Self {
             session: session.clone(),
