@@ -2,29 +2,16 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::process::{Command, Output};
+use crate::support::run;
+use rstest::rstest;
 
 /// The shipped configuration, whatever this machine has.
 const CHECK: [&str; 3] = ["check", "--file-only", "config/node.toml"];
-
-fn albireo(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_albireo"))
-        .args(arguments)
-        .envs(environment.iter().copied())
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
+const NODE: [&str; 3] = ["node", "--config", "config/node.toml"];
 
 #[test]
 fn check_accepts_the_shipped_configuration() {
-    let output = albireo(&CHECK, &[]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    assert!(text(&output.stdout).contains("1 camera\n"));
+    assert!(run(&CHECK, &[]).succeeds().contains("1 camera\n"));
 }
 
 #[test]
@@ -34,151 +21,69 @@ fn check_examines_the_machine_unless_file_only_is_given() {
         ("ALBIREO_NODE__STATE_DIR", "Cargo.toml"),
         ("ALBIREO_CLIP__WINDOW_S", "soon"),
     ];
-    let output = albireo(&["check", "config/node.toml"], &missing);
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
-    for part in [
-        "clip.window_s: must be a number, not string \"soon\" (from environment variable ALBIREO_CLIP__WINDOW_S)",
-        "detector.model: /nowhere/model.onnx cannot be read: No such file",
-        "node.state_dir: Cargo.toml is a file; name a folder",
-    ] {
-        assert!(said.contains(part), "{part} in {said}");
-    }
-    let output = albireo(&CHECK, &missing[..2]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    insta::assert_snapshot!(run(&["check", "config/node.toml"], &missing).fails());
+    run(&CHECK, &missing[..2]).succeeds();
+}
+
+const CAMERAS: &str =
+    r#"[{name="a",key="x/y"},{name="b",key="x/y"},{name="c",key="albireo/node/a/detections"}]"#;
+
+#[rstest]
+#[case::of_cameras_that_would_receive_each_others_messages("ALBIREO_CAMERA", CAMERAS)]
+#[case::of_a_token_that_can_be_guessed("ALBIREO_HTTP__TOKEN", "secret")]
+#[case::of_a_word_for_a_number("ALBIREO_CLIP__WINDOW_S", "soon")]
+#[case::of_a_number_out_of_range("ALBIREO_CLIP__WINDOW_S", "-1")]
+#[case::of_an_unknown_key("ALBIREO_CLIP__WINDOW", "1")]
+#[case::of_one_underscore("ALBIREO_CLIP_WINDOW_S", "1")]
+#[case::of_an_open_address("ALBIREO_HTTP__LISTEN", "0.0.0.0:80")]
+fn check_names_the_variable_and_the_reason(#[case] name: &str, #[case] value: &str) {
+    let case = std::thread::current().name().unwrap().to_owned();
+    let case = case.rsplit("::").next().unwrap();
+    insta::assert_snapshot!(case, run(&CHECK, &[(name, value)]).fails());
+}
+
+#[rstest]
+#[case(&NODE, ("RUST_LOG", "loud"), "environment variable RUST_LOG: `loud`")]
+#[case(&NODE, ("ALBIREO_HTTP__TOKEN", "secret"), "http.token: has fewer than 16 characters")]
+#[case(&["node", "--config", "/nowhere/node.toml"], ("A", "b"), "/nowhere/node.toml cannot be used")]
+fn the_node_does_not_start_on_what_check_refuses(
+    #[case] arguments: &[&str],
+    #[case] variable: (&str, &str),
+    #[case] expected: &str,
+) {
+    let said = run(arguments, &[variable]).fails();
+    assert!(said.contains(expected), "{said}");
 }
 
 #[test]
-fn cameras_that_would_receive_each_others_messages_are_refused() {
-    let cameras = "[{name=\"a\",key=\"x/y\"},{name=\"b\",key=\"x/y\"},{name=\"c\",key=\"albireo/node/a/detections\"}]";
-    let output = albireo(&CHECK, &[("ALBIREO_CAMERA", cameras)]);
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
-    for part in [
-        "camera.b.key: `x/y` is the key of camera `a` too",
-        "camera.c.key: `albireo/node/a/detections` is what this node writes",
-    ] {
-        assert!(said.contains(part), "{part} in {said}");
-    }
+fn check_names_file_key_and_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("bad.toml");
+    let bad = "[clip]\nwindow_s = -1\n[[camera]]\nname = \"a\"\nmax_rate = 0\nsource = \"a.mp4\"\n";
+    std::fs::write(&file, bad).unwrap();
+    let file = file.to_str().unwrap();
+    let said = run(&["check", file], &[]).fails();
+    insta::assert_snapshot!(said.replace(file, "(the file)"));
 }
 
-#[test]
-fn rust_log_is_obeyed_and_named_when_it_is_wrong() {
-    let start = ["node", "--config", "config/node.toml"];
-    let output = albireo(&start, &[("RUST_LOG", "loud")]);
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
-    assert!(
-        said.contains("environment variable RUST_LOG: `loud`"),
-        "{said}"
-    );
-}
-
-#[test]
-fn a_token_that_can_be_guessed_is_refused_in_words_by_check_and_at_the_start() {
-    for arguments in [CHECK.as_slice(), &["node", "--config", "config/node.toml"]] {
-        let output = albireo(arguments, &[("ALBIREO_HTTP__TOKEN", "secret")]);
-        assert_eq!(output.status.code(), Some(1));
-        let said = text(&output.stderr);
-        assert!(
-            said.contains("http.token: has fewer than 16 characters"),
-            "{said}"
-        );
-    }
-}
-
-#[test]
-fn check_names_file_key_and_reason_and_exits_1() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("bad.toml");
-    std::fs::write(
-        &file,
-        "[clip]\nwindow_s = -1\n[[camera]]\nname = \"a\"\nmax_rate = 0\nsource = \"a.mp4\"\n",
-    )
-    .unwrap();
-    let output = albireo(&["check", file.to_str().unwrap()], &[]);
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
-    for part in [
-        file.to_str().unwrap(),
-        "clip.window_s: must be above 0",
-        "camera.a.max_rate: must be above 0",
-    ] {
-        assert!(said.contains(part), "{said}");
-    }
-}
-
-#[test]
-fn the_node_does_not_start_on_a_configuration_that_check_refuses() {
-    let output = albireo(&["node", "--config", "/nowhere/node.toml"], &[]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stderr).contains("/nowhere/node.toml cannot be used"));
-}
-
-#[test]
-fn environment_variables_override_the_file_and_are_named_when_wrong() {
-    let check = CHECK;
-    let output = albireo(&check, &[("ALBIREO_NODE__NAME", "car-7")]);
-    assert!(
-        text(&output.stdout).contains("node `car-7`"),
-        "{}",
-        text(&output.stderr)
-    );
-    let output = albireo(&check, &[("ALBIREO_CAMERA", "[{name=\"a\"},{name=\"b\"}]")]);
-    assert!(
-        text(&output.stdout).contains("2 cameras"),
-        "{}",
-        text(&output.stderr)
-    );
-    for (name, value, expected) in [
-        (
-            "ALBIREO_CLIP__WINDOW_S",
-            "soon",
-            "clip.window_s: must be a number",
-        ),
-        (
-            "ALBIREO_CLIP__WINDOW_S",
-            "-1",
-            "(from environment variable ALBIREO_CLIP__WINDOW_S)",
-        ),
-        ("ALBIREO_CLIP__WINDOW", "1", "clip.window: unknown key"),
-        ("ALBIREO_CLIP_WINDOW_S", "1", "ALBIREO_CLIP__WINDOW_S"),
-        (
-            "ALBIREO_HTTP__LISTEN",
-            "0.0.0.0:80",
-            "http.listen: 0.0.0.0:80 can be reached",
-        ),
-    ] {
-        let output = albireo(&check, &[(name, value)]);
-        assert_eq!(output.status.code(), Some(1), "{name}");
-        assert!(
-            text(&output.stderr).contains(expected),
-            "{}",
-            text(&output.stderr)
-        );
-    }
-    let output = albireo(&check, &[("ALBIREO_SHARED", "/somewhere")]);
-    assert!(output.status.success());
+#[rstest]
+#[case("ALBIREO_NODE__NAME", "car-7", "node `car-7`")]
+#[case("ALBIREO_CAMERA", r#"[{name="a"},{name="b"}]"#, "2 cameras")]
+#[case::one_of_the_tests_is_left_alone("ALBIREO_SHARED", "/somewhere", "1 camera")]
+fn environment_variables_override_the_file(
+    #[case] name: &str,
+    #[case] value: &str,
+    #[case] expected: &str,
+) {
+    let said = run(&CHECK, &[(name, value)]).succeeds();
+    assert!(said.contains(expected), "{said}");
 }
 
 #[test]
 fn every_subcommand_has_help_with_examples() {
-    let help = text(&albireo(&["--help"], &[]).stdout);
-    let commands: Vec<_> = help
-        .lines()
-        .skip_while(|line| *line != "Commands:")
-        .take_while(|line| *line != "Options:")
-        // The text of a command that takes a second line is indented further.
-        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
-        .filter_map(|line| line.split_whitespace().next())
-        .filter(|command| *command != "help")
-        .collect();
-    assert!(
-        commands.contains(&"node") && commands.contains(&"check"),
-        "{help}"
-    );
-    for command in commands {
-        let help = text(&albireo(&[command, "--help"], &[]).stdout);
-        assert!(help.contains("Examples:"), "{command}: {help}");
+    use clap::CommandFactory;
+    for command in albireo::cli::Arguments::command().get_subcommands() {
+        let help = run(&[command.get_name(), "--help"], &[]).succeeds();
+        assert!(help.contains("Examples:"), "{}", command.get_name());
     }
 }

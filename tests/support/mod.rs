@@ -75,6 +75,50 @@ pub(crate) fn albireo() -> Command {
     command
 }
 
+/// How a run of the program ended, and what it printed.
+#[derive(Debug)]
+pub(crate) struct Ended {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
+}
+
+impl Ended {
+    fn of(output: &std::process::Output) -> Self {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Self {
+            code: output.status.code(),
+            out: text(&output.stdout),
+            err: text(&output.stderr),
+        }
+    }
+
+    /// What it printed, of a run that must succeed.
+    #[track_caller]
+    pub(crate) fn succeeds(self) -> String {
+        assert_eq!(self.code, Some(0), "{self:?}");
+        self.out
+    }
+
+    /// Its complaint, of a run that must fail.
+    #[track_caller]
+    pub(crate) fn fails(self) -> String {
+        assert_eq!(self.code, Some(1), "{self:?}");
+        self.err
+    }
+}
+
+/// Runs the program to its end, with these variables in its environment.
+pub(crate) fn run(arguments: &[&str], environment: &[(&str, &str)]) -> Ended {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .envs(environment.iter().copied())
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::null())
+        .output();
+    Ended::of(&output.expect("the program starts"))
+}
+
 /// A stand-in for `nvpmodel` in `folder` that says the board is in mode `MODE_30W`.
 pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     let program = folder.join("nvpmodel");
