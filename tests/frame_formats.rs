@@ -20,8 +20,8 @@ fn fixture(name: &str) -> Vec<u8> {
 fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -> RawSample<'a> {
     RawSample {
         payload: Bytes::copy_from_slice(payload),
-        encoding,
-        attachment,
+        encoding: encoding.into(),
+        attachment: attachment.map(Into::into),
         timestamp_ns: Some(77),
         arrival: 12,
         received: Instant::now(),

@@ -51,14 +51,9 @@ async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
     tokio::spawn(async move {
         let mut arrival = 0;
         while let Ok(query) = queries.recv_async().await {
-            let encoding = query.encoding().unwrap().to_string();
             let raw = RawSample {
-                payload: query.payload().unwrap().to_bytes().into_owned().into(),
-                encoding: &encoding,
-                attachment: Some(&query.attachment().unwrap().to_bytes()),
-                timestamp_ns: None,
                 arrival,
-                received: tokio::time::Instant::now(),
+                ..RawSample::from(&query)
             };
             let frame = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
             sender.send(frame.unwrap()).await.unwrap();

@@ -63,8 +63,8 @@ fn sample(
 ) -> bool {
     let raw = RawSample {
         payload: payload.to_vec().into(),
-        encoding,
-        attachment,
+        encoding: encoding.into(),
+        attachment: attachment.map(Into::into),
         timestamp_ns: None,
         arrival: 0,
         received: Instant::now(),

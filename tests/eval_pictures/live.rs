@@ -1,11 +1,9 @@
 //! The node's way: a policy that asks detector and screen itself, only when it needs to, through the node's own
-//! evidence with its prefetching and its limit on empty frames in a row.
+//! evidence with its limit on empty frames in a row.
 
 use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, write_pictures};
 use albireo_core::detection::Detection;
-use albireo_core::policy::{
-    Evidence, EvidenceSource, FrameHead, FrameState, Need, Outcome, Policy, decide,
-};
+use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
 use albireo_eval::data::classes::from_name;
 use albireo_eval::footage::{FrameSource, PictureFolder};
 use albireo_eval::pictures::{PicturedClip, run_pictured};
@@ -13,10 +11,9 @@ use albireo_eval::run::Settings;
 use albireo_eval::source::ScreenRule;
 use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
-use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_vision::picture::{EncodedPicture, FrameLimits};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
-use std::future::pending;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
@@ -65,33 +62,11 @@ impl Node {
     /// What the detector finds.
     async fn detect(&self, encoded: &EncodedPicture) -> Vec<Detection> {
         let mut camera = self.camera();
-        match camera.evidence(Need::Detections, encoded, pending).await {
-            Ok(Evidence::Detections(found)) => self.evaluated(found),
+        camera.fetch(Need::Detections, encoded).await.unwrap();
+        match camera.fetched(Need::Detections) {
+            Evidence::Detections(found) => self.evaluated(found),
             other => panic!("{other:?}"),
         }
-    }
-}
-
-/// One frame as the node sees it, but with the classes of the evaluation.
-struct LiveFrame<'a> {
-    node: &'a Node,
-    camera: &'a mut LiveEvidence,
-    encoded: &'a EncodedPicture,
-    found: Vec<Detection>,
-}
-
-impl EvidenceSource for LiveFrame<'_> {
-    type Error = FrameFault;
-
-    async fn evidence(&mut self, need: Need, _: &dyn Policy) -> Result<Evidence<'_>, FrameFault> {
-        let evidence = self.camera.evidence(need, self.encoded, pending).await?;
-        Ok(match evidence {
-            Evidence::Detections(found) => {
-                self.found = self.node.evaluated(found);
-                Evidence::Detections(&self.found)
-            }
-            other => other,
-        })
     }
 }
 
@@ -113,15 +88,18 @@ async fn decided(
             picture: encoded.size,
         };
         camera.next_frame();
-        let mut frame = LiveFrame {
-            node,
-            camera: &mut camera,
-            encoded,
-            found: Vec::new(),
-        };
-        decide(policy, head, &mut frame, &mut outcome)
-            .await
-            .unwrap();
+        let mut need = policy.begin(head);
+        while need != Need::Nothing {
+            camera.fetch(need, encoded).await.unwrap();
+            need = match camera.fetched(need) {
+                // With the classes of the evaluation.
+                Evidence::Detections(found) => {
+                    policy.answer(Evidence::Detections(&node.evaluated(found)))
+                }
+                other => policy.answer(other),
+            };
+        }
+        policy.finish(&mut outcome);
         states.push(outcome.state);
         overruled += u64::from(camera.screen_is_overruled());
     }

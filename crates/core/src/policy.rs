@@ -60,7 +60,7 @@ pub(crate) use baselines::{Ablation, ErdOnly};
 pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
-pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};
+pub use decide::{EvidenceAtHand, FrameEvidence, decide_at_once};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
@@ -361,14 +361,6 @@ pub trait Policy: Send + Sync {
 
     /// Takes the evidence asked for and says what is needed next.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need;
-
-    /// What the frame `next` will need, asked while this one awaits detections: so that its picture can be made
-    /// ready meanwhile. [`Need::Nothing`] unless it is certain to need its picture, whatever the detections
-    /// say; then what it will probably need first.
-    fn foresee(&self, next: FrameHead) -> Need {
-        let _ = next;
-        Need::Nothing
-    }
 
     /// The grey pictures that this policy may ask for; `None` when it never asks for any.
     fn pictures(&self) -> Option<Need> {

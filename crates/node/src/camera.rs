@@ -2,18 +2,18 @@
 //! counts the open clip. One task per camera; the detector, the screen and the meter are shared.
 
 pub mod answer;
-mod at_once;
 pub mod audit;
 pub mod clip;
 mod config;
+mod decider;
 pub mod evidence;
 mod published;
 pub(crate) mod publishing;
 mod record;
 mod settled;
 
-pub(crate) use at_once::AtOnce;
 pub use config::{AnswerTime, SettleConfig};
+pub(crate) use decider::Decider;
 pub use published::ReportConfig;
 pub use record::FrameRecord;
 pub(crate) use settled::SettledStream;
@@ -21,28 +21,21 @@ pub(crate) use settled::SettledStream;
 pub(crate) use tests::answer;
 
 use crate::camera::answer::{AnswerContext, detections_message};
-use crate::camera::at_once::Fetched;
 use crate::camera::audit::{CameraAudit, DrawnFrame};
-use crate::camera::clip::FrameArrival;
-use crate::camera::evidence::{LiveEvidence, Times};
+use crate::camera::clip::{ClipTracker, ClosedClip, FrameArrival};
+use crate::camera::decider::PendingFrame;
+use crate::camera::evidence::Times;
 use crate::camera::publishing::Detections;
 use crate::camera::settled::FrameLabel;
-use crate::delivery::report::ClipAccounts;
-use crate::input::RingReceiver;
-use crate::input::receiver::{DropCounts, DropKind, SequencedFrame};
+use crate::input::Ring;
+use crate::input::receiver::{DropCounts, SequencedFrame, kind_of};
 use crate::state::board::CameraBoard;
-use albireo_core::policy::{
-    CallCause, Evidence, EvidenceSource, FrameHead, KnobError, MinConfidence, Need, Outcome,
-    Policy, decide,
-};
+use albireo_core::policy::{CallCause, FrameHead, MinConfidence, Need, Outcome};
 use albireo_service::clock::milliseconds;
-use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_wire::{DetectionsMessage, Latency, Threshold};
-use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
@@ -51,10 +44,10 @@ pub(crate) struct Camera {
     /// What HTTP and metrics see of it.
     pub board: Arc<CameraBoard>,
     /// Frames from the receiver.
-    pub ring: RingReceiver<SequencedFrame>,
+    pub ring: Arc<Ring<SequencedFrame>>,
     /// Dropped frames, shared with the receiver.
     pub drops: Arc<DropCounts>,
-    /// What decides, and from what evidence.
+    /// What decides frames.
     pub decider: Decider,
     /// Where answers go.
     pub detections: Arc<Detections>,
@@ -66,48 +59,15 @@ pub(crate) struct Camera {
     pub min_confidence: MinConfidence,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
-    /// Where clips are closed and reported.
-    pub accounts: ClipAccounts,
+    /// The open clip.
+    pub clip: ClipTracker,
+    /// Where closed clips go. Unbounded, because a clip is some kilobytes every some seconds and must not be lost; their
+    /// reporter's own waiting is bounded.
+    pub closed: mpsc::UnboundedSender<ClosedClip>,
     /// Where frames are left that the detector is to examine afterwards.
     pub audit: Arc<CameraAudit>,
     /// Whether a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
-}
-
-/// What decides frames, and when it answers.
-pub(crate) enum Decider {
-    /// When everything about the frame is known.
-    WhenKnown {
-        /// What decides.
-        policy: Box<dyn Policy>,
-        /// Where its evidence comes from.
-        evidence: Box<LiveEvidence>,
-    },
-    /// At once, by prediction.
-    AtOnce(Box<AtOnce>),
-}
-
-impl Decider {
-    fn policy(&self) -> &dyn Policy {
-        match self {
-            Self::WhenKnown { policy, .. } => &**policy,
-            Self::AtOnce(at_once) => at_once.policy(),
-        }
-    }
-
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        match self {
-            Self::WhenKnown { policy, .. } => policy.set_knob(value),
-            Self::AtOnce(at_once) => at_once.set_knob(value),
-        }
-    }
-
-    fn reset(&mut self) {
-        match self {
-            Self::WhenKnown { policy, .. } => policy.reset(),
-            Self::AtOnce(at_once) => at_once.reset(),
-        }
-    }
 }
 
 /// What the loop remembers from frame to frame.
@@ -133,25 +93,6 @@ struct BegunFrame {
     taken: Instant,
 }
 
-/// What a frame's answer took.
-#[derive(Default)]
-struct Spent {
-    times: Times,
-    policy: Duration,
-    /// The detector was asked although the screen said "empty", too often in a row.
-    overruled: bool,
-}
-
-impl Spent {
-    fn of(evidence: &LiveEvidence, policy: Duration) -> Self {
-        Self {
-            times: evidence.times(),
-            policy,
-            overruled: evidence.screen_is_overruled(),
-        }
-    }
-}
-
 /// Which of a frame's answers a message is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Answer {
@@ -164,8 +105,7 @@ enum Answer {
 }
 
 impl Camera {
-    /// Runs until `shutdown` or until the ring closes; finishes the current or pending frame, and closes the open
-    /// clip.
+    /// Runs until `shutdown`; finishes the current or pending frame, and closes the open clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         let mut stream = Stream {
             threshold: self.board.watch_threshold(),
@@ -178,22 +118,25 @@ impl Camera {
         stream.threshold.mark_changed();
         loop {
             let settled = self.settled.as_ref().and_then(SettledStream::deadline);
-            let due = self.accounts.deadline().into_iter().chain(settled).min();
+            let due = self.clip.deadline().into_iter().chain(settled).min();
+            // Where a frame is answered when everything is known, those after it wait.
+            let waits = self.decider.is_pending() && !self.decider.answers_at_once();
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
-                fetched = fetched(&mut self.decider) => self.deliver(fetched, &mut stream.outcome).await,
+                fetched = self.decider.fetched() => {
+                    let decided = self.decider.deliver(fetched, &mut stream.outcome);
+                    self.finish(decided, &mut stream.outcome).await;
+                }
                 // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
-                incoming = self.ring.next() => match incoming {
-                    Some(incoming) => self.process(incoming, &mut stream).await,
-                    None => break,
-                },
-                () = at(due) => self.tick().await,
+                incoming = self.ring.next(), if !waits => self.process(incoming, &mut stream).await,
+                () = at(due), if !waits => self.tick().await,
             }
         }
-        while self.is_pending() {
-            let fetched = fetched(&mut self.decider).await;
-            self.deliver(fetched, &mut stream.outcome).await;
+        while self.decider.is_pending() {
+            let fetched = self.decider.fetched().await;
+            let decided = self.decider.deliver(fetched, &mut stream.outcome);
+            self.finish(decided, &mut stream.outcome).await;
         }
         if let Some(settled) = &mut self.settled {
             settled.flush();
@@ -202,18 +145,10 @@ impl Camera {
         self.end();
     }
 
-    fn is_pending(&self) -> bool {
-        matches!(&self.decider, Decider::AtOnce(at_once) if at_once.is_pending())
-    }
-
     async fn tick(&mut self) {
-        if self
-            .accounts
-            .deadline()
-            .is_some_and(|due| due <= Instant::now())
-        {
-            self.accounts.tick();
-        }
+        self.count_others();
+        let closed = self.clip.tick(Instant::now());
+        self.hand_over(closed);
         if let Some(settled) = &mut self.settled {
             settled.tick();
             settled.publish().await;
@@ -222,92 +157,87 @@ impl Camera {
 
     /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
     fn end(&mut self) {
-        for mut frame in self.ring.close_and_clear() {
+        for mut frame in self.ring.close() {
             let reason = "the camera's loop ended before its turn";
-            self.drops.count(DropKind::Stopped, 1, &reason);
+            self.drops.count(|dropped| &mut dropped.stopped, 1, &reason);
             frame.refuse(reason);
         }
         self.audit.give_up();
-        self.accounts.shutdown();
+        self.count_others();
+        let ended = self.clip.nothing_is_pending();
+        self.hand_over(ended);
+        let closed = self.clip.shutdown(Instant::now());
+        self.hand_over(closed);
     }
 
-    async fn process(&mut self, incoming: SequencedFrame, stream: &mut Stream) {
+    /// Counts for the open clip what others have counted: dropped frames, and what the audit has found.
+    fn count_others(&mut self) {
+        self.clip.dropped(&self.drops.take());
+        if let Some(found) = self.audit.take() {
+            self.clip.audited(&found);
+        }
+    }
+
+    fn hand_over(&self, closed: Option<ClosedClip>) {
+        if let Some(closed) = closed
+            && self.closed.send(closed).is_err()
+        {
+            tracing::error!("a clip ended and its reporter has stopped");
+        }
+    }
+
+    async fn process(&mut self, mut incoming: SequencedFrame, stream: &mut Stream) {
+        incoming.taken();
         let Some(frame) = self.begin(incoming, stream).await else {
             return;
         };
         let outcome = &mut stream.outcome;
-        match &mut self.decider {
-            Decider::WhenKnown { policy, evidence } => {
-                evidence.next_frame();
-                let mut source = FrameSource {
-                    evidence,
-                    ring: &self.ring,
-                    incoming: &frame.incoming,
-                    head: frame.head,
-                };
-                let deciding = Instant::now();
-                let decided = decide(&mut **policy, frame.head, &mut source, outcome).await;
-                let deciding = deciding.elapsed();
-                evidence.end_frame();
-                if let Err(fault) = decided {
-                    return self.drops.count(DropKind::from(&fault), 1, &fault);
-                }
-                let spent = Spent::of(evidence, deciding.saturating_sub(evidence.times().evidence));
-                let message = self.answer(&frame, outcome, &spent, Answer::Final).await;
-                let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
-                let record = record.examined(&spent.times);
-                self.count(&record, &frame, outcome, Answer::Final);
-            }
-            Decider::AtOnce(at_once) => {
-                let deciding = Instant::now();
-                let need = at_once.frame(frame.head, outcome);
-                let spent = Spent {
-                    policy: deciding.elapsed(),
-                    ..Spent::default()
-                };
-                let answer = match need {
-                    Need::Nothing => Answer::Final,
-                    _ => Answer::Pending,
-                };
-                let message = self.answer(&frame, outcome, &spent, answer).await;
-                let first_answer = frame.incoming.frame.received.elapsed();
-                if answer == Answer::Final {
-                    let record = FrameRecord::new(message, first_answer);
-                    self.count(&record, &frame, outcome, answer);
-                } else if let Decider::AtOnce(at_once) = &mut self.decider {
-                    self.accounts.pending(message.seq, frame.threshold);
-                    at_once.fetch(frame, need, first_answer);
-                }
-            }
+        let deciding = Instant::now();
+        let need = self.decider.frame(frame.head, outcome);
+        let times = Times {
+            policy: deciding.elapsed(),
+            ..Times::default()
+        };
+        if need == Need::Nothing {
+            let message = self.answer(&frame, outcome, &times, Answer::Final).await;
+            let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
+            return self.count(&record, &frame, outcome, Answer::Final);
         }
+        let mut first_answer = None;
+        if self.decider.answers_at_once() {
+            let message = self.answer(&frame, outcome, &times, Answer::Pending).await;
+            self.clip.pending(message.seq, frame.threshold);
+            first_answer = Some(frame.incoming.frame.received.elapsed());
+        }
+        self.decider.fetch(frame, need, first_answer, times);
     }
 
-    /// Takes what was fetched for the pending frame; if nothing more is needed, its answer is final.
-    async fn deliver(&mut self, fetched: Fetched, outcome: &mut Outcome) {
-        if let Decider::AtOnce(at_once) = &mut self.decider
-            && let Some(done) = at_once.deliver(fetched, outcome)
-        {
-            self.finish(done, outcome).await;
+    /// Publishes and counts the final answer of a frame that was pending, if there is one.
+    async fn finish(&mut self, decided: Option<PendingFrame>, outcome: &mut Outcome) {
+        let Some(PendingFrame {
+            frame,
+            first_answer,
+            times,
+            fault,
+            ..
+        }) = decided
+        else {
+            return;
+        };
+        if let Some(fault) = fault {
+            return self.drops.count(kind_of(&fault), 1, &fault);
         }
-    }
-
-    /// The pending frame, if there is one, gets no evidence: its answer is what the policy predicts.
-    async fn give_up_pending(&mut self, outcome: &mut Outcome) {
-        if let Decider::AtOnce(at_once) = &mut self.decider
-            && let Some(done) = at_once.give_up(outcome)
-        {
-            self.finish(done, outcome).await;
-        }
-    }
-
-    /// Publishes and counts the final answer of a frame that was pending.
-    async fn finish(&mut self, done: at_once::Answered, outcome: &mut Outcome) {
-        let at_once::Answered { pending, spent } = done;
-        let message = self
-            .answer(&pending.frame, outcome, &spent, Answer::Late)
-            .await;
-        let record = FrameRecord::new(message, pending.first_answer).examined(&spent.times);
-        self.count(&record, &pending.frame, outcome, Answer::Late);
+        let answer = match first_answer {
+            Some(_) => Answer::Late,
+            None => Answer::Final,
+        };
+        let message = self.answer(&frame, outcome, &times, answer).await;
+        let received = frame.incoming.frame.received;
+        let record = FrameRecord {
+            times,
+            ..FrameRecord::new(message, first_answer.unwrap_or_else(|| received.elapsed()))
+        };
+        self.count(&record, &frame, outcome, answer);
     }
 
     /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
@@ -320,7 +250,7 @@ impl Camera {
         {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            self.drops.count(DropKind::Late, 1, &reason);
+            self.drops.count(|dropped| &mut dropped.late, 1, &reason);
             return None;
         }
         let restarted = stream
@@ -329,7 +259,8 @@ impl Camera {
             .is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != stream.clip;
         if restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
-            self.give_up_pending(&mut stream.outcome).await;
+            let given_up = self.decider.give_up(&mut stream.outcome);
+            self.finish(given_up, &mut stream.outcome).await;
             self.decider.reset();
             stream.last_index = None;
         }
@@ -348,11 +279,16 @@ impl Camera {
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
-        let clip = self.accounts.arrive(&FrameArrival {
+        // What was dropped before this frame belongs to the clip that was open then.
+        self.count_others();
+        let frame = &incoming.frame;
+        let closed = self.clip.arrive(&FrameArrival {
             t_ns: frame.time_ns,
             clip: frame.clip.as_deref(),
             arrival: frame.received,
         });
+        self.hand_over(closed);
+        let clip = self.clip.clip().map_or_else(|| "".into(), Arc::clone);
         let knob = self.board.knob().zip(self.decider.policy().knob_value());
         Some(BegunFrame {
             head,
@@ -368,11 +304,11 @@ impl Camera {
         &mut self,
         frame: &BegunFrame,
         outcome: &mut Outcome,
-        spent: &Spent,
+        times: &Times,
         answer: Answer,
     ) -> Arc<DetectionsMessage> {
         // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
-        if outcome.cause == Some(CallCause::Screen) && spent.overruled {
+        if outcome.cause == Some(CallCause::Screen) && times.overruled {
             outcome.cause = Some(CallCause::EmptyLimit);
         }
         let BegunFrame { incoming, .. } = frame;
@@ -390,7 +326,6 @@ impl Camera {
             }
         }
         self.min_confidence.select(&mut outcome.boxes);
-        let Spent { times, policy, .. } = spent;
         let message = Arc::new(detections_message(
             outcome,
             &AnswerContext {
@@ -404,8 +339,8 @@ impl Camera {
                     waiting: milliseconds(frame.taken - received),
                     decode: times.decode.map(milliseconds),
                     screen: times.screen.map(milliseconds),
-                    detector: times.detector().map(milliseconds),
-                    policy: milliseconds(*policy),
+                    detector: times.detector.map(milliseconds),
+                    policy: milliseconds(times.policy),
                 },
             },
         ));
@@ -438,9 +373,11 @@ impl Camera {
         outcome: &Outcome,
         answer: Answer,
     ) {
-        match answer {
-            Answer::Late => self.accounts.count_late(record),
-            _ => self.accounts.count(record),
+        if answer == Answer::Late {
+            let closed = self.clip.count_late(record);
+            self.hand_over(closed);
+        } else {
+            self.clip.count(record);
         }
         self.board.record_frame(record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
@@ -465,36 +402,6 @@ impl Camera {
     }
 }
 
-/// What was fetched for the pending frame, when it comes; for ever where none is pending.
-async fn fetched(decider: &mut Decider) -> Fetched {
-    match decider {
-        Decider::AtOnce(at_once) => at_once.fetched().await,
-        Decider::WhenKnown { .. } => std::future::pending().await,
-    }
-}
-
-/// One frame's evidence, and a preview of the next frame.
-struct FrameSource<'a> {
-    evidence: &'a mut LiveEvidence,
-    ring: &'a RingReceiver<SequencedFrame>,
-    incoming: &'a SequencedFrame,
-    head: FrameHead,
-}
-
-impl EvidenceSource for FrameSource<'_> {
-    type Error = FrameFault;
-
-    async fn evidence(
-        &mut self,
-        need: Need,
-        policy: &dyn Policy,
-    ) -> Result<Evidence<'_>, FrameFault> {
-        let next = || next_need(self.ring, self.incoming, policy, self.head);
-        let picture = &self.incoming.frame.picture;
-        self.evidence.evidence(need, picture, next).await
-    }
-}
-
 /// Also where the loop panicked or was given up: what was counted until then is reported.
 impl Drop for Camera {
     fn drop(&mut self) {
@@ -502,36 +409,6 @@ impl Drop for Camera {
         if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
             tracing::error!(camera = self.board.name(), "the open clip is lost");
         }
-    }
-}
-
-/// The picture of the frame after `present` and what it will need, once it waits in the ring; for ever, when it
-/// may need nothing or there is another frame than the one foreseen. A predicted frame is never decoded.
-fn next_need(
-    ring: &RingReceiver<SequencedFrame>,
-    present: &SequencedFrame,
-    policy: &dyn Policy,
-    head: FrameHead,
-) -> impl Future<Output = (EncodedPicture, Need)> + Send {
-    let need = policy.foresee(FrameHead {
-        index: head.index.saturating_add(1),
-        step: 1,
-        ..head
-    });
-    async move {
-        if need != Need::Nothing {
-            let follows = |next: &SequencedFrame| {
-                let foreseen = next.epoch == present.epoch
-                    && next.index.checked_sub(present.index) == Some(1)
-                    && next.frame.clip == present.frame.clip
-                    && next.frame.picture.size == present.frame.picture.size;
-                foreseen.then(|| next.frame.picture.clone())
-            };
-            if let Some(Some(picture)) = ring.peek(follows).await {
-                return (picture, need);
-            }
-        }
-        std::future::pending().await
     }
 }
 

@@ -11,7 +11,5 @@ pub mod source;
 
 pub use config::{Delivery, PayloadFormat};
 pub use read::{Frame, RawSample, RejectedFrame, read_frame};
-#[cfg(test)]
-pub(crate) use ring::Pushed;
-pub(crate) use ring::{RingLimits, RingReceiver, RingSender, frame_ring};
+pub(crate) use ring::{Pushed, Ring, RingLimits};
 pub use sequence::FrameNumber;

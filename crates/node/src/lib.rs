@@ -14,7 +14,7 @@ mod start;
 pub mod state;
 
 pub use camera::FrameRecord;
-pub use camera::evidence::{LiveEvidence, Times};
+pub use camera::evidence::LiveEvidence;
 pub use error::NodeError;
 pub use run::{run, run_prepared};
 pub use start::{Node, PolicyMaker, PreparedNode};

@@ -4,7 +4,6 @@ mod camera;
 
 use crate::api::key_service::KeyService;
 use crate::api::name::NodeName;
-use crate::camera::publishing::PublishingThread;
 use crate::config::NodeConfig;
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
 use crate::error::NodeError;
@@ -32,9 +31,6 @@ use zenoh::Session;
 /// Interval at which the state of parts that report nothing by themselves is read.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How long the last messages for subscribers may take.
-const FLUSH_LIMIT: Duration = Duration::from_secs(1);
-
 /// Makes a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
 pub type PolicyMaker =
     Arc<dyn Fn(&str) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
@@ -52,7 +48,6 @@ pub struct Node {
     /// Power sampler: stopped when the last report is out.
     sampling: CancellationToken,
     alive: NodeName,
-    publishing: PublishingThread,
     uplink: Uplink,
     subscriptions: Subscriptions,
     shutdown: CancellationToken,
@@ -153,10 +148,6 @@ impl PreparedNode {
         (board.readiness()).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
             probed.is_closed().then(|| Fault::not_ready("it is closed"))
         });
-        let publishing = PublishingThread::start().map_err(|source| NodeError::System {
-            what: "the publishing thread cannot be started",
-            source,
-        })?;
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
         let (power, sampler) = albireo_power::start(&config.power, sampling.clone()).await?;
@@ -218,7 +209,6 @@ impl PreparedNode {
             }),
             session: &session,
             board: &board,
-            publishing: &publishing,
             tasks: &mut tasks,
             subscriptions: Subscriptions::default(),
             shutdown: shutdown.clone(),
@@ -234,14 +224,8 @@ impl PreparedNode {
                 })?;
         }
         let subscriptions = cameras.subscriptions;
-        let counters = Counters::declare(
-            &session,
-            &publishing,
-            &keys,
-            Arc::clone(&board),
-            power.clone(),
-        )
-        .await?;
+        let counters =
+            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
         tasks.essential(
             "counters",
             tracing::info_span!("counters"),
@@ -287,7 +271,6 @@ impl PreparedNode {
             stop_timeout: config.node.stop_timeout(),
             sampling: unless_started.disarm(),
             alive,
-            publishing,
             uplink,
             subscriptions,
             shutdown,
@@ -351,12 +334,8 @@ impl Node {
         // The sampler is the last of the tasks: the clips' energy comes from it.
         self.sampling.cancel();
         let (alive, session) = (self.alive.take().await, self.session);
-        let (uplink, publishing) = (self.uplink, self.publishing);
+        let uplink = self.uplink;
         let closed = async move {
-            let flushed = tokio::task::spawn_blocking(move || {
-                publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
-            });
-            let _ = flushed.await;
             uplink.stop().await;
             for token in alive {
                 let _ = token.undeclare().await;

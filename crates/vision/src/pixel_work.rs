@@ -9,13 +9,11 @@ use crate::picture::{
     decode_small_grey,
 };
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::Need;
 use picture_buffers::{PictureBuffers, PooledPicture};
 use std::sync::Arc;
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::task::JoinHandle;
 
 /// What is to be made of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,17 +29,6 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// What `need` begins with.
-    pub fn at(need: Need) -> Option<Self> {
-        match need {
-            Need::Nothing => None,
-            Need::GreyPicture => Some(Self::Grey),
-            Need::SmallGreyPicture { width } => Some(Self::SmallGrey(width)),
-            Need::Screen => Some(Self::Picture),
-            Need::Detections => Some(Self::Prepared),
-        }
-    }
-
     /// Whether the picture is decoded as it is, and a place needed.
     pub const fn needs_place(self) -> bool {
         matches!(self, Self::Picture | Self::Prepared)
@@ -174,10 +161,6 @@ impl PixelWork {
     pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
         let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
-        Self::with_places(preparation, limits, places)
-    }
-
-    fn with_places(preparation: Preparation, limits: FrameLimits, places: usize) -> Self {
         Self(Arc::new(State {
             limits,
             preparation,
@@ -199,13 +182,25 @@ impl PixelWork {
     }
 
     /// Makes of the picture what is missing in `frame`.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when it cannot be decoded; a panic in the work is a fault of the picture.
     pub async fn look(
         &self,
-        frame: PreparedFrame,
+        mut frame: PreparedFrame,
         source: Source,
         stage: Stage,
     ) -> Result<PreparedFrame, FrameFault> {
-        joined(self.spawn(frame, source, stage)).await
+        let pixels = self.clone();
+        let work = tokio::task::spawn_blocking(move || {
+            frame.add(stage, &source, &pixels)?;
+            Ok(frame)
+        });
+        work.await.unwrap_or_else(|error| {
+            Err(FrameFault::Undecodable {
+                reason: format!("the decoder failed: {error}"),
+            })
+        })
     }
 
     /// The detector's input of a picture, decoded to no fewer pixels than `target`; `None` when it is broken. Takes no
@@ -218,121 +213,5 @@ impl PixelWork {
         let source = Source { encoded, target };
         let made = self.look(PreparedFrame::default(), source, Stage::Prepared);
         made.await.ok()?.prepared
-    }
-
-    /// Begins with a picture that is needed later, if a place is free and no frame waits for it.
-    pub fn begin(&self, source: Source, stage: Stage) -> Option<Prefetch> {
-        let place = if stage.needs_place() {
-            let permit = Arc::clone(&self.0.places).try_acquire_owned().ok()?;
-            Some(Place { _permit: permit })
-        } else {
-            None
-        };
-        let frame = PreparedFrame {
-            place,
-            ..PreparedFrame::default()
-        };
-        Some(Prefetch {
-            encoded: source.encoded.clone(),
-            work: self.spawn(frame, source, stage),
-        })
-    }
-
-    fn spawn(
-        &self,
-        mut frame: PreparedFrame,
-        source: Source,
-        stage: Stage,
-    ) -> JoinHandle<Result<PreparedFrame, FrameFault>> {
-        let pixels = self.clone();
-        tokio::task::spawn_blocking(move || {
-            frame.add(stage, &source, &pixels)?;
-            Ok(frame)
-        })
-    }
-}
-
-/// A picture that is being looked at before its frame's turn has come.
-pub struct Prefetch {
-    encoded: EncodedPicture,
-    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
-}
-
-impl Prefetch {
-    /// Whether it is this very picture, not only an equal one.
-    pub fn is_of(&self, encoded: &EncodedPicture) -> bool {
-        // As long as this holds on to the bytes, nothing else can lie where they are.
-        std::ptr::eq(self.encoded.bytes.as_ptr(), encoded.bytes.as_ptr())
-            && self.encoded.bytes.len() == encoded.bytes.len()
-    }
-
-    /// What was made of it.
-    ///
-    /// # Errors
-    /// [`FrameFault`] when it cannot be decoded.
-    pub async fn frame(self) -> Result<PreparedFrame, FrameFault> {
-        joined(self.work).await
-    }
-}
-
-/// A panic in the work is a fault of the picture.
-async fn joined(
-    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
-) -> Result<PreparedFrame, FrameFault> {
-    work.await.unwrap_or_else(|error| {
-        Err(FrameFault::Undecodable {
-            reason: format!("the decoder failed: {error}"),
-        })
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::picture::{ColorOrder, Fit, InputFormat, PictureFormat, TensorLayout, ValueRange};
-
-    fn pixels(places: usize) -> PixelWork {
-        let format = InputFormat {
-            size: PictureSize::new(4, 2),
-            fit: Fit::Stretch,
-            color_order: ColorOrder::Rgb,
-            value_range: ValueRange::To255,
-            layout: TensorLayout::Nchw,
-        };
-        PixelWork::with_places(Preparation::new(format), FrameLimits::default(), places)
-    }
-
-    fn source() -> Source {
-        let size = PictureSize::new(4, 2);
-        Source {
-            encoded: EncodedPicture {
-                format: PictureFormat::Rgb8,
-                bytes: vec![7; 24].into(),
-                size,
-            },
-            target: size,
-        }
-    }
-
-    #[tokio::test]
-    async fn a_picture_is_made_ready_ahead_only_in_a_place_that_nobody_waits_for() {
-        let pixels = pixels(1);
-        let held = pixels.place().await;
-        assert!(pixels.begin(source(), Stage::Prepared).is_none());
-        assert!(pixels.begin(source(), Stage::Grey).is_some(), "needs none");
-        drop(held);
-        let ahead = pixels.begin(source(), Stage::Prepared).unwrap();
-        let frame = ahead.frame().await.unwrap();
-        assert!(frame.has(Stage::Prepared) && !frame.has(Stage::Picture));
-        assert!(pixels.begin(source(), Stage::Prepared).is_none());
-        drop(frame);
-        assert!(pixels.begin(source(), Stage::Prepared).is_some());
-    }
-
-    #[tokio::test]
-    async fn what_is_made_ready_and_not_wanted_gives_its_place_back() {
-        let pixels = pixels(1);
-        drop(pixels.begin(source(), Stage::Prepared));
-        assert!(pixels.place().await.is_some());
     }
 }

@@ -13,8 +13,6 @@ use super::{
     OutputBox, Policy, PolicyConfig, PolicyConfigError,
 };
 use crate::detection::Detection;
-use crate::geometry::BoundingBox;
-use crate::kalman::Filter;
 use crate::objects::{Missed, ObjectStates};
 
 /// Progress of the current frame.
@@ -291,30 +289,6 @@ impl Policy for Albireo {
             }
             // Left as it is: `finish` sees that the detections never came.
             (AlbireoPhase::AwaitsDetections { .. } | AlbireoPhase::Decided(_), _) => Need::Nothing,
-        }
-    }
-
-    /// The filters' covariances do not depend on what is measured, so the smallest τ that an object can have on
-    /// the next frame is known before its detection is: if even a measured object and a new one call the
-    /// detector, nothing can make the next frame a predicted one. Without objects it asks the screen or the
-    /// detector.
-    fn foresee(&self, next: FrameHead) -> Need {
-        let model = self.objects.model();
-        let certain_at = |mut filter: Filter| {
-            (0..next.step.max(1)).for_each(|_| filter.predict(model));
-            self.settings.is_certain(filter.tau(), self.u)
-        };
-        let anywhere = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
-        let may_skip = certain_at(Filter::new(model, anywhere))
-            || self.objects.states().iter().any(|state| {
-                let mut filter = state.filter;
-                filter.update(model, filter.bounding_box());
-                certain_at(filter)
-            });
-        if may_skip {
-            Need::Nothing
-        } else {
-            Need::Detections
         }
     }
 

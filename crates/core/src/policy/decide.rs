@@ -4,27 +4,6 @@
 use super::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
 use crate::detection::Detection;
 use std::convert::Infallible;
-use std::future::{Future, ready};
-use std::pin::pin;
-use std::task::{Context, Poll, Waker};
-
-/// Where the evidence about one frame comes from, when it may have to be waited for.
-pub trait EvidenceSource {
-    /// Why the frame must be given up, for example a broken picture. Evidence that is merely not available is
-    /// [`Evidence::Unavailable`].
-    type Error: Send;
-
-    /// What `need` asks for; never asked for [`Need::Nothing`]. `policy` is the one that asks, so that a source can
-    /// learn what the next frame will need ([`Policy::foresee`]) while it fetches this one's evidence.
-    ///
-    /// # Errors
-    /// When the frame is to be given up.
-    fn evidence(
-        &mut self,
-        need: Need,
-        policy: &dyn Policy,
-    ) -> impl Future<Output = Result<Evidence<'_>, Self::Error>> + Send;
-}
 
 /// Where the evidence about one frame comes from, when it is at hand.
 pub trait EvidenceAtHand {
@@ -44,7 +23,7 @@ pub trait EvidenceAtHand {
 /// # Errors
 /// The source's, when the frame is given up. `outcome` is left as it was, and the policy goes on with the next frame
 /// as after a lost one.
-pub async fn decide<S: EvidenceSource>(
+pub fn decide_at_once<S: EvidenceAtHand>(
     policy: &mut dyn Policy,
     head: FrameHead,
     source: &mut S,
@@ -52,47 +31,10 @@ pub async fn decide<S: EvidenceSource>(
 ) -> Result<(), S::Error> {
     let mut need = policy.begin(head);
     while need != Need::Nothing {
-        let evidence = source.evidence(need, &*policy).await?;
-        need = policy.answer(evidence);
+        need = policy.answer(source.evidence(need)?);
     }
     policy.finish(outcome);
     Ok(())
-}
-
-/// [`decide`] for evidence that is at hand.
-///
-/// # Errors
-/// As [`decide`].
-pub fn decide_at_once<S: EvidenceAtHand>(
-    policy: &mut dyn Policy,
-    head: FrameHead,
-    source: &mut S,
-    outcome: &mut Outcome,
-) -> Result<(), S::Error> {
-    let mut source = AtHand(source);
-    let mut deciding = pin!(decide(policy, head, &mut source, outcome));
-    let mut context = Context::from_waker(Waker::noop());
-    loop {
-        // The first poll is the last: nothing that it awaits is ever pending.
-        if let Poll::Ready(decided) = deciding.as_mut().poll(&mut context) {
-            return decided;
-        }
-    }
-}
-
-/// Evidence at hand is evidence that is waited for, for no time at all.
-struct AtHand<'a, S>(&'a mut S);
-
-impl<S: EvidenceAtHand> EvidenceSource for AtHand<'_, S> {
-    type Error = S::Error;
-
-    fn evidence(
-        &mut self,
-        need: Need,
-        _: &dyn Policy,
-    ) -> impl Future<Output = Result<Evidence<'_>, S::Error>> + Send {
-        ready(self.0.evidence(need))
-    }
 }
 
 /// Everything that can be known of a frame, known beforehand: for benches, tests and films without pictures. What is
@@ -183,54 +125,5 @@ mod tests {
         let Ok(()) = decide_at_once(&mut policy, head(2), &mut known, &mut outcome);
         assert_eq!(outcome.state, FrameState::EI);
         assert_eq!(outcome.boxes.len(), 1);
-    }
-
-    /// Evidence that comes at the second poll.
-    struct Late<'a>(FrameEvidence<'a>);
-
-    impl EvidenceSource for Late<'_> {
-        type Error = Infallible;
-
-        async fn evidence(
-            &mut self,
-            need: Need,
-            _: &dyn Policy,
-        ) -> Result<Evidence<'_>, Infallible> {
-            let mut asked = false;
-            std::future::poll_fn(|context| {
-                context.waker().wake_by_ref();
-                match std::mem::replace(&mut asked, true) {
-                    true => Poll::Ready(()),
-                    false => Poll::Pending,
-                }
-            })
-            .await;
-            EvidenceAtHand::evidence(&mut self.0, need)
-        }
-    }
-
-    #[test]
-    fn evidence_that_is_waited_for_gives_the_outcome_of_evidence_at_hand() {
-        let found = [seen(0.5, 0.9)];
-        let known = FrameEvidence::in_view(&found);
-        let mut policies = [3e-4; 2].map(|u| Albireo::new(AlbireoSettings::paper(), u).unwrap());
-        let mut outcomes = [Outcome::default(), Outcome::default()];
-        let mut skipped = 0;
-        for index in 0..60 {
-            let [here, there] = &mut policies;
-            let [at_hand, waited_for] = &mut outcomes;
-            let Ok(()) = decide_at_once(here, head(index), &mut known.clone(), at_hand);
-            let mut late = Late(known);
-            let polls = {
-                let mut deciding = pin!(decide(there, head(index), &mut late, waited_for));
-                let mut context = Context::from_waker(Waker::noop());
-                (1..10).find(|_| deciding.as_mut().poll(&mut context).is_ready())
-            };
-            let needs = polls.unwrap() - 1;
-            assert_eq!(at_hand, waited_for);
-            assert_eq!(needs == 0, at_hand.state.is_skipped(), "frame {index}");
-            skipped += usize::from(needs == 0);
-        }
-        assert!(skipped > 10, "{skipped}");
     }
 }

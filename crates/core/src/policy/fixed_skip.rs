@@ -168,15 +168,6 @@ impl Policy for FixedSkip {
         Need::Nothing
     }
 
-    fn foresee(&self, next: FrameHead) -> Need {
-        // Should the detector fail on this frame, the next one is due all the more.
-        if self.period(self.index) == self.period(next.index) {
-            Need::Nothing
-        } else {
-            Need::Detections
-        }
-    }
-
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             FixedSkipPhase::Decided(state) => (state, false),

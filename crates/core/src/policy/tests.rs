@@ -59,16 +59,6 @@ fn detections(found: &[(f64, f64, bool)]) -> Vec<Detection> {
 
 /// Plays one frame; returns its outcome unless it was given up, and how often the detector answered.
 fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>, usize) {
-    let (outcome, answered, _) = play_foreseeing(policy, index, event);
-    (outcome, answered)
-}
-
-/// The same, with what the policy foresaw of the next frame while it awaited detections.
-fn play_foreseeing(
-    policy: &mut dyn Policy,
-    index: u64,
-    event: &Event,
-) -> (Option<Outcome>, usize, Option<Need>) {
     let picture = match event.small_picture {
         true => PictureSize::new(64, 36),
         false => PICTURE,
@@ -82,18 +72,10 @@ fn play_foreseeing(
         step: event.step,
         picture,
     };
-    let mut foreseen = None;
     let mut need = policy.begin(head);
     while need != Need::Nothing {
-        if need == Need::Detections {
-            foreseen = Some(policy.foresee(FrameHead {
-                index: index + 1,
-                step: 1,
-                picture,
-            }));
-        }
         if event.given_up == Some(answers) {
-            return (None, answered, foreseen);
+            return (None, answered);
         }
         let evidence = match need {
             Need::Nothing => None,
@@ -113,7 +95,7 @@ fn play_foreseeing(
     }
     let mut outcome = Outcome::default();
     policy.finish(&mut outcome);
-    (Some(outcome), answered, foreseen)
+    (Some(outcome), answered)
 }
 
 fn check(name: &str, outcome: &Outcome, answered: usize) {
@@ -185,34 +167,6 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
-    #[test]
-    fn a_frame_foreseen_to_need_its_picture_needs_it(script in events(), u in prop_oneof![
-        Just(1e-6), 1e-4..1e-3,
-    ]) {
-        for config in all_policies(u) {
-            let mut policy = config.build().unwrap();
-            let mut index = 0;
-            for event in &script {
-                index += u64::from(event.step);
-                let (_, _, foreseen) = play_foreseeing(&mut *policy, index, event);
-                if foreseen.is_none_or(|need| need == Need::Nothing) {
-                    continue;
-                }
-                index += 1;
-                let picture = match event.small_picture {
-                    true => PictureSize::new(64, 36),
-                    false => PICTURE,
-                };
-                let next = FrameHead { index, step: 1, picture };
-                prop_assert_ne!(policy.begin(next), Need::Nothing, "{} u={}", config.name, u);
-            }
-        }
-    }
-}
-
-proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
@@ -241,43 +195,6 @@ proptest! {
                 prop_assert_eq!(without, with, "{} at {}", name, value);
             }
         }
-    }
-}
-
-#[test]
-fn a_policy_that_can_foresee_does_where_it_is_certain_and_only_there() {
-    let found = [(0.3, 0.9, false), (0.7, 0.8, false)];
-    let event = Event {
-        step: 1,
-        given_up: None,
-        small_picture: false,
-        screen: Some(false),
-        grey: Some(200),
-        detections: Some(found.to_vec()),
-        reset: false,
-    };
-    for (asked, foreseen) in [
-        ("vanilla", Need::Detections),
-        ("erd-only", Need::Screen),
-        ("statues", Need::GreyPicture),
-        ("albireo:1e-6", Need::Detections),
-        ("albireo:1e-2", Need::Nothing),
-        ("fixed-skip:1", Need::Detections),
-        ("fixed-skip:2", Need::Nothing),
-        ("expected-loss", Need::Nothing),
-        ("expected-loss+flow", Need::Nothing),
-    ] {
-        let mut config = PolicyConfig::default();
-        config.select(asked).unwrap();
-        let mut policy = config.build().unwrap();
-        let seen: Vec<_> = (0..20)
-            .filter_map(|index| play_foreseeing(&mut *policy, index, &event).2)
-            .collect();
-        assert!(!seen.is_empty(), "{asked}");
-        assert!(
-            seen.iter().all(|&need| need == foreseen),
-            "{asked}: {seen:?}"
-        );
     }
 }
 

@@ -53,10 +53,6 @@ impl Policy for Vanilla {
         Need::Nothing
     }
 
-    fn foresee(&self, _: FrameHead) -> Need {
-        Need::Detections
-    }
-
     fn finish(&mut self, outcome: &mut Outcome) {
         let state = match self.answered {
             true => FrameState::I,

@@ -1,6 +1,5 @@
 //! Gets a policy the evidence it asks for: decodes the picture when the first need of pixels comes, asks
-//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here. While
-//! the detector is at work, the next frame's picture can be made ready if it is sure to be needed.
+//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here.
 
 #[cfg(test)]
 mod tests;
@@ -8,32 +7,29 @@ mod tests;
 use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
-use albireo_vision::pixel_work::{PixelWork, Prefetch, PreparedFrame, Source, Stage};
+use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Source, Stage};
 use albireo_vision::screen::CameraScreen;
-use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 /// Where the time of one frame went.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Times {
-    /// Decoding the picture, also when that was done while the detector looked at the frame before.
+pub(crate) struct Times {
+    /// Decoding the picture.
     pub decode: Option<Duration>,
     /// The empty-scene screen.
     pub screen: Option<Duration>,
-    /// Waiting until the picture may be decoded: all cameras share as many places as keep the detector busy.
-    pub place: Duration,
-    /// Resizing the picture to the detector's input; done ahead like decoding.
-    pub letterbox: Option<Duration>,
-    /// When the detector was asked and when it answered, waiting included.
-    pub detector_span: Option<(Instant, Instant)>,
+    /// The detector, with resizing the picture and waiting for a place to decode it in and for other cameras.
+    pub detector: Option<Duration>,
     /// The run that answered, and this frame's part in it.
-    pub(crate) detector_run: Option<DetectorRun>,
+    pub detector_run: Option<DetectorRun>,
     /// Whether a grey picture was looked at.
     pub examined: bool,
-    /// All of it together: what is left of the frame's time is the policy's own.
-    pub evidence: Duration,
+    /// The detector was asked although the screen said "empty", too often in a row.
+    pub overruled: bool,
+    /// The policy.
+    pub policy: Duration,
 }
 
 /// The detector's run for a frame: what the frame's camera used of it. A run that failed or took too long is
@@ -46,14 +42,6 @@ pub(crate) struct DetectorRun {
     pub used: Duration,
 }
 
-impl Times {
-    /// The detector's time, letterbox and waiting included.
-    pub(crate) fn detector(&self) -> Option<Duration> {
-        self.detector_span
-            .map(|(start, end)| self.place + self.letterbox.unwrap_or_default() + (end - start))
-    }
-}
-
 /// One camera's evidence: what its pictures, the screen and the detector say.
 pub struct LiveEvidence {
     detector: DetectorHandle,
@@ -62,16 +50,14 @@ pub struct LiveEvidence {
     pixels: PixelWork,
     /// What was prepared from the current frame's picture.
     frame: PreparedFrame,
-    /// What was begun for that frame before its turn, until it is needed.
-    begun: Option<Prefetch>,
-    /// What is being made of the next one.
-    prefetch: Option<Prefetch>,
     /// The screen's verdict on the current frame.
     empty: Option<bool>,
     /// What the detector found in it.
     detected: Option<Detected>,
     /// Times of the current frame.
     times: Times,
+    /// How long it waited until its picture might be decoded: all cameras share as many places as keep the detector busy.
+    place: Duration,
     /// Once cancelled neither detector nor screen is waited for.
     give_up: CancellationToken,
 }
@@ -90,11 +76,10 @@ impl LiveEvidence {
             screen,
             slot,
             frame: PreparedFrame::default(),
-            begun: None,
-            prefetch: None,
             empty: None,
             detected: None,
             times: Times::default(),
+            place: Duration::ZERO,
             give_up: CancellationToken::new(),
         }
     }
@@ -109,57 +94,31 @@ impl LiveEvidence {
     /// Forgets the last frame's times, and its picture if that has not been done.
     pub fn next_frame(&mut self) {
         self.end_frame();
-        self.begun = self.prefetch.take();
         self.screen.next_frame();
         self.empty = None;
         self.detected = None;
         self.times = Times::default();
+        self.place = Duration::ZERO;
     }
 
-    /// Gives back what was prepared from the current frame's picture, and what was made ready for it and not
-    /// needed: others wait for its place.
+    /// Gives back what was prepared from the current frame's picture: others wait for its place.
     pub(crate) fn end_frame(&mut self) {
         self.frame = PreparedFrame::default();
-        self.begun = None;
     }
 
     /// Where the time of the current frame went so far.
-    pub const fn times(&self) -> Times {
-        self.times
+    pub(crate) fn times(&self) -> Times {
+        Times {
+            overruled: self.screen.is_overruled(),
+            ..self.times
+        }
     }
 
-    /// What `need` asks for of the current frame, whose picture is `encoded`. While the detector runs, `next` is
-    /// waited for: the next frame's picture and what it will need, to be made ready meanwhile.
+    /// Fetches what `need` asks for of the current frame, whose picture is `encoded`, for [`fetched`](Self::fetched).
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
-    pub async fn evidence<Next>(
-        &mut self,
-        need: Need,
-        encoded: &EncodedPicture,
-        next: impl FnOnce() -> Next + Send,
-    ) -> Result<Evidence<'_>, FrameFault>
-    where
-        Next: Future<Output = (EncodedPicture, Need)> + Send,
-    {
-        self.fetch(need, encoded, next).await?;
-        Ok(self.fetched(need))
-    }
-
-    /// Fetches what [`evidence`](Self::evidence) gives, for [`fetched`](Self::fetched).
-    ///
-    /// # Errors
-    /// As there.
-    pub(crate) async fn fetch<Next>(
-        &mut self,
-        need: Need,
-        encoded: &EncodedPicture,
-        next: impl FnOnce() -> Next + Send,
-    ) -> Result<(), FrameFault>
-    where
-        Next: Future<Output = (EncodedPicture, Need)> + Send,
-    {
-        let start = Instant::now();
+    pub async fn fetch(&mut self, need: Need, encoded: &EncodedPicture) -> Result<(), FrameFault> {
         match need {
             Need::Nothing => {}
             Need::Screen => self.empty = self.screen(encoded).await?,
@@ -168,14 +127,13 @@ impl LiveEvidence {
                 self.look(encoded, Stage::SmallGrey(width)).await?;
                 self.times.examined = true;
             }
-            Need::Detections => self.detected = self.detect(encoded, next()).await?,
+            Need::Detections => self.detected = self.detect(encoded).await?,
         }
-        self.times.evidence += start.elapsed();
         Ok(())
     }
 
     /// What was fetched from the current frame for `need`.
-    pub(crate) fn fetched(&self, need: Need) -> Evidence<'_> {
+    pub fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
             Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
@@ -216,16 +174,11 @@ impl LiveEvidence {
         Ok(empty)
     }
 
-    /// What the detector finds; `None` when it is not available for this frame. `next` is the next frame's
-    /// picture and what it will need: when it comes before the detector's answer, it is made ready meanwhile.
+    /// What the detector finds; `None` when it is not available for this frame.
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
-    async fn detect(
-        &mut self,
-        encoded: &EncodedPicture,
-        next: impl Future<Output = (EncodedPicture, Need)>,
-    ) -> Result<Option<Detected>, FrameFault> {
+    async fn detect(&mut self, encoded: &EncodedPicture) -> Result<Option<Detected>, FrameFault> {
         // A picture without a use is not decoded.
         if self.detector.accepts().is_err() {
             return Ok(None);
@@ -234,35 +187,16 @@ impl LiveEvidence {
         let Some(prepared) = self.frame.prepared.take() else {
             return Ok(None);
         };
-        self.times.letterbox = Some(prepared.took());
+        let preparing = self.place + prepared.took();
         let start = Instant::now();
-        let answer = {
-            let give_up = &self.give_up;
-            let answer = self.detector.detect_prepared(self.slot, prepared);
-            let answer = async {
-                tokio::select! {
-                    biased;
-                    // The detector counts and logs its failures itself.
-                    answer = answer => answer.ok(),
-                    () = give_up.cancelled() => None,
-                }
-            };
-            tokio::pin!(answer);
-            // A frame that waits already is begun with before the detector is asked: that is only a word to
-            // another thread.
-            tokio::select! {
-                biased;
-                (picture, need) = next => {
-                    let source = source(&self.detector, &self.screen, &picture);
-                    self.prefetch =
-                        Stage::at(need).and_then(|stage| self.pixels.begin(source, stage));
-                    answer.await
-                }
-                answer = &mut answer => answer,
-            }
+        let answer = tokio::select! {
+            biased;
+            // The detector counts and logs its failures itself.
+            answer = self.detector.detect_prepared(self.slot, prepared) => answer.ok(),
+            () = self.give_up.cancelled() => None,
         };
         let end = Instant::now();
-        self.times.detector_span = Some((start, end));
+        self.times.detector = Some(preparing + (end - start));
         if let Some(detected) = &answer {
             self.times.detector_run = Some(DetectorRun {
                 end,
@@ -281,11 +215,6 @@ impl LiveEvidence {
     /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
     /// share the pixels.
     async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
-        if let Some(begun) = self.begun.take()
-            && begun.is_of(encoded)
-        {
-            self.frame = begun.frame().await?;
-        }
         if !self.frame.has(stage) {
             if stage.needs_place() && self.frame.place.is_none() {
                 let start = Instant::now();
@@ -294,22 +223,17 @@ impl LiveEvidence {
                     place = self.pixels.place() => place,
                     () = self.give_up.cancelled() => return Ok(()),
                 };
-                self.times.place += start.elapsed();
+                self.place += start.elapsed();
             }
+            let input = self.detector.preparation().format();
+            let source = Source {
+                target: self.screen.decoding_target(input, encoded.size),
+                encoded: encoded.clone(),
+            };
             let frame = std::mem::take(&mut self.frame);
-            let source = source(&self.detector, &self.screen, encoded);
             self.frame = self.pixels.look(frame, source, stage).await?;
         }
         self.times.decode = self.frame.decode;
         Ok(())
-    }
-}
-
-/// How a picture is decoded for that detector and screen.
-fn source(detector: &DetectorHandle, screen: &CameraScreen, encoded: &EncodedPicture) -> Source {
-    let input = detector.preparation().format();
-    Source {
-        target: screen.decoding_target(input, encoded.size),
-        encoded: encoded.clone(),
     }
 }

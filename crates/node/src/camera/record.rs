@@ -1,6 +1,6 @@
 //! The record of a frame with its final answer.
 
-use super::evidence::{DetectorRun, Times};
+use super::evidence::Times;
 use albireo_wire::DetectionsMessage;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,12 +15,8 @@ pub struct FrameRecord {
     pub answered: Instant,
     /// From reception to the first answer, which may have been pending.
     pub first_answer: Duration,
-    /// The detector's time, letterbox and waiting included.
-    pub(crate) detector: Option<Duration>,
-    /// The detector run that found the boxes.
-    pub(crate) detector_run: Option<DetectorRun>,
-    /// Whether a small grey picture was examined.
-    pub(crate) examined: bool,
+    /// What the final answer took.
+    pub(crate) times: Times,
 }
 
 impl FrameRecord {
@@ -30,20 +26,7 @@ impl FrameRecord {
             detections,
             answered: Instant::now(),
             first_answer,
-            detector: None,
-            detector_run: None,
-            examined: false,
-        }
-    }
-
-    /// The same frame, of which `times` says what examined it.
-    #[must_use]
-    pub(crate) fn examined(self, times: &Times) -> Self {
-        Self {
-            detector: times.detector(),
-            detector_run: times.detector_run,
-            examined: times.examined,
-            ..self
+            times: Times::default(),
         }
     }
 }

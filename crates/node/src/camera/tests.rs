@@ -3,15 +3,17 @@
 use super::*;
 use crate::camera::audit::{AuditConfig, Auditor};
 use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
+use crate::camera::evidence::LiveEvidence;
+use crate::camera::publishing::Outlet;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits, RingSender, frame_ring};
+use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits};
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
-use albireo_vision::picture::{FrameLimits, PictureFormat};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig};
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
@@ -24,7 +26,7 @@ use zenoh::pubsub::Publisher;
 /// A camera whose frames are put into its ring by hand.
 struct Bench {
     board: Arc<Board>,
-    frames: RingSender<SequencedFrame>,
+    frames: Arc<Ring<SequencedFrame>>,
     picture: EncodedPicture,
     camera: Camera,
     clips: UnboundedReceiver<ClosedClip>,
@@ -58,7 +60,7 @@ impl Bench {
         .await
         .unwrap();
         let slot = CameraSlot(0);
-        let (frames, ring) = frame_ring(RingLimits::new(Delivery::Newest, 64, 0));
+        let frames = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, 64, 0)));
         let power = PowerHandle::none();
         let mut tracker = ClipTracker::new(clip, power.camera("front"));
         if audit.share > 0.0 {
@@ -70,7 +72,6 @@ impl Bench {
             audit.share,
             Arc::clone(&camera),
         ));
-        let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), Arc::clone(&audit), closed);
         let size = PictureSize::new(640, 360);
         let scene = BoxScene::new(5, size);
         let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
@@ -83,23 +84,27 @@ impl Bench {
         };
         let camera = Camera {
             board: camera,
-            ring,
+            ring: Arc::clone(&frames),
             drops,
-            decider: Decider::WhenKnown {
-                policy: config.policy.build().unwrap(),
-                evidence: Box::new(LiveEvidence::new(
+            decider: Decider::when_known(
+                config.policy.build().unwrap(),
+                LiveEvidence::new(
                     detector.clone(),
                     CameraScreen::new(&ScreenConfig::default(), None),
                     slot,
                     pixels,
-                )),
-            },
-            detections: Arc::new(Detections::every(silent_publisher().await, Counter::default()).0),
+                ),
+            ),
+            detections: Arc::new(Detections::Live(Outlet::new(
+                silent_publisher().await,
+                Counter::default(),
+            ))),
             late: None,
             settled: None,
             min_confidence: MinConfidence::new(None, 0.5),
             class_names: detector.class_names().into(),
-            accounts,
+            clip: tracker,
+            closed,
             audit,
             reset_at_clip: false,
         };
@@ -128,19 +133,26 @@ impl Bench {
             received,
             payload_bytes: 0,
         };
-        let pushed = self.frames.push(SequencedFrame {
+        let frame = SequencedFrame {
             frame,
             index,
             epoch,
             query: None,
-        });
+        };
+        let pushed = self.frames.push(frame, 0);
         assert!(matches!(pushed, Pushed::Queued));
     }
 
     /// Plays what was put into the ring; the board and the clips that ended.
     async fn play(mut self) -> (Arc<Board>, Vec<ClosedClip>) {
-        self.frames.close();
-        self.camera.run(CancellationToken::new()).await;
+        let stop = CancellationToken::new();
+        let camera = tokio::spawn(self.camera.run(stop.clone()));
+        while self.frames.waiting() > 0 {
+            tokio::task::yield_now().await;
+        }
+        // The frame in hand is finished.
+        stop.cancel();
+        camera.await.unwrap();
         let mut clips = Vec::new();
         while let Some(clip) = self.clips.recv().await {
             clips.push(clip);
@@ -239,7 +251,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut skipped = 0;
     for index in 0..60 {
         let picture = bench.scene.frame(index).jpeg(85).unwrap();
-        bench.frames.push(SequencedFrame {
+        let frame = SequencedFrame {
             frame: Frame {
                 sequence: index,
                 number: FrameNumber::default(),
@@ -255,7 +267,8 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
             index,
             epoch: 0,
             query: None,
-        });
+        };
+        bench.frames.push(frame, 0);
         let mut message = loop {
             if let Event::Frame(event) = &*events.recv().await.unwrap() {
                 break DetectionsMessage::clone(&event.detections);

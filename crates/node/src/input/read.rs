@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 use tokio::time::Instant;
-use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::bytes::ZBytes;
 use zenoh::query::Query;
 use zenoh::sample::Sample;
 
@@ -23,9 +23,9 @@ pub struct RawSample<'a> {
     /// The payload.
     pub payload: Bytes,
     /// The sample's Zenoh encoding as text, for example `image/jpeg`; empty when it has none.
-    pub encoding: &'a str,
+    pub encoding: Cow<'a, str>,
     /// The sample's attachment.
-    pub attachment: Option<&'a [u8]>,
+    pub attachment: Option<Cow<'a, [u8]>>,
     /// The sample's timestamp, nanoseconds since the Unix epoch.
     pub timestamp_ns: Option<u64>,
     /// How many samples came on this key before: the sequence number of a camera that sends none.
@@ -65,66 +65,31 @@ pub struct RejectedFrame {
     pub fault: FrameFault,
 }
 
-/// A frame as Zenoh holds it.
-pub(crate) struct ZenohFrame<'a> {
-    pub payload: Option<&'a ZBytes>,
-    encoding: Option<&'a Encoding>,
-    attachment: Option<&'a ZBytes>,
-    timestamp_ns: Option<u64>,
-}
-
-impl<'a> From<&'a Sample> for ZenohFrame<'a> {
+impl<'a> From<&'a Sample> for RawSample<'a> {
     fn from(sample: &'a Sample) -> Self {
         Self {
-            payload: Some(sample.payload()),
-            encoding: Some(sample.encoding()),
-            attachment: sample.attachment(),
+            payload: shared_bytes(sample.payload()),
+            encoding: sample.encoding().into(),
+            attachment: sample.attachment().map(ZBytes::to_bytes),
             timestamp_ns: sample
                 .timestamp()
                 .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
+            arrival: 0,
+            received: Instant::now(),
         }
     }
 }
 
-impl<'a> From<&'a Query> for ZenohFrame<'a> {
+impl<'a> From<&'a Query> for RawSample<'a> {
     fn from(query: &'a Query) -> Self {
         Self {
-            payload: query.payload(),
-            encoding: query.encoding(),
-            attachment: query.attachment(),
+            payload: query.payload().map_or_else(Bytes::new, shared_bytes),
+            encoding: query.encoding().map(Cow::from).unwrap_or_default(),
+            attachment: query.attachment().map(ZBytes::to_bytes),
             timestamp_ns: None,
-        }
-    }
-}
-
-impl ZenohFrame<'_> {
-    /// Size of the payload.
-    pub(crate) fn bytes(&self) -> usize {
-        self.payload.map_or(0, ZBytes::len)
-    }
-
-    /// Reads it as [`read_frame`] does, with the payload's length checked before it is copied out of Zenoh's buffers.
-    pub(crate) fn read(
-        &self,
-        arrival: u64,
-        format: PayloadFormat,
-        limits: &FrameLimits,
-    ) -> Result<Frame, RejectedFrame> {
-        let payload = match self.payload {
-            Some(payload) if payload.len() <= limits.max_payload_bytes => shared_bytes(payload),
-            _ => Bytes::new(),
-        };
-        let encoding = self.encoding.map(Cow::from).unwrap_or_default();
-        let attachment = self.attachment.map(ZBytes::to_bytes);
-        let raw = RawSample {
-            payload,
-            encoding: &encoding,
-            attachment: attachment.as_deref(),
-            timestamp_ns: self.timestamp_ns,
-            arrival,
+            arrival: 0,
             received: Instant::now(),
-        };
-        read_checked(raw, self.bytes(), format, limits)
+        }
     }
 }
 
@@ -155,19 +120,11 @@ pub fn read_frame(
     limits: &FrameLimits,
 ) -> Result<Frame, RejectedFrame> {
     let payload_bytes = raw.payload.len();
-    read_checked(raw, payload_bytes, format, limits)
-}
-
-fn read_checked(
-    raw: RawSample<'_>,
-    payload_bytes: usize,
-    format: PayloadFormat,
-    limits: &FrameLimits,
-) -> Result<Frame, RejectedFrame> {
-    let attachment = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
-        number: FrameNumber::default(),
-        fault,
-    })?;
+    let attachment =
+        read_attachment(raw.attachment.as_deref(), format).map_err(|fault| RejectedFrame {
+            number: FrameNumber::default(),
+            fault,
+        })?;
     let number = attachment.number;
     let (picture, stamp) = check_payload(payload_bytes, limits)
         .and_then(|()| read_picture(&raw, &attachment, format, limits))
@@ -228,7 +185,7 @@ fn read_by_encoding(
     size: Option<PictureSize>,
     limits: &FrameLimits,
 ) -> Result<EncodedPicture, FrameFault> {
-    let (kind, schema) = raw.encoding.split_once(';').unwrap_or((raw.encoding, ""));
+    let (kind, schema) = raw.encoding.split_once(';').unwrap_or((&raw.encoding, ""));
     let kind = kind.trim().to_ascii_lowercase();
     let bytes = raw.payload.clone();
     match kind.as_str() {
@@ -242,7 +199,7 @@ fn read_by_encoding(
         },
         "image/raw" => {
             let Some(format) = PictureFormat::raw_from_name(schema.trim()) else {
-                return Err(unknown_encoding(raw.encoding));
+                return Err(unknown_encoding(&raw.encoding));
             };
             let size = size.ok_or_else(|| {
                 FrameFault::unknown_format(
@@ -257,7 +214,7 @@ fn read_by_encoding(
                 size,
             })
         }
-        _ => Err(unknown_encoding(raw.encoding)),
+        _ => Err(unknown_encoding(&raw.encoding)),
     }
 }
 

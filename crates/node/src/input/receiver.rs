@@ -5,10 +5,9 @@ mod source;
 
 pub(crate) use source::SourceFeed;
 
-use super::read::ZenohFrame;
-use super::ring::{Pushed, RingItem, RingSender};
+use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
-use super::{Frame, FrameNumber, PayloadFormat, RejectedFrame};
+use super::{Frame, FrameNumber, PayloadFormat, Pushed, RejectedFrame, Ring};
 use crate::rate_limit::RateLimit;
 use crate::state::board::{CameraBoard, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
@@ -23,7 +22,7 @@ use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
 use zenoh::Wait;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 use zenoh::sample::Sample;
 
@@ -50,22 +49,17 @@ pub(crate) struct SequencedFrame {
 }
 
 impl SequencedFrame {
+    /// Tells the sender, if it waits, that the frame's turn has come.
+    pub(crate) fn taken(&mut self) {
+        if let Some(query) = self.query.take() {
+            query.answer(None);
+        }
+    }
+
     /// Tells the sender, if it waits, why the frame will not be processed.
     pub(crate) fn refuse(&mut self, reason: &str) {
         if let Some(query) = self.query.take() {
             query.answer(Some(reason.to_owned()));
-        }
-    }
-}
-
-impl RingItem for SequencedFrame {
-    fn bytes(&self) -> usize {
-        self.frame.payload_bytes
-    }
-
-    fn taken(&mut self) {
-        if let Some(query) = self.query.take() {
-            query.answer(None);
         }
     }
 }
@@ -133,26 +127,26 @@ impl DropCounts {
         }
     }
 
-    /// Counts `number` frames dropped as `kind`, and logs `reason` from time to time.
+    /// Counts `number` frames as dropped, and logs `reason` from time to time.
     pub(crate) fn count(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
         let mut more = DroppedFrames::default();
-        *kind.counter(&mut more) = number;
+        *kind(&mut more) = number;
         self.board.record_dropped(&more);
         let mut state = self.state.lock();
-        *kind.counter(&mut state.since_taken) += number;
-        let expected = kind == DropKind::Overrun;
+        state.since_taken += &more;
+        let counted = more.by_kind().into_iter().find(|(_, number)| *number > 0);
+        let kind = counted.map_or("", |(name, _)| name);
+        let expected = more.overrun > 0;
         let period = if expected {
             OVERRUN_LOG_PERIOD
         } else {
             LOG_PERIOD
         };
-        let limit = state.limits.entry(kind.as_str());
-        let admitted = limit
-            .or_insert(RateLimit::new(period))
-            .admit(Instant::now());
+        let limit = state.limits.entry(kind).or_insert(RateLimit::new(period));
+        let admitted = limit.admit(Instant::now());
         drop(state);
         let Some(held_back) = admitted else { return };
-        let (camera, kind) = (self.board.name(), kind.as_str());
+        let camera = self.board.name();
         if expected {
             tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
         } else {
@@ -166,67 +160,15 @@ impl DropCounts {
     }
 }
 
-/// Why a frame was not processed; each kind is a field of [`DroppedFrames`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum DropKind {
-    /// Missing in the sequence.
-    Lost,
-    /// Pushed out of the ring.
-    Overrun,
-    /// After a later one.
-    Late,
-    /// Of another stream than the present one.
-    Stray,
-    /// There twice.
-    Duplicate,
-    /// Broken picture.
-    Undecodable,
-    /// Above a limit.
-    Oversized,
-    /// Of a kind not known.
-    UnknownFormat,
-    /// The camera's loop did not run.
-    Stopped,
-}
+/// Why a frame was not processed: the counter of its kind.
+pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
 
-impl DropKind {
-    /// The name of the counter.
-    pub(crate) const fn as_str(self) -> &'static str {
-        match self {
-            Self::Lost => "lost",
-            Self::Overrun => "overrun",
-            Self::Late => "late",
-            Self::Stray => "stray",
-            Self::Duplicate => "duplicate",
-            Self::Undecodable => "undecodable",
-            Self::Oversized => "oversized",
-            Self::UnknownFormat => "unknown_format",
-            Self::Stopped => "stopped",
-        }
-    }
-
-    fn counter(self, dropped: &mut DroppedFrames) -> &mut u64 {
-        match self {
-            Self::Lost => &mut dropped.lost,
-            Self::Overrun => &mut dropped.overrun,
-            Self::Late => &mut dropped.late,
-            Self::Stray => &mut dropped.stray,
-            Self::Duplicate => &mut dropped.duplicate,
-            Self::Undecodable => &mut dropped.undecodable,
-            Self::Oversized => &mut dropped.oversized,
-            Self::UnknownFormat => &mut dropped.unknown_format,
-            Self::Stopped => &mut dropped.stopped,
-        }
-    }
-}
-
-impl From<&FrameFault> for DropKind {
-    fn from(fault: &FrameFault) -> Self {
-        match fault {
-            FrameFault::Undecodable { .. } => Self::Undecodable,
-            FrameFault::Oversized { .. } => Self::Oversized,
-            FrameFault::UnknownFormat { .. } => Self::UnknownFormat,
-        }
+/// The counter of frames with that fault.
+pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
+    match fault {
+        FrameFault::Undecodable { .. } => |dropped| &mut dropped.undecodable,
+        FrameFault::Oversized { .. } => |dropped| &mut dropped.oversized,
+        FrameFault::UnknownFormat { .. } => |dropped| &mut dropped.unknown_format,
     }
 }
 
@@ -235,7 +177,7 @@ impl From<&FrameFault> for DropKind {
 pub(crate) struct FrameReceiver {
     board: Arc<CameraBoard>,
     drops: Arc<DropCounts>,
-    ring: RingSender<SequencedFrame>,
+    ring: Arc<Ring<SequencedFrame>>,
     format: PayloadFormat,
     limits: FrameLimits,
     stream: Mutex<StreamState>,
@@ -254,7 +196,7 @@ impl FrameReceiver {
     pub(crate) fn new(
         board: Arc<CameraBoard>,
         drops: Arc<DropCounts>,
-        ring: RingSender<SequencedFrame>,
+        ring: Arc<Ring<SequencedFrame>>,
         format: PayloadFormat,
         limits: FrameLimits,
     ) -> Self {
@@ -278,7 +220,11 @@ impl FrameReceiver {
             self.board.count_shared_frame();
         }
         self.place(None, |arrival| {
-            ZenohFrame::from(sample).read(arrival, self.format, &self.limits)
+            let raw = RawSample {
+                arrival,
+                ..RawSample::from(sample)
+            };
+            read_frame(raw, self.format, &self.limits)
         });
     }
 
@@ -289,7 +235,11 @@ impl FrameReceiver {
             answers: Arc::clone(&self.answers),
         };
         self.place(Some(waiting), |arrival| {
-            ZenohFrame::from(&query).read(arrival, self.format, &self.limits)
+            let raw = RawSample {
+                arrival,
+                ..RawSample::from(&query)
+            };
+            read_frame(raw, self.format, &self.limits)
         });
     }
 
@@ -329,13 +279,14 @@ impl FrameReceiver {
         // more than one thread.
         let mut stream = self.stream.lock();
         if let Some(FrameQuery { query, .. }) = &query
-            && !self.ring.has_room(ZenohFrame::from(query).bytes())
+            && !(self.ring).has_room(query.payload().map_or(0, ZBytes::len))
         {
             return;
         }
         let refused = self.admit(&mut stream, read).and_then(|mut frame| {
             frame.query = query.take();
-            self.count_pushed(self.ring.push(frame))
+            let bytes = frame.frame.payload_bytes;
+            self.count_pushed(self.ring.push(frame, bytes))
         });
         // The next frame need not wait for this one's answer to get into the ring.
         drop(stream);
@@ -373,14 +324,14 @@ impl FrameReceiver {
             stream.epoch += u64::from(restarted);
             if lost > 0 {
                 let reason = "numbers are missing in the camera's sequence";
-                self.drops.count(DropKind::Lost, lost, &reason);
+                self.drops.count(|dropped| &mut dropped.lost, lost, &reason);
             }
         }
         let frame = read.map_err(|rejected| {
-            self.refuse(DropKind::from(&rejected.fault), rejected.fault.to_string())
+            self.refuse(kind_of(&rejected.fault), rejected.fault.to_string())
         })?;
         let sequence = frame.sequence;
-        let (kind, reason) = match arrival {
+        let (kind, reason): (DropKind, _) = match arrival {
             Some(Arrival::New { index, .. }) => {
                 self.board.set_latest_frame(LatestFrame {
                     seq: sequence,
@@ -393,10 +344,10 @@ impl FrameReceiver {
                     query: None,
                 });
             }
-            Some(Arrival::Duplicate) => (DropKind::Duplicate, "came before"),
-            Some(Arrival::Late) | None => (DropKind::Late, "came after a later one"),
+            Some(Arrival::Duplicate) => (|dropped| &mut dropped.duplicate, "came before"),
+            Some(Arrival::Late) | None => (|dropped| &mut dropped.late, "came after a later one"),
             Some(Arrival::Stray) => (
-                DropKind::Stray,
+                |dropped| &mut dropped.stray,
                 "belongs to another stream than the camera's present one",
             ),
         };
@@ -411,21 +362,21 @@ impl FrameReceiver {
 
     /// Counts what was pushed out by a frame, or the frame itself if it was not queued.
     fn count_pushed(&self, pushed: Pushed<SequencedFrame>) -> Result<(), String> {
-        let (mut frame, kind, reason) = match pushed {
+        let (mut frame, kind, reason): (_, DropKind, _) = match pushed {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced(_) => {
                 let reason = "a newer frame came before its turn (camera.delivery)";
-                self.drops.count(DropKind::Overrun, 1, &reason);
+                self.drops.count(|dropped| &mut dropped.overrun, 1, &reason);
                 return Ok(());
             }
             Pushed::Full(frame) => (
                 frame,
-                DropKind::Overrun,
+                |dropped| &mut dropped.overrun,
                 "too many frames wait that were put: send them as queries to be held back (camera.delivery)",
             ),
             Pushed::Closed(frame) => (
                 frame,
-                DropKind::Stopped,
+                |dropped| &mut dropped.stopped,
                 "the camera's loop does not run: it has failed, or the node stops",
             ),
         };

@@ -6,14 +6,14 @@ use crate::api::threshold::ThresholdKey;
 use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::{ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
-use crate::camera::publishing::{self, Detections, PublishingThread};
-use crate::camera::{AnswerTime, AtOnce, Camera, Decider, SettledStream};
+use crate::camera::publishing::{self, Detections, Outlet};
+use crate::camera::{AnswerTime, Camera, Decider, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
-use crate::delivery::report::{ClipAccounts, Reporter};
+use crate::delivery::report::Reporter;
 use crate::error::NodeError;
 use crate::input::receiver::{DropCounts, FrameReceiver, SequencedFrame, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
-use crate::input::{Delivery, RingLimits, RingReceiver, RingSender, frame_ring};
+use crate::input::{Delivery, Ring, RingLimits};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::MinConfidence;
@@ -25,7 +25,7 @@ use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
 use albireo_wire::{CameraKeys, stream_of_token, stream_tokens};
 use std::sync::Arc;
-use tokio::sync::{Mutex, mpsc};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
@@ -34,12 +34,6 @@ use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
-
-/// Answers of a live camera that may wait to be published; beyond it the oldest go.
-const WAITING_ANSWERS: usize = 8;
-
-/// Settled frames of a live camera that may wait to be published: those held back go out together.
-const WAITING_SETTLED: usize = 512;
 
 /// The Zenoh subscribers and queryables that receive frames.
 #[derive(Default)]
@@ -77,7 +71,6 @@ pub(super) struct Cameras<'a> {
     pub(super) shared: Arc<Shared>,
     pub(super) session: &'a Session,
     pub(super) board: &'a Arc<Board>,
-    pub(super) publishing: &'a PublishingThread,
     pub(super) tasks: &'a mut Supervisor,
     pub(super) subscriptions: Subscriptions,
     pub(super) shutdown: CancellationToken,
@@ -97,28 +90,20 @@ impl Cameras<'_> {
         let name = &config.name;
         let shared = Arc::clone(&self.shared);
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
-        let (sender, ring) = frame_ring(RingLimits::new(
+        let ring = Arc::new(Ring::new(RingLimits::new(
             config.delivery,
             config.ring,
             shared.config.frame.max_payload_bytes,
-        ));
+        )));
         let (closed, clips) = mpsc::unbounded_channel();
 
-        let detections = self
-            .publisher(config, keys.detections(), WAITING_ANSWERS, board)
-            .await?;
+        let detections = self.publisher(config, keys.detections(), board).await?;
         let late = match shared.config.answer_time(config) {
             AnswerTime::WhenKnown => None,
-            AnswerTime::AtOnce => Some(
-                self.publisher(config, keys.late(), WAITING_ANSWERS, board)
-                    .await?,
-            ),
+            AnswerTime::AtOnce => Some(self.publisher(config, keys.late(), board).await?),
         };
         let settled = match shared.config.settle.enabled {
-            true => Some(
-                self.publisher(config, keys.settled(), WAITING_SETTLED, board)
-                    .await?,
-            ),
+            true => Some(self.publisher(config, keys.settled(), board).await?),
             false => None,
         };
         let reports = self
@@ -144,8 +129,7 @@ impl Cameras<'_> {
             slot,
             board: Arc::clone(board),
             drops: Arc::clone(&drops),
-            first_ring: Mutex::new(Some(ring)),
-            sender: sender.clone(),
+            ring: Arc::clone(&ring),
             audit,
             detections,
             late,
@@ -160,7 +144,7 @@ impl Cameras<'_> {
             move || {
                 let (factory, stop) = (Arc::clone(&factory), stop.clone());
                 async move {
-                    let camera = factory.build().await?;
+                    let camera = factory.build()?;
                     camera.run(stop).await;
                     Ok::<(), NodeError>(())
                 }
@@ -170,9 +154,7 @@ impl Cameras<'_> {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: shared.detector.clone(),
-            listeners: self
-                .publishing
-                .lane(reports, CACHED_REPORTS, board.unpublished()),
+            listeners: reports,
         };
         self.tasks.essential(
             format!("reporter {name}"),
@@ -192,7 +174,7 @@ impl Cameras<'_> {
         let receiver = FrameReceiver::new(
             Arc::clone(board),
             drops,
-            sender,
+            ring,
             config.format,
             shared.config.frame,
         );
@@ -235,13 +217,11 @@ impl Cameras<'_> {
         Ok(())
     }
 
-    /// A publisher of a camera's answers, of which at most `waiting` wait. A live camera's oldest answers go first; a replay
-    /// loses none.
+    /// A publisher of a camera's answers: a replay loses none.
     async fn publisher(
         &mut self,
         config: &CameraConfig,
         key: String,
-        waiting: usize,
         board: &CameraBoard,
     ) -> Result<Arc<Detections>, NodeError> {
         let (congestion, priority) = match config.delivery {
@@ -255,14 +235,11 @@ impl Cameras<'_> {
             .priority(priority)
             .await
             .map_err(refused(format!("`{key}` cannot be published")))?;
+        let outlet = Outlet::new(publisher, board.unpublished());
         Ok(Arc::new(match config.delivery {
-            Delivery::Newest => Detections::Live(self.publishing.lane(
-                publisher,
-                waiting,
-                board.unpublished(),
-            )),
+            Delivery::Newest => Detections::Live(outlet),
             Delivery::Every => {
-                let (detections, thread) = Detections::every(publisher, board.unpublished());
+                let (detections, thread) = Detections::every(outlet);
                 let span = tracing::info_span!("detections", key);
                 self.tasks
                     .essential(format!("publisher {key}"), span, async move {
@@ -328,9 +305,7 @@ struct CameraFactory {
     slot: CameraSlot,
     board: Arc<CameraBoard>,
     drops: Arc<DropCounts>,
-    /// The ring as it was made: no frame between that and the loop's start is lost.
-    first_ring: Mutex<Option<RingReceiver<SequencedFrame>>>,
-    sender: RingSender<SequencedFrame>,
+    ring: Arc<Ring<SequencedFrame>>,
     audit: Arc<CameraAudit>,
     detections: Arc<Detections>,
     /// Only where frames are answered at once.
@@ -342,7 +317,7 @@ struct CameraFactory {
 impl CameraFactory {
     /// A loop that knows nothing of earlier frames and begins a new clip. It takes over the threshold in force with its
     /// first frame.
-    async fn build(&self) -> Result<Camera, NodeError> {
+    fn build(&self) -> Result<Camera, NodeError> {
         let Shared {
             config, detector, ..
         } = &*self.shared;
@@ -354,15 +329,10 @@ impl CameraFactory {
             self.shared.pixels.clone(),
         )
         .giving_up_on(self.shared.give_up.clone());
-        let decider = if self.late.is_some() {
-            let at_once = AtOnce::new(policy, evidence)
-                .map_err(|error| NodeError::State(error.to_string()))?;
-            Decider::AtOnce(Box::new(at_once))
-        } else {
-            Decider::WhenKnown {
-                policy,
-                evidence: Box::new(evidence),
-            }
+        let decider = match self.late {
+            Some(_) => Decider::at_once(policy, evidence)
+                .map_err(|error| NodeError::State(error.to_string()))?,
+            None => Decider::when_known(policy, evidence),
         };
         let class_names: Arc<[String]> = detector.class_names().into();
         let min_confidence =
@@ -375,15 +345,15 @@ impl CameraFactory {
                 Arc::clone(&class_names),
             )
         });
-        let ring = self.first_ring.lock().await.take();
+        self.ring.open();
         let energy = self.shared.power.camera(&self.config.name);
-        let mut tracker = ClipTracker::new(config.clip, energy);
+        let mut clip = ClipTracker::new(config.clip, energy);
         if let Some(share) = self.audit.share() {
-            tracker = tracker.audited_with(share);
+            clip = clip.audited_with(share);
         }
         Ok(Camera {
             board: Arc::clone(&self.board),
-            ring: ring.unwrap_or_else(|| self.sender.reopen()),
+            ring: Arc::clone(&self.ring),
             drops: Arc::clone(&self.drops),
             decider,
             detections: Arc::clone(&self.detections),
@@ -391,12 +361,8 @@ impl CameraFactory {
             settled,
             min_confidence,
             class_names,
-            accounts: ClipAccounts::new(
-                tracker,
-                Arc::clone(&self.drops),
-                Arc::clone(&self.audit),
-                self.closed.clone(),
-            ),
+            clip,
+            closed: self.closed.clone(),
             audit: Arc::clone(&self.audit),
             reset_at_clip: self.config.reset_at_clip,
         })

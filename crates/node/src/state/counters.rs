@@ -1,6 +1,6 @@
 //! Once a second: every camera's counters on Zenoh, and new power figures on the board.
 
-use crate::camera::publishing::{self, PublishLane, PublishingThread};
+use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;
 use crate::state::board::{Board, PowerSnapshot};
 use albireo_power::PowerHandle;
@@ -21,7 +21,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 pub(crate) struct Counters {
     board: Arc<Board>,
     power: PowerHandle,
-    lanes: BTreeMap<String, PublishLane>,
+    outlets: BTreeMap<String, Outlet>,
 }
 
 impl Counters {
@@ -31,12 +31,11 @@ impl Counters {
     /// When Zenoh refuses a declaration.
     pub(crate) async fn declare(
         session: &Session,
-        publishing: &PublishingThread,
         keys: &NodeKeys,
         board: Arc<Board>,
         power: PowerHandle,
     ) -> Result<Self, NodeError> {
-        let mut lanes = BTreeMap::new();
+        let mut outlets = BTreeMap::new();
         for camera in board.cameras() {
             let publisher = session
                 .declare_publisher(keys.camera(camera.name())?.counters())
@@ -47,15 +46,13 @@ impl Counters {
                     let error = albireo_service::session::plain(&error);
                     NodeError::Zenoh(format!("counters cannot be published: {error}"))
                 })?;
-            lanes.insert(
-                camera.name().to_owned(),
-                publishing.lane(publisher, 4, camera.unpublished()),
-            );
+            let outlet = Outlet::new(publisher, camera.unpublished());
+            outlets.insert(camera.name().to_owned(), outlet);
         }
         Ok(Self {
             board,
             power,
-            lanes,
+            outlets,
         })
     }
 
@@ -77,11 +74,11 @@ impl Counters {
     }
 
     fn publish(&self, message: &CountersMessage) {
-        let Some(lane) = self.lanes.get(&message.camera) else {
+        let Some(outlet) = self.outlets.get(&message.camera) else {
             return;
         };
         match serde_json::to_vec(message) {
-            Ok(json) => lane.publish(json),
+            Ok(json) => outlet.put(json),
             Err(error) => {
                 tracing::error!(camera = message.camera, %error, "counters not written");
             }

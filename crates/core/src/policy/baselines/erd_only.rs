@@ -91,10 +91,6 @@ impl Policy for ErdOnly {
         }
     }
 
-    fn foresee(&self, _: FrameHead) -> Need {
-        Need::Screen
-    }
-
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             ErdOnlyPhase::Decided(state) => (state, false),

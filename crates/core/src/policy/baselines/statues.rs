@@ -185,10 +185,6 @@ impl Policy for Statues {
         }
     }
 
-    fn foresee(&self, _: FrameHead) -> Need {
-        Need::GreyPicture
-    }
-
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             StatuesPhase::Decided(state) => (state, false),

@@ -67,9 +67,8 @@ pub(crate) struct CameraAudit {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<DrawnFrame>,
-    /// The frame that is being compared: its number, and how many boxes were shown on it.
-    in_hand: Option<(u64, usize)>,
-    taken: u64,
+    /// How many boxes were shown on the frame that is being compared.
+    in_hand: Option<usize>,
     /// Mostly nothing, and asked for at every frame.
     since_reported: Option<Box<AuditCount>>,
 }
@@ -107,46 +106,39 @@ impl CameraAudit {
         self.came.notify_one();
     }
 
-    /// The next frame to look at, and its number for [`done`](Self::done).
-    pub(crate) async fn next(&self) -> (u64, DrawnFrame) {
+    /// The next frame to look at.
+    pub(crate) async fn next(&self) -> DrawnFrame {
         loop {
-            if let Some(next) = self.try_next() {
-                return next;
+            let next = {
+                let mut state = self.state.lock();
+                let next = state.waiting.pop_front();
+                state.in_hand = next.as_ref().map(|frame| frame.shown.len());
+                next
+            };
+            if let Some(frame) = next {
+                return frame;
             }
             self.came.notified().await;
         }
     }
 
-    fn try_next(&self) -> Option<(u64, DrawnFrame)> {
-        let mut state = self.state.lock();
-        let frame = state.waiting.pop_front()?;
-        state.taken += 1;
-        state.in_hand = Some((state.taken, frame.shown.len()));
-        Some((state.taken, frame))
-    }
-
     /// Counts the result of the current frame; `None` when the detector did not run on it in time. A frame that was given up
     /// meanwhile is counted already.
-    pub(crate) fn done(&self, frame: u64, found: Option<AuditCount>) {
+    pub(crate) fn done(&self, found: Option<AuditCount>) {
         let mut state = self.state.lock();
-        if let Some((_, shown)) = state.in_hand.take_if(|(number, _)| *number == frame) {
-            self.count(
-                &mut state,
-                &found.unwrap_or_else(|| AuditCount::missed(shown)),
-            );
+        if let Some(shown) = state.in_hand.take() {
+            let found = found.unwrap_or_else(|| AuditCount::missed(shown));
+            self.count(&mut state, &found);
         }
     }
 
     /// Gives up the current frame and those that wait: the camera's last clip ends, and all that was drawn must be in it.
     pub(crate) fn give_up(&self) {
         let mut state = self.state.lock();
-        let in_hand = state.in_hand.take().map(|(_, shown)| shown);
-        let waiting: Vec<_> = state
-            .waiting
-            .drain(..)
+        let waiting: Vec<_> = (state.waiting.drain(..))
             .map(|frame| frame.shown.len())
             .collect();
-        for shown in in_hand.into_iter().chain(waiting) {
+        for shown in state.in_hand.take().into_iter().chain(waiting) {
             self.count(&mut state, &AuditCount::missed(shown));
         }
     }

@@ -30,7 +30,7 @@ impl Auditor {
     /// Looks at frames until `shutdown`.
     pub(crate) async fn run(self, shutdown: CancellationToken) {
         loop {
-            let (number, frame) = tokio::select! {
+            let frame = tokio::select! {
                 biased;
                 () = shutdown.cancelled() => return,
                 next = self.audit.next() => next,
@@ -41,7 +41,7 @@ impl Auditor {
                 () = shutdown.cancelled() => return,
                 found = self.look(&frame) => found,
             };
-            self.audit.done(number, found);
+            self.audit.done(found);
         }
     }
 

@@ -1,77 +1,44 @@
 //! Latencies of a clip and their exact percentiles.
 
+use albireo_service::clock::milliseconds;
 use albireo_wire::Percentiles;
 use std::time::Duration;
 
-/// Latencies kept for the percentiles of one clip. Beyond it (36 minutes at 30 frames a second) they are
-/// those of an even random sample of this many; count and mean are exact always.
-pub(crate) const MOST_KEPT: usize = 65_536;
-
-/// The latencies of one clip.
+/// The latencies of one clip, milliseconds. A clip is reported in parts, which bounds their number.
 #[derive(Debug, Default)]
-pub(crate) struct Latencies {
-    kept_ms: Vec<f32>,
-    count: u64,
-    sum_ms: f64,
-}
+pub(crate) struct Latencies(Vec<f32>);
 
 impl Latencies {
     /// Adds one.
     pub(crate) fn add(&mut self, latency: Duration) {
-        let ms = latency.as_secs_f64() * 1e3;
-        self.count += 1;
-        self.sum_ms += ms;
-        if self.kept_ms.len() < MOST_KEPT {
-            self.kept_ms.push(ms as f32);
-            return;
-        }
-        // Vitter's algorithm R: the n-th value takes a random place among n, and stays if that is kept.
-        let place = scramble(self.count) % self.count;
-        if let Some(slot) = usize::try_from(place)
-            .ok()
-            .and_then(|i| self.kept_ms.get_mut(i))
-        {
-            *slot = ms as f32;
-        }
+        self.0.push(milliseconds(latency) as f32);
     }
 
-    /// How many were added.
+    /// How many there are.
     #[cfg(test)]
-    pub(crate) fn count(&self) -> u64 {
-        self.count
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
     }
 
     /// Count, mean and percentiles by the nearest-rank method; zeros without latencies.
     pub(crate) fn into_percentiles(self) -> Percentiles {
-        let mut sorted = self.kept_ms;
+        let Self(mut sorted) = self;
         sorted.sort_unstable_by(f32::total_cmp);
         // Nearest rank: the smallest value with at least `percent` of all values at or below it.
         let at = |percent: usize| {
             let rank = (sorted.len() * percent).div_ceil(100);
-            rank.checked_sub(1)
-                .and_then(|i| sorted.get(i))
-                .map_or(0.0, |ms| f64::from(*ms))
+            let value = rank.checked_sub(1).and_then(|i| sorted.get(i));
+            value.map_or(0.0, |ms| f64::from(*ms))
         };
+        let sum: f64 = sorted.iter().map(|ms| f64::from(*ms)).sum();
         Percentiles {
-            count: self.count,
-            mean: if self.count == 0 {
-                0.0
-            } else {
-                self.sum_ms / self.count as f64
-            },
+            count: sorted.len() as u64,
+            mean: sum / sorted.len().max(1) as f64,
             p50: at(50),
             p95: at(95),
             p99: at(99),
         }
     }
-}
-
-/// A well-mixed function of `n` (splitmix64, Steele et al. 2014): the same clip gives the same sample.
-fn scramble(n: u64) -> u64 {
-    let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]
@@ -96,21 +63,5 @@ mod tests {
             Latencies::default().into_percentiles(),
             Percentiles::default()
         );
-    }
-
-    #[test]
-    fn memory_is_bounded_and_the_sample_stays_even() {
-        let mut latencies = Latencies::default();
-        let n = 4 * MOST_KEPT as u64;
-        for i in 0..n {
-            latencies.add(Duration::from_micros(i));
-        }
-        assert_eq!(latencies.kept_ms.len(), MOST_KEPT);
-        let found = latencies.into_percentiles();
-        assert_eq!(found.count, n);
-        let whole_ms = n as f64 * 1e-3;
-        assert!((found.mean - whole_ms / 2.0).abs() < 1.0);
-        assert!((found.p50 / whole_ms - 0.50).abs() < 0.01, "{found:?}");
-        assert!((found.p99 / whole_ms - 0.99).abs() < 0.01, "{found:?}");
     }
 }

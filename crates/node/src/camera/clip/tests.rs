@@ -1,6 +1,7 @@
 //! Promises of the clip's tracker.
 
 use super::*;
+use crate::camera::evidence::Times;
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
@@ -60,7 +61,10 @@ impl Camera {
         let threshold = u.map(|u| Threshold::new(Albireo::KNOB.name, u));
         FrameRecord {
             answered: self.at(at) + ms(12),
-            detector: (!state.is_skipped()).then_some(ms(10)),
+            times: Times {
+                detector: (!state.is_skipped()).then_some(ms(10)),
+                ..Times::default()
+            },
             ..FrameRecord::new(answer(seq, state, degraded, threshold), ms(12))
         }
     }
@@ -360,7 +364,7 @@ proptest! {
         closed.extend(camera.tracker.shutdown(camera.at(now)));
         prop_assert_eq!(closed.iter().map(|c| c.clip.states.frames()).sum::<u64>(), frames);
         prop_assert_eq!(closed.iter().map(|c| c.clip.dropped.total()).sum::<u64>(), dropped);
-        prop_assert_eq!(closed.iter().map(|c| c.clip.total.count()).sum::<u64>(), frames);
+        prop_assert_eq!(closed.iter().map(|c| c.clip.total.len() as u64).sum::<u64>(), frames);
         for clip in &closed {
             prop_assert!(clip.clip.start <= clip.end);
             prop_assert!(clip.end <= camera.at(now));

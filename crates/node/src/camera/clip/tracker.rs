@@ -177,7 +177,7 @@ impl ClipTracker {
     }
 
     fn count_energy(&self, frame: &FrameRecord) {
-        if let Some(run) = frame.detector_run {
+        if let Some(run) = frame.times.detector_run {
             self.energy.detector_called(run.end, run.used);
         }
         if frame.detections.state.is_skipped() && !frame.detections.degraded {
@@ -336,10 +336,13 @@ impl Clip {
         self.states.count(frame.detections.state);
         self.degraded += u64::from(frame.detections.degraded);
         self.total.add(frame.first_answer);
-        if let Some(detector) = frame.detector {
+        if let Some(detector) = frame.times.detector {
             self.detector.add(detector);
         }
-        self.detector_used += frame.detector_run.map_or(Duration::ZERO, |run| run.used);
+        self.detector_used += frame
+            .times
+            .detector_run
+            .map_or(Duration::ZERO, |run| run.used);
     }
 
     fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::input::{Delivery, RingLimits, RingReceiver, frame_ring};
+use crate::input::{Delivery, RingLimits};
 use crate::state::board::{Board, BoardSetup};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::DetectorStatus;
@@ -12,7 +12,7 @@ use std::thread;
 use tokio::sync::watch;
 
 /// A receiver whose ring holds `capacity` frames, and the ring's other end.
-fn receiver(capacity: usize) -> (Arc<FrameReceiver>, RingReceiver<SequencedFrame>) {
+fn receiver(capacity: usize) -> (Arc<FrameReceiver>, Arc<Ring<SequencedFrame>>) {
     let config = NodeConfig {
         cameras: vec![CameraConfig::named("front")],
         ..NodeConfig::default()
@@ -22,8 +22,9 @@ fn receiver(capacity: usize) -> (Arc<FrameReceiver>, RingReceiver<SequencedFrame
     let camera = Arc::clone(board.camera("front").unwrap());
     let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
     let limits = FrameLimits::default();
-    let (sender, ring) = frame_ring(RingLimits::new(Delivery::Newest, capacity, 0));
-    let receiver = FrameReceiver::new(camera, drops, sender, PayloadFormat::Encoding, limits);
+    let ring = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, capacity, 0)));
+    let format = PayloadFormat::Encoding;
+    let receiver = FrameReceiver::new(camera, drops, Arc::clone(&ring), format, limits);
     (Arc::new(receiver), ring)
 }
 
@@ -66,9 +67,9 @@ impl FrameReceiver {
 }
 
 /// Index and stream of what waits in the ring.
-fn waiting(ring: &mut RingReceiver<SequencedFrame>) -> Vec<(u64, u64)> {
+fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
     let mut found = Vec::new();
-    while let Some(Some(frame)) = ring.next().now_or_never() {
+    while let Some(frame) = ring.next().now_or_never() {
         found.push((frame.index, frame.epoch));
     }
     found
@@ -76,43 +77,43 @@ fn waiting(ring: &mut RingReceiver<SequencedFrame>) -> Vec<(u64, u64)> {
 
 #[tokio::test]
 async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
-    let (receiver, mut ring) = receiver(8);
+    let (receiver, ring) = receiver(8);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
     receiver.give(rejected(Some(0)));
     receiver.give(frame(number(1, None)));
-    assert_eq!(waiting(&mut ring), [(0, 0), (2, 1)]);
+    assert_eq!(waiting(&ring), [(0, 0), (2, 1)]);
 
-    let (receiver, mut ring) = self::receiver(1);
+    let (receiver, ring) = self::receiver(1);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
     for seq in [0, 1, 2] {
         receiver.give(frame(number(seq, 2)));
     }
-    assert_eq!(waiting(&mut ring), [(3, 1)]);
+    assert_eq!(waiting(&ring), [(3, 1)]);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.overrun, dropped.total()), (3, 3));
 }
 
 #[tokio::test]
 async fn a_stray_frame_is_counted_as_that_and_nothing_is_counted_lost() {
-    let (receiver, mut ring) = receiver(8);
+    let (receiver, ring) = receiver(8);
     for seq in [1000, 1001, 900, 1002] {
         receiver.give(frame(number(seq, None)));
     }
     receiver.give(frame(number(1003, 77)));
-    assert_eq!(waiting(&mut ring), [(0, 0), (1, 0), (2, 0)]);
+    assert_eq!(waiting(&ring), [(0, 0), (1, 0), (2, 0)]);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.stray, dropped.lost, dropped.total()), (2, 0, 2));
 }
 
 #[tokio::test]
 async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
-    let (receiver, mut ring) = receiver(8);
+    let (receiver, ring) = receiver(8);
     receiver.give(frame(number(5, None)));
     receiver.give(rejected(None));
     receiver.give(frame(number(7, None)));
-    assert_eq!(waiting(&mut ring).len(), 2);
+    assert_eq!(waiting(&ring).len(), 2);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
 }
@@ -120,7 +121,7 @@ async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
 #[tokio::test]
 async fn two_receiving_threads_cannot_swap_frames() {
     const FRAMES: u64 = 40_000;
-    let (receiver, mut ring) = receiver(FRAMES as usize);
+    let (receiver, ring) = receiver(FRAMES as usize);
     let numbers = Arc::new(std::sync::atomic::AtomicU64::new(0));
     let threads: Vec<_> = (0..4)
         .map(|_| {
@@ -139,7 +140,7 @@ async fn two_receiving_threads_cannot_swap_frames() {
     for thread in threads {
         thread.join().unwrap();
     }
-    let waiting = waiting(&mut ring);
+    let waiting = waiting(&ring);
     assert!(waiting.len() > 100, "{}", waiting.len());
     assert!(waiting.is_sorted_by(|a, b| a.0 < b.0));
 }

@@ -310,11 +310,14 @@ impl CameraBoard {
         if let Some(detector) = detections.latency_ms.detector {
             self.detector_latency.observe(detector / 1e3);
         }
-        let used = frame.detector_run.map_or(0, |run| run.used.as_micros());
+        let used = frame
+            .times
+            .detector_run
+            .map_or(0, |run| run.used.as_micros());
         let mut counts = self.counts.lock();
         counts.shown.states.count(detections.state);
         counts.shown.degraded_frames += u64::from(detections.degraded);
-        counts.shown.looks += u64::from(frame.examined);
+        counts.shown.looks += u64::from(frame.times.examined);
         counts.detector_us =
             (counts.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
         counts.count_boxes(&detections.boxes);

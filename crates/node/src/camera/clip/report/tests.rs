@@ -3,7 +3,7 @@
 use super::*;
 use crate::camera::clip::tests::{Camera, ms};
 use crate::camera::clip::{ClipConfig, ClipTracker, FrameArrival};
-use crate::camera::evidence::DetectorRun;
+use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::FrameState;
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
@@ -145,7 +145,10 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
             if i == 0 || second.is_multiple_of(3) {
                 let end = Instant::now() + ms(50);
                 tracker.count(&FrameRecord {
-                    detector_run: Some(DetectorRun { end, used: ms(50) }),
+                    times: Times {
+                        detector_run: Some(DetectorRun { end, used: ms(50) }),
+                        ..Times::default()
+                    },
                     ..FrameRecord::new(answer(0, FrameState::I, false, None), ms(50))
                 });
             }

@@ -2,20 +2,17 @@
 //! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
 
 use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival};
-use crate::camera::evidence::DetectorRun;
+use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::board::{Board, BoardSetup, PowerSnapshot};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
-use albireo_core::policy::{
-    Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, PolicyConfig, decide,
-};
+use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
 use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{ClipReport, EnergyQuality};
 use parking_lot::Mutex;
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -99,25 +96,6 @@ fn scene(camera: usize, seconds: f64) -> Vec<Detection> {
     passing.collect()
 }
 
-/// The frame's detections, for whom they are asked for.
-struct Frame {
-    detector: Arc<Detector>,
-    found: Vec<Detection>,
-    ended: Option<Instant>,
-}
-
-impl EvidenceSource for Frame {
-    type Error = Infallible;
-
-    async fn evidence(&mut self, need: Need, _: &dyn Policy) -> Result<Evidence<'_>, Infallible> {
-        if need != Need::Detections {
-            return Ok(Evidence::Unavailable);
-        }
-        self.ended = Some(self.detector.run().await);
-        Ok(Evidence::Detections(&self.found))
-    }
-}
-
 /// A camera's loop over the clip: the newest frame, its answer, the next.
 async fn play(
     camera: usize,
@@ -149,18 +127,24 @@ async fn play(
             clip: Some("drive"),
             arrival,
         });
-        let mut frame = Frame {
-            detector: Arc::clone(&detector),
-            found: scene(camera, index as f64 / rate),
-            ended: None,
-        };
-        decide(&mut *policy, head, &mut frame, &mut outcome)
-            .await
-            .unwrap();
+        let mut times = Times::default();
+        let mut need = policy.begin(head);
+        while need != Need::Nothing {
+            need = match need {
+                Need::Detections => {
+                    let end = detector.run().await;
+                    times.detector = Some(arrival.elapsed());
+                    times.detector_run = Some(DetectorRun { end, used: CALL });
+                    let found = scene(camera, index as f64 / rate);
+                    policy.answer(Evidence::Detections(&found))
+                }
+                _ => policy.answer(Evidence::Unavailable),
+            };
+        }
+        policy.finish(&mut outcome);
         let message = answer(index, outcome.state, outcome.degraded, None);
         tracker.count(&FrameRecord {
-            detector: frame.ended.map(|_| arrival.elapsed()),
-            detector_run: frame.ended.map(|end| DetectorRun { end, used: CALL }),
+            times,
             ..FrameRecord::new(message, arrival.elapsed())
         });
     }

@@ -1,0 +1,269 @@
+//! A camera's policy, and the one frame that waits for evidence.
+
+use super::BegunFrame;
+use super::evidence::{LiveEvidence, Times};
+use crate::rate_limit::SharedLimit;
+use albireo_core::policy::{
+    CannotRewind, Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy,
+};
+use albireo_vision::picture::FrameFault;
+use std::future::Future;
+use std::pin::Pin;
+use std::time::Duration;
+use tokio::time::Instant;
+
+static BROKEN: SharedLimit = SharedLimit::new();
+
+/// Decides a camera's frames, one after the other.
+pub(crate) struct Decider {
+    policy: Answering,
+    /// The frame that waits for evidence.
+    pending: Option<PendingFrame>,
+    /// Where evidence comes from; not here while some is being fetched.
+    evidence: Option<LiveEvidence>,
+    fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
+}
+
+/// The policy, and what becomes of a frame that needs evidence.
+enum Answering {
+    /// It is answered when that has come.
+    WhenKnown(Box<dyn Policy>),
+    /// It is answered by prediction, and once more when that has come.
+    AtOnce(LatePolicy),
+}
+
+/// A frame that waits for evidence.
+pub(super) struct PendingFrame {
+    pub frame: BegunFrame,
+    /// From its reception to its prediction, if that has been published.
+    pub first_answer: Option<Duration>,
+    /// What its answer has taken.
+    pub times: Times,
+    /// Its picture is broken, and it gets no answer.
+    pub fault: Option<FrameFault>,
+    need: Need,
+}
+
+/// What was fetched of frame `index` of the camera.
+pub(super) struct Fetched {
+    index: u64,
+    need: Need,
+    evidence: LiveEvidence,
+    fetched: Result<(), FrameFault>,
+}
+
+impl Decider {
+    /// Frames wait for the evidence that `policy` asks for.
+    pub(crate) fn when_known(policy: Box<dyn Policy>, evidence: LiveEvidence) -> Self {
+        Self::new(Answering::WhenKnown(policy), evidence)
+    }
+
+    /// Frames are answered at once by `policy`.
+    ///
+    /// # Errors
+    /// [`CannotRewind`] for a policy that does not predict.
+    pub(crate) fn at_once(
+        policy: Box<dyn Policy>,
+        evidence: LiveEvidence,
+    ) -> Result<Self, CannotRewind> {
+        let policy = LatePolicy::new(policy)?;
+        Ok(Self::new(Answering::AtOnce(policy), evidence))
+    }
+
+    fn new(policy: Answering, evidence: LiveEvidence) -> Self {
+        Self {
+            policy,
+            pending: None,
+            evidence: Some(evidence),
+            fetching: None,
+        }
+    }
+
+    pub(super) fn policy(&self) -> &dyn Policy {
+        match &self.policy {
+            Answering::WhenKnown(policy) => &**policy,
+            Answering::AtOnce(policy) => policy.policy(),
+        }
+    }
+
+    pub(super) fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        match &mut self.policy {
+            Answering::WhenKnown(policy) => policy.set_knob(value),
+            Answering::AtOnce(policy) => policy.set_knob(value),
+        }
+    }
+
+    /// Forgets the objects. The pending frame must have been [given up](Self::give_up).
+    pub(super) fn reset(&mut self) {
+        match &mut self.policy {
+            Answering::WhenKnown(policy) => policy.reset(),
+            Answering::AtOnce(policy) => policy.reset(),
+        }
+    }
+
+    /// Whether a frame waits for evidence.
+    pub(super) fn is_pending(&self) -> bool {
+        self.pending.is_some()
+    }
+
+    /// Whether frames that need evidence are answered by prediction first.
+    pub(super) fn answers_at_once(&self) -> bool {
+        matches!(self.policy, Answering::AtOnce(_))
+    }
+
+    /// Begins a frame. Returns what it needs; with [`Need::Nothing`], `outcome` has its final answer, else the prediction
+    /// where frames are answered at once.
+    pub(super) fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
+        match &mut self.policy {
+            Answering::WhenKnown(policy) => {
+                finished(&mut **policy, |policy| policy.begin(head), outcome)
+            }
+            Answering::AtOnce(policy) => policy.frame(head, outcome),
+        }
+    }
+
+    /// Fetches what a frame needs, whose answer has taken `times` so far.
+    pub(super) fn fetch(
+        &mut self,
+        frame: BegunFrame,
+        need: Need,
+        first_answer: Option<Duration>,
+        times: Times,
+    ) {
+        self.pending = Some(PendingFrame {
+            frame,
+            first_answer,
+            times,
+            fault: None,
+            need,
+        });
+        if let Some(evidence) = &mut self.evidence {
+            evidence.next_frame();
+        }
+        self.fetch_next();
+    }
+
+    /// Begins to fetch what the pending frame needs, unless the frame before is still being examined.
+    fn fetch_next(&mut self) {
+        let Some(pending) = &self.pending else {
+            return;
+        };
+        let Some(mut evidence) = self.evidence.take() else {
+            return;
+        };
+        let (index, need) = (pending.frame.incoming.index, pending.need);
+        let picture = pending.frame.incoming.frame.picture.clone();
+        self.fetching = Some(Box::pin(async move {
+            let fetched = evidence.fetch(need, &picture).await;
+            Fetched {
+                index,
+                need,
+                evidence,
+                fetched,
+            }
+        }));
+    }
+
+    /// What was fetched last, when it comes; for ever when nothing is being fetched.
+    pub(super) async fn fetched(&mut self) -> Fetched {
+        let Some(fetching) = &mut self.fetching else {
+            return std::future::pending().await;
+        };
+        let fetched = fetching.await;
+        self.fetching = None;
+        fetched
+    }
+
+    /// Gives the pending frame what was fetched, and fetches what it needs next; the frame, if it waits no longer. Its final
+    /// answer is in `outcome` then.
+    pub(super) fn deliver(
+        &mut self,
+        fetched: Fetched,
+        outcome: &mut Outcome,
+    ) -> Option<PendingFrame> {
+        let Fetched {
+            index,
+            need,
+            mut evidence,
+            fetched,
+        } = fetched;
+        let mut decided = None;
+        if (self.pending.as_ref()).is_some_and(|pending| pending.frame.incoming.index == index) {
+            decided = match fetched {
+                Ok(()) => self.give(evidence.fetched(need), outcome),
+                Err(fault) => self.broken(fault, outcome),
+            };
+            if let Some(pending) = &mut decided {
+                let policy = pending.times.policy;
+                pending.times = Times {
+                    policy,
+                    ..evidence.times()
+                };
+                evidence.end_frame();
+            }
+        } else {
+            // Of a frame that was given up. Another one may wait for its turn.
+            evidence.next_frame();
+        }
+        self.evidence = Some(evidence);
+        self.fetch_next();
+        decided
+    }
+
+    /// Takes what the policy predicts for the final answer of the pending frame, if there is one.
+    pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<PendingFrame> {
+        while self.pending.is_some() {
+            if let Some(pending) = self.give(Evidence::Unavailable, outcome) {
+                return Some(pending);
+            }
+        }
+        None
+    }
+
+    /// The pending frame's picture is broken: it gets no answer, unless it has one that stays.
+    fn broken(&mut self, fault: FrameFault, outcome: &mut Outcome) -> Option<PendingFrame> {
+        if self.answers_at_once() {
+            BROKEN.log(|held_back| {
+                tracing::warn!(held_back, %fault, "a frame that was answered at once stays as predicted");
+            });
+            return self.give(Evidence::Unavailable, outcome);
+        }
+        let mut pending = self.pending.take()?;
+        pending.fault = Some(fault);
+        Some(pending)
+    }
+
+    /// Gives the policy evidence for the pending frame; the frame, if it needs nothing more.
+    fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<PendingFrame> {
+        let mut pending = self.pending.take()?;
+        let deciding = Instant::now();
+        pending.need = match &mut self.policy {
+            Answering::WhenKnown(policy) => {
+                finished(&mut **policy, |policy| policy.answer(evidence), outcome)
+            }
+            Answering::AtOnce(policy) => {
+                let delivered = policy.deliver(pending.frame.head.index, evidence, outcome);
+                delivered.unwrap_or(Need::Nothing)
+            }
+        };
+        pending.times.policy += deciding.elapsed();
+        if pending.need == Need::Nothing {
+            return Some(pending);
+        }
+        self.pending = Some(pending);
+        None
+    }
+}
+
+/// What `policy` needs after `step`; where that is nothing, the frame is finished.
+fn finished(
+    policy: &mut dyn Policy,
+    step: impl FnOnce(&mut dyn Policy) -> Need,
+    outcome: &mut Outcome,
+) -> Need {
+    let need = step(policy);
+    if need == Need::Nothing {
+        policy.finish(outcome);
+    }
+    need
+}
