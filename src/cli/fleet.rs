@@ -3,10 +3,9 @@
 mod client;
 mod diag;
 mod nodes;
-mod rollouts;
+mod runs;
 mod set;
 mod table;
-mod trials;
 mod units;
 
 use super::in_words;
@@ -92,10 +91,10 @@ enum Command {
     Drift,
     /// Change a value in stages, each gated on what is measured.
     #[command(subcommand)]
-    Rollout(rollouts::Command),
+    Rollout(runs::RolloutCommand),
     /// Compare values on random groups of nodes.
     #[command(subcommand)]
-    Trial(trials::Command),
+    Trial(runs::TrialCommand),
     /// Energy over time.
     Energy(nodes::EnergyArguments),
     /// The fleet, renewed every two seconds.
@@ -176,8 +175,8 @@ async fn follow(arguments: Arguments) -> anyhow::Result<Ended> {
         Command::SetTarget(arguments) => set::set_target(&context, arguments).await,
         Command::Changes(arguments) => set::changes(&context, arguments).await,
         Command::Drift => set::drift(&context).await,
-        Command::Rollout(command) => rollouts::run(&context, command).await,
-        Command::Trial(command) => trials::run(&context, command).await,
+        Command::Rollout(command) => runs::rollout(&context, command).await,
+        Command::Trial(command) => runs::trial(&context, command).await,
         Command::Energy(arguments) => nodes::energy(&context, arguments).await,
         Command::Watch(arguments) => nodes::watch(&context, arguments).await,
         Command::Diag(arguments) => diag::fetch(&context, arguments).await,

@@ -132,6 +132,7 @@ impl Configuration for HubConfig {
             "http.max_connections",
             "256 connections may be open at a time",
         ),
+        ("tuning.set_back_times", "a node is set back three times"),
     ];
 
     fn findings(&self) -> Vec<Finding> {

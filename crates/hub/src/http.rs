@@ -10,41 +10,32 @@ mod health;
 mod index;
 mod live;
 mod metrics;
-mod node_list;
 mod nodes;
-mod order;
 mod runs;
-mod target;
-mod threshold;
 
-pub use changes::{ChangeDetail, ChangeView, Changes};
+pub use changes::{ChangeView, Changes, LastLine, OrderLine};
 pub use energy::Energy;
-pub use node_list::NodeList;
-pub use nodes::NodeDetail;
-pub use order::{LastLine, OrderLine};
-pub use runs::{RolloutView, Rollouts, StageView, TrialView, Trials};
+pub use nodes::{NodeDetail, NodeList};
+pub use runs::{Rollouts, RunView, StageView, Trials};
 
 use crate::config::HubConfig;
 use crate::desired::Desires;
-use crate::events::Events;
 use crate::ingest::IngestCounters;
 use crate::presence::{Fleet, ListenCounters, Notifier};
 use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
-use crate::tuning::rollout::Command;
+use crate::tuning::run::Command;
 use albireo_service::http::{self, Page, Problem, Route};
 use albireo_wire::CountersMessage;
-use axum::extract::Query;
-use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Extension, Router};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
-use utoipa::openapi::OpenApi;
+use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -63,8 +54,8 @@ pub struct HubView {
     pub ingest: Arc<IngestCounters>,
     /// What is heard and could not be taken.
     pub listen: Arc<ListenCounters>,
-    /// Events as they happen.
-    pub events: Events,
+    /// Tells that there are new events.
+    pub events: watch::Sender<()>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
     store: Arc<OnceLock<Store>>,
@@ -90,7 +81,7 @@ impl HubView {
             desires: Arc::default(),
             ingest: Arc::default(),
             listen: Arc::default(),
-            events: Events::new(),
+            events: watch::Sender::default(),
             shutdown,
             store: Arc::default(),
             tuner: Arc::default(),
@@ -159,14 +150,6 @@ fn attached<'a, T>(part: &'a OnceLock<T>, missing: &str) -> Result<&'a T, Proble
     })
 }
 
-/// The parameters of a query, or what is wrong with them.
-fn query<T>(parameters: Result<Query<T>, QueryRejection>) -> Result<T, Problem> {
-    match parameters {
-        Ok(Query(parameters)) => Ok(parameters),
-        Err(rejection) => Err(Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())),
-    }
-}
-
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         let status = if error.passes() {
@@ -214,14 +197,14 @@ impl Modify for Security {
     }
 }
 
-fn described() -> OpenApiRouter<HubView> {
-    OpenApiRouter::with_openapi(Description::openapi())
+fn described() -> (Router<HubView>, OpenApi) {
+    let routes = OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
         .routes(routes!(index::index))
         .routes(routes!(metrics::text))
-        .routes(routes!(node_list::list))
+        .routes(routes!(nodes::list))
         .routes(routes!(nodes::one, nodes::forget))
         .routes(routes!(live::live))
         .routes(routes!(live::picture))
@@ -231,8 +214,8 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(energy::sums))
         .routes(routes!(events::stream))
         .routes(routes!(diag::archive))
-        .routes(routes!(threshold::put))
-        .routes(routes!(target::put))
+        .routes(routes!(changes::set_threshold))
+        .routes(routes!(changes::set_target))
         .routes(routes!(changes::changes))
         .routes(routes!(changes::change))
         .routes(routes!(changes::drift))
@@ -241,17 +224,37 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(runs::command_rollout))
         .routes(routes!(runs::trials, runs::begin_trial))
         .routes(routes!(runs::one_trial))
-        .routes(routes!(runs::end_trial))
+        .routes(routes!(runs::end_trial));
+    let (router, mut openapi) = routes.split_for_parts();
+    let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
+    let problem = ResponseBuilder::new()
+        .content("application/problem+json", problem.build())
+        .build();
+    for path in openapi.paths.paths.values_mut() {
+        let operations = [
+            &mut path.get,
+            &mut path.put,
+            &mut path.post,
+            &mut path.delete,
+        ];
+        for operation in operations.into_iter().flatten() {
+            for status in ["4XX", "5XX"] {
+                let answers = &mut operation.responses.responses;
+                answers.insert(status.to_owned(), problem.clone().into());
+            }
+        }
+    }
+    (router, openapi)
 }
 
 /// The OpenAPI document of a hub, as `/openapi.json` gives it.
 pub fn openapi() -> OpenApi {
-    described().split_for_parts().1
+    described().1
 }
 
 /// All routes, with their description.
 pub(crate) fn router(view: HubView) -> Router {
-    let (router, openapi) = described().split_for_parts();
+    let (router, openapi) = described();
     let routes: Arc<[Route]> = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);
     Page::Hub

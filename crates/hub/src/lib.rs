@@ -4,7 +4,6 @@
 pub mod config;
 pub mod desired;
 mod error;
-pub mod events;
 pub mod http;
 pub mod ingest;
 mod named;

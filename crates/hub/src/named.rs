@@ -60,8 +60,10 @@ pub(crate) use {as_text, named};
 #[cfg(test)]
 mod tests {
     use crate::presence::PresenceState;
+    use crate::tuning::gate::Verdict;
+    use crate::tuning::member::Outcome;
     use crate::tuning::metric::{Figure, Metric};
-    use crate::tuning::rollout::Command;
+    use crate::tuning::run::{Command, Phase, What};
     use serde::Serialize;
 
     fn same<T: Copy + Serialize>(all: &[T], name: fn(T) -> &'static str) {
@@ -76,5 +78,9 @@ mod tests {
         same(&Figure::ALL, Figure::name);
         same(&PresenceState::ALL, PresenceState::name);
         same(&Command::ALL, Command::name);
+        same(&Phase::ALL, Phase::name);
+        same(&What::ALL, What::name);
+        same(&Outcome::ALL, Outcome::name);
+        same(&Verdict::ALL, Verdict::name);
     }
 }

@@ -19,7 +19,6 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
-use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use tracing::Span;
 use zenoh::Session;
@@ -153,7 +152,6 @@ async fn parts(
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
         .map_err(HubError::system("the answering thread cannot be started"))?;
-    let changed = Arc::new(Notify::new());
     let (queue, written) = ingest::start(WriterSetup {
         config: config.ingest.clone(),
         history: config.history.clone(),
@@ -163,7 +161,7 @@ async fn parts(
         readiness: Arc::clone(readiness),
         fleet: Arc::clone(&view.fleet),
         desires: Arc::clone(&view.desires),
-        events: changed.clone(),
+        events: view.events.clone(),
     })
     .map_err(HubError::system("the threads of ingest cannot be started"))?;
     // A hub that has lost a task would look well and do half of its work: it ends, and is started again.
@@ -174,13 +172,6 @@ async fn parts(
         shutdown.clone(),
     );
     tasks.essential("writer", Span::none(), written);
-    tasks.essential(
-        "events",
-        Span::none(),
-        view.events
-            .clone()
-            .follow(store.clone(), changed, shutdown.clone()),
-    );
     let (listening, receiving) = listen(ListenSetup {
         session: &session,
         prefix: &config.hub.prefix,

@@ -21,7 +21,7 @@ pub use read::{
     AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution,
     StoredClip, StoredEvent, StoredSetAside,
 };
-pub(crate) use tuning::{ClipSums, ClipWindow, OrderNodeRow, OrderRow, RunRow};
+pub use tuning::{ChangeNode, ChangeRow};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;

@@ -1,6 +1,6 @@
 //! `ls`, `show`, `energy`, `watch`.
 
-use super::table::{Table, WIDTH, cut};
+use super::table::{WIDTH, cut, table};
 use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
@@ -114,7 +114,7 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow:
         arguments.limit,
     )
     .await?;
-    context.print(&json!({ "nodes": found }), |_| table(&found))?;
+    context.print(&json!({ "nodes": found }), |_| list_of(&found))?;
     Ok(Ended::Well)
 }
 
@@ -149,14 +149,11 @@ fn labels(status: &NodeStatus) -> String {
     labels.join(" ")
 }
 
-fn table(nodes: &[NodeView]) -> String {
-    let mut table = Table::new(&[
-        "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
-    ]);
-    for node in nodes {
+fn list_of(nodes: &[NodeView]) -> String {
+    let rows = nodes.iter().map(|node| {
         let status = status(node);
         let shown = |text: fn(&NodeStatus) -> String| status.as_ref().map(text);
-        table.row([
+        [
             node.node.clone(),
             node.state.to_string(),
             ago(node.since_ms),
@@ -166,9 +163,14 @@ fn table(nodes: &[NodeView]) -> String {
             node.revision.to_string(),
             cut(&shown(labels).unwrap_or_default(), 30),
             node.why.clone(),
-        ]);
-    }
-    table.to_string()
+        ]
+    });
+    table(
+        [
+            "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
+        ],
+        rows,
+    )
 }
 
 pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow::Result<Ended> {
@@ -271,25 +273,14 @@ fn sums(energy: &Energy) -> String {
     if energy.groups.is_empty() {
         return "no clips in that time\n".to_owned();
     }
-    let mut table = Table::new(&[
-        "group",
-        "energy",
-        ">clips",
-        ">joules",
-        ">J/clip",
-        ">skip rate",
-        ">avoided",
-        ">recall",
-        ">saved J (est.)",
-    ]);
-    for group in &energy.groups {
+    let rows = energy.groups.iter().map(|group| {
         let joules = |value: f64| match group.quality {
             EnergyQuality::Unavailable => "-".to_owned(),
             _ => figure(value),
         };
         let name = Some(group.group.as_str()).filter(|name| !name.is_empty());
         let recall = group.audit.as_ref().and_then(|audit| audit.recall);
-        table.row([
+        [
             name.unwrap_or("all").to_owned(),
             name_of(&group.quality),
             group.clips.to_string(),
@@ -302,9 +293,22 @@ fn sums(energy: &Energy) -> String {
                 format!("{:.3} ({:.2}-{:.2})", recall.rate, recall.low, recall.high)
             }),
             joules(group.saved_joules_estimated),
-        ]);
-    }
-    table.to_string()
+        ]
+    });
+    table(
+        [
+            "group",
+            "energy",
+            ">clips",
+            ">joules",
+            ">J/clip",
+            ">skip rate",
+            ">avoided",
+            ">recall",
+            ">saved J (est.)",
+        ],
+        rows,
+    )
 }
 
 pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyhow::Result<Ended> {
@@ -373,5 +377,5 @@ fn overview(page: &NodeList, known: u64, nodes: Option<&[NodeView]>) -> String {
         .iter()
         .take_while(|node| node.state != PresenceState::Online);
     let unwell = unwell.count();
-    text + &table(if unwell > 0 { &shown[..unwell] } else { shown })
+    text + &list_of(if unwell > 0 { &shown[..unwell] } else { shown })
 }

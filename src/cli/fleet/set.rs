@@ -1,9 +1,10 @@
 //! `set-u`, `set-target`, `changes`, `drift`.
 
-use super::table::{Table, WIDTH, cut};
-use super::units::{counts, seconds, setting, target, when};
+use super::table::{WIDTH, cut, table};
+use super::units::{counts, name_of, seconds, setting, target, when};
 use super::{Context, Ended};
-use albireo_hub::http::{ChangeDetail, ChangeView, Changes, LastLine, OrderLine};
+use albireo_hub::http::{ChangeView, Changes, LastLine, OrderLine};
+use albireo_hub::tuning::member::Outcome;
 use albireo_hub::tuning::tuner::{Drift, OutcomeLine};
 use albireo_wire::DesiredSetting;
 use serde_json::{Value, json};
@@ -100,7 +101,7 @@ fn outcome(line: &OutcomeLine) -> String {
     let text = format!(
         "{:<24} {:<12} {:>9} -> {:<9} {}",
         line.node,
-        line.outcome.replace('_', " "),
+        name_of(&line.outcome),
         before(line.from.as_ref()),
         setting(&line.to),
         line.detail,
@@ -118,10 +119,10 @@ fn judge(last: Option<&LastLine>) -> Ended {
     let Some(last) = last else {
         return Ended::Failed;
     };
-    let has = |name: &str| last.counts.get(name).is_some_and(|nodes| *nodes > 0);
-    if has("refused") || has("timed_out") {
+    let has = |outcome| last.counts.contains_key(&outcome);
+    if has(Outcome::Refused) || has(Outcome::TimedOut) {
         Ended::Failed
-    } else if has("waiting") || has("pending") || has("superseded") {
+    } else if has(Outcome::Waiting) || has(Outcome::Pending) || has(Outcome::Superseded) {
         Ended::Open
     } else {
         Ended::Well
@@ -146,22 +147,22 @@ pub(super) async fn changes(
     arguments: ChangesArguments,
 ) -> anyhow::Result<Ended> {
     if let Some(revision) = arguments.revision {
-        let change: ChangeDetail = context
+        let change: ChangeView = context
             .client
             .get(&format!("/api/v1/changes/{revision}"), &[])
             .await?;
-        context.print(&change, |ChangeDetail { change, nodes }| {
-            let mut table = Table::new(&["node", "outcome", ">from", "when", "detail"]);
-            for node in nodes {
-                table.row([
+        context.print(&change, |change| {
+            let rows = change.nodes.iter().map(|node| {
+                [
                     node.node.clone(),
-                    node.outcome.replace('_', " "),
-                    before(node.from.as_ref()),
+                    name_of(&node.outcome),
+                    before(node.setting_before.as_ref()),
                     when(node.at_ms),
                     node.detail.clone(),
-                ]);
-            }
-            format!("{}\n{table}", list(std::slice::from_ref(change)))
+                ]
+            });
+            let nodes = table(["node", "outcome", ">from", "when", "detail"], rows);
+            format!("{}\n{nodes}", list(std::slice::from_ref(change)))
         })?;
         return Ok(Ended::Well);
     }
@@ -173,19 +174,21 @@ pub(super) async fn changes(
 }
 
 fn list(changes: &[ChangeView]) -> String {
-    let mut table = Table::new(&[">revision", "when", "who", "by", ">to", "outcome", "why"]);
-    for change in changes {
-        table.row([
+    let rows = changes.iter().map(|ChangeView { change, counts, .. }| {
+        [
             change.revision.to_string(),
             when(change.at_ms),
             change.who.clone(),
             change.origin.clone(),
-            setting(&change.to),
-            counts(&change.counts),
+            setting(&change.setting),
+            self::counts(counts),
             change.why.clone(),
-        ]);
-    }
-    table.to_string()
+        ]
+    });
+    table(
+        [">revision", "when", "who", "by", ">to", "outcome", "why"],
+        rows,
+    )
 }
 
 pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
@@ -194,18 +197,20 @@ pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
         if nodes.is_empty() {
             return "every node that took a desired value still has it\n".to_owned();
         }
-        let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back", "why"]);
-        for node in nodes {
-            table.row([
+        let rows = nodes.iter().map(|node| {
+            [
                 node.node.clone(),
                 when(node.since_ms),
                 setting(&node.desired),
                 before(node.in_force.as_ref()),
                 node.set_back.to_string(),
                 node.why.clone().unwrap_or_default(),
-            ]);
-        }
-        table.to_string()
+            ]
+        });
+        table(
+            ["node", "since", ">desired", ">in force", ">set back", "why"],
+            rows,
+        )
     })?;
     Ok(Ended::Well)
 }

@@ -3,67 +3,33 @@
 /// Widest line.
 pub(super) const WIDTH: usize = 100;
 
-/// A table: each column as wide as its widest cell, the last one cut where the line would be too wide.
-#[derive(Debug)]
-pub(super) struct Table {
-    /// Whether a column is aligned to the right.
-    right: Vec<bool>,
-    rows: Vec<Vec<String>>,
-}
-
-impl Table {
-    /// A table with those headings; one after `>` is aligned to the right.
-    pub(super) fn new(headings: &[&str]) -> Self {
-        let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
-        Self {
-            right: headings
-                .iter()
-                .map(|heading| heading.starts_with('>'))
-                .collect(),
-            rows: vec![headings.iter().map(plain).collect()],
-        }
-    }
-
-    pub(super) fn row(&mut self, cells: impl IntoIterator<Item = impl Into<String>>) {
-        // A name from the network shall not move the cursor.
-        let clean = |cell: String| {
-            cell.chars()
-                .map(|c| if c.is_control() { ' ' } else { c })
-                .collect()
-        };
-        self.rows
-            .push(cells.into_iter().map(|cell| clean(cell.into())).collect());
-    }
-}
-
-impl std::fmt::Display for Table {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let count = |cell: &String| cell.chars().count();
-        let width = |column: usize| {
-            self.rows
-                .iter()
-                .filter_map(|row| row.get(column).map(count))
-                .max()
-                .unwrap_or(0)
-        };
-        let widths: Vec<usize> = (0..self.right.len()).map(width).collect();
-        for row in &self.rows {
-            let mut line = String::new();
-            for (column, cell) in row.iter().enumerate() {
-                let wide = widths.get(column).copied().unwrap_or(0);
-                if column > 0 {
-                    line.push_str("  ");
-                }
-                if self.right.get(column) == Some(&true) {
-                    line.push_str(&format!("{cell:>wide$}"));
-                } else {
-                    line.push_str(&format!("{cell:<wide$}"));
-                }
+/// A table with these headings, where one after `>` is aligned to the right: each column as wide as its widest cell, the last
+/// one cut where the line would be too wide.
+pub(super) fn table<const N: usize>(
+    headings: [&str; N],
+    rows: impl IntoIterator<Item = [String; N]>,
+) -> String {
+    // A name from the network shall not move the cursor.
+    let clean = |cell: String| cell.replace(char::is_control, " ");
+    let mut lines = vec![headings.map(|heading| heading.trim_start_matches('>').to_owned())];
+    lines.extend(rows.into_iter().map(|row| row.map(clean)));
+    let width = |column: usize| {
+        let widths = lines.iter().map(|line| line[column].chars().count());
+        widths.max().unwrap_or(0)
+    };
+    let shown = |line: &[String; N]| {
+        let cells = line.iter().zip(headings).enumerate();
+        let cells = cells.map(|(column, (cell, heading))| {
+            let wide = width(column);
+            match heading.starts_with('>') {
+                true => format!("{cell:>wide$}"),
+                false => format!("{cell:<wide$}"),
             }
-            writeln!(f, "{}", cut(line.trim_end(), WIDTH))?;
-        }
-        Ok(())
-    }
+        });
+        let cells: Vec<String> = cells.collect();
+        cut(cells.join("  ").trim_end(), WIDTH) + "\n"
+    };
+    lines.iter().map(shown).collect()
 }
 
 /// The text in at most `width` characters.
@@ -122,10 +88,12 @@ mod tests {
 
     #[test]
     fn a_table_is_aligned_and_never_wider_than_a_hundred_columns() {
-        let mut table = Table::new(&["node", ">u", "why"]);
-        table.row(["cam-1", "5e-4", "x"]);
-        table.row(["bus-100".to_owned(), "0.01".to_owned(), "long\n".repeat(40)]);
-        let text = table.to_string();
+        let row = |node: &str, u: &str, why: &str| [node, u, why].map(str::to_owned);
+        let rows = [
+            row("cam-1", "5e-4", "x"),
+            row("bus-100", "0.01", &"long\n".repeat(40)),
+        ];
+        let text = table(["node", ">u", "why"], rows);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[0], "node        u  why");
         assert_eq!(lines[1], "cam-1    5e-4  x");

@@ -2,10 +2,10 @@
 
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
+use albireo_hub::tuning::member::Outcome;
 use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fmt::Display;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
@@ -53,21 +53,12 @@ pub(super) fn name_of(value: &impl Serialize) -> String {
     name.as_str().unwrap_or("-").replace('_', " ")
 }
 
-/// The fields of a request that have a value.
-pub(super) fn named(mut request: serde_json::Value) -> serde_json::Value {
-    if let Some(fields) = request.as_object_mut() {
-        fields.retain(|_, value| !value.is_null());
-    }
-    request
-}
-
 /// How many nodes have which outcome: `3 applied, 1 timed out`.
-pub(super) fn counts(counts: &BTreeMap<String, impl Display>) -> String {
-    let counts: Vec<String> = counts
+pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
+    let counts = counts
         .iter()
-        .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
-        .collect();
-    counts.join(", ")
+        .map(|(outcome, n)| format!("{n} {}", name_of(outcome)));
+    counts.collect::<Vec<_>>().join(", ")
 }
 
 /// A change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers where it is not `relative`.

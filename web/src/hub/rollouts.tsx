@@ -22,12 +22,11 @@ const PHASES: Record<string, { words: string; mood: Mood }> = {
 
 function Phase({ rollout }: { rollout: RolloutView }) {
   const phase = PHASES[rollout.phase] ?? { words: rollout.phase, mood: "none" as Mood };
-  const reason = "reason" in rollout && typeof rollout.reason === "string" ? rollout.reason : (rollout.why_returned ?? "");
   return (
     <>
       <Pill mood={phase.mood}>{phase.words}</Pill>
       {rollout.paused && <Pill mood="wait">paused</Pill>}
-      {reason && <span class="bad"> {reason}</span>}
+      {rollout.reason && <span class="bad"> {rollout.reason}</span>}
     </>
   );
 }
@@ -185,7 +184,7 @@ export function Rollout({ id }: { id: string }) {
               {others.slice(0, 100).map((member) => (
                 <li key={member.node}>
                   <a href={href(["nodes", member.node])}>{member.node}</a> {outcomeWords(member.outcome)}
-                  {"reason" in member ? `: ${member.reason}` : ""}
+                  {member.reason ? `: ${member.reason}` : ""}
                 </li>
               ))}
             </ul>

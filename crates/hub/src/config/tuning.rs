@@ -29,8 +29,6 @@ pub struct TuningConfig {
     pub apply_within_s: f64,
     /// What happens when a value is changed at the node.
     pub local_change: LocalChange,
-    /// How often a node is set back at most after one order: two hands on one value do not fight for ever.
-    pub set_back_times: u32,
 }
 
 impl Default for TuningConfig {
@@ -38,7 +36,6 @@ impl Default for TuningConfig {
         Self {
             apply_within_s: 60.0,
             local_change: LocalChange::Wins,
-            set_back_times: 3,
         }
     }
 }
@@ -47,11 +44,5 @@ impl TuningConfig {
     pub(super) fn check(&self, findings: &mut Findings) {
         let day = albireo_service::config::DAY_S;
         findings.above_zero("tuning.apply_within_s", self.apply_within_s, day);
-        findings.count(
-            "tuning.set_back_times",
-            self.set_back_times.into(),
-            1,
-            1_000,
-        );
     }
 }

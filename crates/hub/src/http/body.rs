@@ -1,29 +1,17 @@
 //! Reads the bodies of tuning requests: a threshold as users write it beside other fields.
 
-use albireo_service::http::{BODY_LIMIT, Problem};
+use albireo_service::http::Problem;
 use albireo_wire::Threshold;
-use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
 use axum::http::StatusCode;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 /// The object in a body.
-pub(super) fn object(body: Result<Bytes, BytesRejection>) -> Result<Map<String, Value>, Problem> {
-    let body = body.map_err(|rejection| match rejection.status() {
-        StatusCode::PAYLOAD_TOO_LARGE => {
-            let detail =
-                format!("the body must have at most {BODY_LIMIT} bytes; select by glob or label");
-            Problem::new(StatusCode::PAYLOAD_TOO_LARGE, detail)
-        }
-        status => Problem::new(status, rejection.body_text()),
-    })?;
-    let value: Value = serde_json::from_slice(&body).map_err(|error| {
-        Problem::new(
-            StatusCode::BAD_REQUEST,
-            format!("the body is not JSON: {error}"),
-        )
+pub(super) fn object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
+    let value: Value = serde_json::from_slice(body).map_err(|error| {
+        let detail = format!("the body is not JSON: {error}");
+        Problem::new(StatusCode::BAD_REQUEST, detail)
     })?;
     let Value::Object(mut object) = value else {
         return Err(unusable("the body must be a JSON object"));
@@ -36,20 +24,20 @@ pub(super) fn object(body: Result<Bytes, BytesRejection>) -> Result<Map<String, 
     Ok(object)
 }
 
-/// A request with a threshold as users write it beside its own fields: `"u": 5e-4`.
+/// A request with other fields beside its own.
 #[derive(Deserialize)]
-struct WithThreshold<T> {
+struct WithOthers<T> {
     #[serde(flatten)]
     request: T,
     #[serde(flatten)]
     others: Map<String, Value>,
 }
 
-/// Reads a request that has a threshold beside its own fields.
+/// Reads a request that has a threshold beside its own fields, as users write it: `"u": 5e-4`.
 pub(super) fn with_threshold<T: DeserializeOwned>(
     object: Map<String, Value>,
 ) -> Result<(Threshold, T), Problem> {
-    let WithThreshold { request, others } = rest(object)?;
+    let WithOthers { request, others } = read(object)?;
     let mut others = others.into_iter();
     match (others.next(), others.next()) {
         (Some((name, value)), None) => match value.as_f64().filter(|value| value.is_finite()) {
@@ -75,9 +63,24 @@ pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Reads what is left of an object.
+/// Reads a request of which every field is known.
 pub(super) fn rest<T: DeserializeOwned>(object: Map<String, Value>) -> Result<T, Problem> {
+    let WithOthers { request, others } = read(object)?;
+    match others.keys().next() {
+        None => Ok(request),
+        Some(name) => Err(unusable(format!("`{name}` is not known here"))),
+    }
+}
+
+fn read<T: DeserializeOwned>(object: Map<String, Value>) -> Result<T, Problem> {
     serde_json::from_value(Value::Object(object)).map_err(|error| unusable(error.to_string()))
+}
+
+/// Where the next page begins, if more was found than the `limit` of this one; then only that much is kept.
+pub(super) fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
+    let more = found.len() as i64 > limit;
+    found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
+    found.last().filter(|_| more).map(id)
 }
 
 pub(super) fn unusable(detail: impl Into<String>) -> Problem {

@@ -1,78 +1,303 @@
-//! The history of orders, and nodes that have something else.
+//! Changes of settings: a threshold or a target for selected nodes with the outcome at each, their history, and nodes that have
+//! something else.
 
-use super::HubView;
-use crate::store::{OrderNodeRow, OrderRow};
-use crate::tuning::tuner::Drift;
-use albireo_service::http::Problem;
-use albireo_wire::DesiredSetting;
+use super::{HubView, body};
+use crate::store::{ChangeNode, ChangeRow};
+use crate::tuning::change::{Change, ChangeRequest};
+use crate::tuning::member::{Counts, Outcome};
+use crate::tuning::plan::check_why;
+use crate::tuning::selector::Selector;
+use crate::tuning::tuner::{Drift, OutcomeLine};
+use albireo_service::clock::unix_milliseconds;
+use albireo_service::http::{Caller, Problem};
+use albireo_wire::{DesiredSetting, Target};
 use axum::Json;
-use axum::extract::{Path, Query, State};
-use axum::http::StatusCode;
+use axum::body::{Body, Bytes};
+use axum::extract::{Extension, Path, Query, State};
+use axum::http::header::{ACCEPT, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::time::Instant;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most orders of one answer.
-const MOST_ORDERS: i64 = 500;
+/// Most changes of one answer.
+const MOST: i64 = 500;
+/// The media type of outcomes as they come, one JSON object a line.
+const LINES: &str = "application/x-ndjson";
+/// How long a plain answer waits for the nodes at most: an answer that begins too late is an error.
+const LONGEST_WAIT_S: f64 = 8.0;
+/// What of the time of a request is left for the order and the answer.
+const ANSWER_S: f64 = 1.0;
+/// How long a stream of outcomes lasts at most.
+const LONGEST_STREAM_S: f64 = 3_600.0;
 
-/// One order of the history.
+/// What a change came to.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct OrderAnswer {
+    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    revision: Option<u64>,
+    /// Whether nothing was done.
+    dry_run: bool,
+    /// How many nodes have which outcome.
+    counts: BTreeMap<Outcome, usize>,
+    /// Each node.
+    nodes: Vec<OutcomeLine>,
+}
+
+/// The last line of a stream.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct LastLine {
+    /// Revision of the order; absent in a dry run, and if no node would change.
+    pub revision: Option<u64>,
+    /// How many nodes have which outcome.
+    pub counts: BTreeMap<Outcome, usize>,
+}
+
+/// A line of a stream.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum OrderLine {
+    /// What the order came to at one node.
+    Outcome(OutcomeLine),
+    /// Nothing follows.
+    Last(LastLine),
+}
+
+/// A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target.
+#[derive(Debug, Deserialize, ToSchema)]
+pub(super) struct NewChange {
+    /// Which nodes: names, globs, labels, `all`.
+    #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
+    select: Selector,
+    /// Only say who would change.
+    #[serde(default)]
+    dry_run: bool,
+    /// Why; kept in the history.
+    #[serde(default)]
+    why: String,
+    /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+    #[serde(default)]
+    wait_s: Option<f64>,
+}
+
+/// A target that selected nodes are to hold.
+#[derive(Debug, Deserialize, ToSchema)]
+pub(super) struct NewTarget {
+    /// Such as `{"skip_rate": 0.5}`; null for nothing: the threshold then stays where it is.
+    #[schema(required)]
+    target: Option<Target>,
+    /// For whom.
+    #[serde(flatten)]
+    change: NewChange,
+}
+
+/// Sets a value on selected nodes
+///
+/// It holds at a node when the node **reports** it. `Accept: application/x-ndjson` streams each node's outcome as it comes; otherwise
+/// the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return. A node that holds a target
+/// holds it no more.
+/// `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
+#[utoipa::path(
+    put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = NewChange,
+    responses((status = 200, body = OrderAnswer))
+)]
+pub(super) async fn set_threshold(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+    bytes: Bytes,
+) -> Result<Response, Problem> {
+    let (threshold, change) = body::with_threshold(body::object(&bytes)?)?;
+    let setting = DesiredSetting::Threshold(threshold);
+    carry_out(&view, &caller, &headers, setting, change).await
+}
+
+/// Sets a target on selected nodes instead of a threshold
+///
+/// It holds at a node when the node **reports** it; how far it is met is in the node's status. A threshold that is ordered
+/// or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
+/// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
+#[utoipa::path(
+    put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewTarget,
+    responses((status = 200, body = OrderAnswer))
+)]
+pub(super) async fn set_target(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+    bytes: Bytes,
+) -> Result<Response, Problem> {
+    let object = body::object(&bytes)?;
+    let names = |detail: String| body::unusable(detail).allowing(Target::NAMES);
+    let target = object.get("target").cloned().ok_or_else(|| {
+        names("the body must have a target, such as \"target\": {\"skip_rate\": 0.5}, or null for none".to_owned())
+    })?;
+    // For its own words: what is wrong with the rest has nothing to do with the names of targets.
+    serde_json::from_value::<Option<Target>>(target)
+        .map_err(|error| names(format!("target: {error}")))?;
+    let NewTarget { target, change } = body::rest(object)?;
+    let target = target.map(Target::check).transpose();
+    let target = target.map_err(|error| names(error.to_string()))?;
+    let setting = DesiredSetting::Target(target);
+    carry_out(&view, &caller, &headers, setting, change).await
+}
+
+/// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait,
+/// which lasts `wait_s` seconds.
+async fn carry_out(
+    view: &HubView,
+    caller: &Caller,
+    headers: &HeaderMap,
+    setting: DesiredSetting,
+    change: NewChange,
+) -> Result<Response, Problem> {
+    check_why(&change.why).map_err(|error| body::unusable(error.to_string()))?;
+    let streams = headers
+        .get(ACCEPT)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|accept| accept.contains(LINES));
+    let most = if streams {
+        LONGEST_STREAM_S
+    } else {
+        (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S)
+    };
+    let wait = change.wait_s.unwrap_or(most.min(5.0));
+    if !(0.0..=most).contains(&wait) {
+        return Err(body::unusable(format!(
+            "wait_s: must be from 0 to {most}, not {wait}"
+        )));
+    }
+    let dry_run = change.dry_run;
+    let request = ChangeRequest {
+        setting,
+        select: change.select,
+        dry_run,
+        why: change.why,
+    };
+    let change = view
+        .tuner()?
+        .change(request, &caller.name, unix_milliseconds())
+        .await?;
+    if change.lines.is_empty() && change.awaited.is_empty() {
+        return Err(Problem::new(
+            StatusCode::NOT_FOUND,
+            "no node is selected; GET /api/v1/nodes lists all",
+        ));
+    }
+    let until = Instant::now() + Duration::from_secs_f64(wait);
+    let mut following = Following {
+        change,
+        until,
+        last: BTreeMap::new(),
+    };
+    if streams {
+        let stream = futures_util::stream::unfold(Some(following), |following| async move {
+            let mut following = following?;
+            let (line, next) = match following.next().await {
+                Some(line) => (OrderLine::Outcome(line), Some(following)),
+                None => {
+                    let last = LastLine {
+                        revision: following.change.revision,
+                        counts: following.counts(),
+                    };
+                    (OrderLine::Last(last), None)
+                }
+            };
+            let line = serde_json::to_string(&line)
+                .map(|line| line + "\n")
+                .map_err(std::io::Error::other);
+            Some((line, next))
+        });
+        return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(stream)).into_response());
+    }
+    while following.next().await.is_some() {}
+    let answer = OrderAnswer {
+        revision: following.change.revision,
+        dry_run,
+        counts: following.counts(),
+        nodes: following.last.into_values().collect(),
+    };
+    Ok(Json(answer).into_response())
+}
+
+/// Brings the outcomes until every node has one, or the time is over.
+struct Following {
+    change: Change,
+    until: Instant,
+    last: BTreeMap<String, OutcomeLine>,
+}
+
+impl Following {
+    async fn next(&mut self) -> Option<OutcomeLine> {
+        let line = match self.change.lines.pop() {
+            Some(line) => line,
+            None if self.change.awaited.is_empty() => return None,
+            None => match tokio::time::timeout_at(self.until, self.change.follow.recv()).await {
+                Ok(line) => line?,
+                Err(_) => self.not_answered()?,
+            },
+        };
+        if line.is_final() {
+            self.change.awaited.remove(&line.node);
+        }
+        self.last.insert(line.node.clone(), line.clone());
+        Some(line)
+    }
+
+    /// The time is over: answers that are still missing are reported, once.
+    fn not_answered(&mut self) -> Option<OutcomeLine> {
+        while let Some(node) = self.change.awaited.iter().next().cloned() {
+            self.change.awaited.remove(&node);
+            if !self.last.contains_key(&node) {
+                return Some(OutcomeLine {
+                    node,
+                    outcome: Outcome::Pending,
+                    from: None,
+                    to: self.change.setting,
+                    detail: "not answered yet".to_owned(),
+                });
+            }
+        }
+        None
+    }
+
+    fn counts(&self) -> Counts {
+        let mut counts = Counts::new();
+        for line in self.last.values() {
+            *counts.entry(line.outcome).or_default() += 1;
+        }
+        counts
+    }
+}
+
+/// A change as the history has it.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ChangeView {
-    /// Its number, which nodes report as the revision of their setting.
-    pub revision: i64,
-    /// When, milliseconds since the Unix epoch.
-    pub at_ms: i64,
-    /// Who: the name of the token.
-    pub who: String,
-    /// Why.
-    pub why: String,
-    /// `hand`, `rollout 3`, `trial 4`, `drift`.
-    pub origin: String,
-    /// Who was selected; empty where a rollout or trial chose.
-    pub select: String,
-    /// What was ordered: a threshold, or a target (null switches it off).
-    pub to: DesiredSetting,
-    /// How many nodes have which outcome.
-    pub counts: BTreeMap<String, i64>,
-}
-
-/// What became of an order at a node.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct ChangeNode {
-    /// The node.
-    pub node: String,
-    /// `applied`, `refused`, `waiting`, `timed_out`, `pending`, `superseded` or `missed`.
-    pub outcome: String,
-    /// When that was known, milliseconds since the Unix epoch.
-    pub at_ms: i64,
-    /// Its setting before: a threshold or a target.
-    pub from: Option<DesiredSetting>,
-    /// Why, where there is something to say.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub detail: String,
-}
-
-/// One order with its nodes.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct ChangeDetail {
-    /// The order.
+    /// What was ordered.
     #[serde(flatten)]
-    pub change: ChangeView,
-    /// What became of it at each.
+    pub change: ChangeRow,
+    /// How many nodes have which outcome.
+    pub counts: BTreeMap<Outcome, usize>,
+    /// What became of it at each; absent in a list.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<ChangeNode>,
 }
 
-/// Orders, the newest first.
+/// Changes, the newest first.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Changes {
-    /// One entry for each order.
+    /// One entry for each change.
     pub changes: Vec<ChangeView>,
     /// Give it as `before` for the next page; absent on the last.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
 
-/// Which orders.
+/// Which changes.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WhichChanges {
@@ -89,91 +314,60 @@ pub(super) struct WhichChanges {
 /// A change: author, nodes, setting, reason and outcome.
 #[utoipa::path(
     get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
-    responses(
-        (status = 200, body = Changes),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = Changes))
 )]
 pub(super) async fn changes(
     State(view): State<HubView>,
     Query(which): Query<WhichChanges>,
 ) -> Result<Json<Changes>, Problem> {
-    let store = view.tuner()?.store();
-    let limit = which.limit.unwrap_or(50).clamp(1, MOST_ORDERS);
+    let limit = which.limit.unwrap_or(50).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
-    let orders = store.orders(before, which.node.as_deref(), limit).await?;
-    let next = orders
-        .last()
-        .filter(|_| orders.len() as i64 == limit)
-        .map(|order| order.revision);
-    let span = orders
-        .last()
-        .zip(orders.first())
-        .map(|(last, first)| (last.revision, first.revision));
-    let counted = match span {
-        Some((from, to)) => store.outcome_counts(from, to).await?,
-        None => Vec::new(),
-    };
-    let changes = orders.into_iter().map(|order| change_view(order, &counted));
-    Ok(Json(Changes {
-        changes: changes.collect(),
-        next,
-    }))
+    let (changes, next) = page(&view, before, which.node.as_deref(), limit).await?;
+    Ok(Json(Changes { changes, next }))
 }
 
-fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> ChangeView {
-    let counts = counted
-        .iter()
-        .filter(|(revision, ..)| *revision == order.revision);
-    ChangeView {
-        revision: order.revision,
-        at_ms: order.at_ms,
-        to: order.setting,
-        who: order.who,
-        why: order.why,
-        origin: order.origin,
-        select: order.selector,
-        counts: counts
-            .map(|(_, outcome, nodes)| (outcome.clone(), *nodes))
-            .collect(),
-    }
+/// The newest changes below revision `before`, and where the next page begins.
+async fn page(
+    view: &HubView,
+    before: i64,
+    node: Option<&str>,
+    limit: i64,
+) -> Result<(Vec<ChangeView>, Option<i64>), Problem> {
+    let store = view.store()?;
+    let mut found = store.changes(before, node, limit + 1).await?;
+    let next = body::next(&mut found, limit, |change| change.revision);
+    let mut counts = match (found.last(), found.first()) {
+        (Some(last), Some(first)) => store.outcome_counts(last.revision, first.revision).await?,
+        _ => Default::default(),
+    };
+    let shown = found.into_iter().map(|change| ChangeView {
+        counts: counts.remove(&change.revision).unwrap_or_default(),
+        change,
+        nodes: Vec::new(),
+    });
+    Ok((shown.collect(), next))
 }
 
 /// One change with every node
 #[utoipa::path(
     get, operation_id = "change", path = "/api/v1/changes/{revision}", tag = "tuning",
     params(("revision" = i64, Path, description = "Its number.")),
-    responses(
-        (status = 200, body = ChangeDetail),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = ChangeView))
 )]
 pub(super) async fn change(
     State(view): State<HubView>,
     Path(number): Path<i64>,
-) -> Result<Json<ChangeDetail>, Problem> {
-    let store = view.tuner()?.store();
-    let orders = store.orders(number.saturating_add(1), None, 1).await?;
-    let order = orders.into_iter().find(|order| order.revision == number);
-    let order = order.ok_or_else(|| {
-        Problem::new(
-            StatusCode::NOT_FOUND,
-            format!("there is no change {number}"),
-        )
+) -> Result<Json<ChangeView>, Problem> {
+    let (found, _) = page(&view, number.saturating_add(1), None, 1).await?;
+    let found = found
+        .into_iter()
+        .find(|found| found.change.revision == number);
+    let mut found = found.ok_or_else(|| {
+        let detail = format!("there is no change {number}");
+        Problem::new(StatusCode::NOT_FOUND, detail)
     })?;
-    let counted = store.outcome_counts(number, number).await?;
-    let nodes = store.order_nodes(number, number, None).await?;
-    let node = |row: OrderNodeRow| ChangeNode {
-        from: row.setting_before,
-        node: row.node,
-        outcome: row.outcome,
-        at_ms: row.at_ms,
-        detail: row.detail,
-    };
-    Ok(Json(ChangeDetail {
-        change: change_view(order, &counted),
-        nodes: nodes.into_iter().map(node).collect(),
-    }))
+    found.nodes = view.store()?.change_nodes(number).await?;
+    Ok(Json(found))
 }
 
 /// Nodes whose setting differs from the desired one

@@ -1,11 +1,11 @@
 //! Clips, as pages of JSON and as CSV, and what was set aside.
 
-use super::{HubView, query};
+use super::HubView;
+use super::body::next;
 use crate::store::{ClipQuery, StoredClip, StoredSetAside};
 use albireo_service::http::Problem;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
@@ -35,13 +35,6 @@ pub(super) struct Selection {
     cursor: Option<i64>,
     /// Maximum number, up to 1000; 100 by default.
     limit: Option<i64>,
-}
-
-/// Where the next page begins, if more was found than the `limit` of this one; then only that much is kept.
-fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
-    let more = found.len() as i64 > limit;
-    found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
-    found.last().filter(|_| more).map(id)
 }
 
 impl Selection {
@@ -75,17 +68,12 @@ pub(super) struct ClipPage {
 /// `curl 'http://127.0.0.1:8090/api/v1/clips?node=car-7&limit=20'`
 #[utoipa::path(
     get, operation_id = "list_clips", path = "/api/v1/clips", tag = "history", params(Selection),
-    responses(
-        (status = 200, body = ClipPage),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = ClipPage))
 )]
 pub(super) async fn list(
     State(view): State<HubView>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Json<ClipPage>, Problem> {
-    let selection = query(selection)?;
     let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
     let wanted = selection.query(limit + 1)?;
     let mut clips = view.store()?.clips(&wanted).await?;
@@ -99,17 +87,12 @@ pub(super) async fn list(
 /// `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
 #[utoipa::path(
     get, operation_id = "clips_csv", path = "/api/v1/clips.csv", tag = "history", params(Selection),
-    responses(
-        (status = 200, content_type = "text/csv", body = String),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, content_type = "text/csv", body = String))
 )]
 pub(super) async fn csv(
     State(view): State<HubView>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Response, Problem> {
-    let selection = query(selection)?;
     let store = view.store()?.clone();
     let left = selection.limit.unwrap_or(i64::MAX).max(1);
     let first = selection.query(left.min(MOST))?;
@@ -182,17 +165,12 @@ pub(super) struct AsidePage {
 /// `curl http://127.0.0.1:8090/api/v1/set-aside`
 #[utoipa::path(
     get, operation_id = "list_set_aside", path = "/api/v1/set-aside", tag = "history", params(AsideSelection),
-    responses(
-        (status = 200, body = AsidePage),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = AsidePage))
 )]
 pub(super) async fn set_aside(
     State(view): State<HubView>,
-    selection: Result<Query<AsideSelection>, QueryRejection>,
+    Query(selection): Query<AsideSelection>,
 ) -> Result<Json<AsidePage>, Problem> {
-    let selection = query(selection)?;
     let limit = selection.limit.unwrap_or(20).clamp(1, 100);
     let mut reports = view
         .store()?

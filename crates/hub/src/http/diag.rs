@@ -114,14 +114,7 @@ async fn events(store: &Store) -> Result<Value, StoreError> {
 }
 
 async fn changes(store: &Store) -> Result<Value, StoreError> {
-    let orders = store.orders(i64::MAX, None, MOST_CHANGES).await?;
-    let orders = orders.into_iter().map(|order| {
-        json!({
-            "revision": order.revision, "at_ms": order.at_ms, "who": order.who, "why": order.why,
-            "by": order.origin, "select": order.selector, "to": order.setting,
-        })
-    });
-    Ok(orders.collect())
+    Ok(json!(store.changes(i64::MAX, None, MOST_CHANGES).await?))
 }
 
 #[cfg(test)]

@@ -1,12 +1,11 @@
 //! Energy of the fleet's clips.
 
-use super::{HubView, query};
+use super::HubView;
 use crate::store::{AuditCounts, EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
 use albireo_wire::AuditFigures;
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -68,17 +67,12 @@ pub struct Energy {
 /// `curl 'http://127.0.0.1:8090/api/v1/energy?by=policy'`
 #[utoipa::path(
     get, operation_id = "energy_sums", path = "/api/v1/energy", tag = "history", params(Selection),
-    responses(
-        (status = 200, body = Energy),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = Energy))
 )]
 pub(super) async fn sums(
     State(view): State<HubView>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Json<Energy>, Problem> {
-    let selection = query(selection)?;
     let now_s = unix_milliseconds().div_euclid(1000);
     let seconds = |ms: i64| ms.div_euclid(1000);
     let asked_until = selection.until_ms.map(seconds);

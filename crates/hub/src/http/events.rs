@@ -1,9 +1,8 @@
 //! What happens in the fleet, as server-sent events with numbers: a reader that comes back gets what it missed.
 
-use super::{HubView, query};
+use super::HubView;
 use crate::store::{Store, StoredEvent};
 use albireo_service::http::Problem;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
@@ -12,9 +11,8 @@ use serde::Deserialize;
 use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::broadcast::{self, error::RecvError};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
@@ -22,6 +20,10 @@ use utoipa::IntoParams;
 const MOST_REPLAYED: i64 = 5000;
 /// Of these, read at a time.
 const STEP: i64 = 500;
+/// Time between two looks without a notice: other hubs write to the same database.
+const LOOK: Duration = Duration::from_secs(2);
+/// Pause between a notice and its look.
+const GATHER: Duration = Duration::from_millis(100);
 
 /// From where on.
 #[derive(Deserialize, IntoParams)]
@@ -36,61 +38,45 @@ pub(super) struct Selection {
 
 struct Reader {
     types: Vec<String>,
-    waiting: VecDeque<Arc<StoredEvent>>,
+    waiting: VecDeque<StoredEvent>,
     /// What is sent before anything else.
     resync: Option<String>,
-    last: Option<i64>,
-    /// Up to this number events come from the database.
-    replay_until: i64,
+    last: i64,
     store: Store,
-    events: broadcast::Receiver<Arc<StoredEvent>>,
+    changed: watch::Receiver<()>,
     shutdown: CancellationToken,
 }
 
 impl Reader {
     async fn next(&mut self) -> Option<sse::Event> {
+        if let Some(reason) = self.resync.take() {
+            let event = sse::Event::default().event("resync");
+            return event.json_data(json!({ "reason": reason })).ok();
+        }
         loop {
-            if let Some(reason) = self.resync.take() {
-                let event = sse::Event::default().event("resync");
-                return event.json_data(json!({ "reason": reason })).ok();
+            while let Some(event) = self.waiting.pop_front() {
+                self.last = event.id;
+                if self.types.is_empty() || self.types.contains(&event.kind) {
+                    let written = sse::Event::default().event(&event.kind);
+                    return written.id(event.id.to_string()).json_data(&event).ok();
+                }
             }
-            if let Some(event) = self.waiting.pop_front() {
-                if self.last.is_some_and(|last| event.id <= last) {
+            match self.store.events_after(self.last, STEP).await {
+                Ok(events) if !events.is_empty() => {
+                    self.waiting.extend(events);
                     continue;
                 }
-                self.last = Some(event.id);
-                if !self.types.is_empty() && !self.types.contains(&event.kind) {
-                    continue;
-                }
-                let written = sse::Event::default()
-                    .event(event.kind.clone())
-                    .id(event.id.to_string())
-                    .json_data(&*event);
-                if let Ok(written) = written {
-                    return Some(written);
-                }
-                continue;
-            }
-            if let Some(last) = self.last.filter(|last| *last < self.replay_until) {
-                match self.store.events_after(last, STEP).await {
-                    Ok(events) if events.is_empty() => self.replay_until = last,
-                    Ok(events) => self.waiting.extend(events.into_iter().map(Arc::new)),
-                    Err(error) => {
-                        self.replay_until = last;
-                        self.resync = Some(error.to_string());
-                    }
-                }
-                continue;
+                Ok(_) => {}
+                Err(error) => tracing::debug!(%error, "events cannot be read"),
             }
             tokio::select! {
                 () = self.shutdown.cancelled() => return None,
-                received = self.events.recv() => match received {
-                    Ok(event) => self.waiting.push_back(event),
-                    Err(RecvError::Lagged(lost)) => {
-                        self.resync = Some(format!("{lost} events were missed"));
-                    }
-                    Err(RecvError::Closed) => return None,
-                },
+                () = tokio::time::sleep(LOOK) => {}
+                changed = self.changed.changed() => {
+                    changed.ok()?;
+                    // What happens at once is read together.
+                    tokio::time::sleep(GATHER).await;
+                }
             }
         }
     }
@@ -103,18 +89,13 @@ impl Reader {
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
-    responses(
-        (status = 200, content_type = "text/event-stream", body = String),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, content_type = "text/event-stream", body = String))
 )]
 pub(super) async fn stream(
     State(view): State<HubView>,
     headers: HeaderMap,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let selection = query(selection)?;
     let last_id = match headers.get("last-event-id") {
         None => selection.last_event_id,
         Some(value) => {
@@ -126,19 +107,14 @@ pub(super) async fn stream(
         }
     };
     let store = view.store()?.clone();
-    // Before the database is read, so that no event falls between the two.
-    let events = view.events.listen();
     let newest = store.last_event().await?;
-    let (last, resync) = match last_id {
-        None => (newest, None),
-        Some(last_id) if last_id > newest => {
-            (newest, Some("the number is of another database".to_owned()))
-        }
-        Some(last_id) if newest - last_id > MOST_REPLAYED => (
+    let (last, resync) = match last_id.unwrap_or(newest) {
+        last if last > newest => (newest, Some("the number is of another database".to_owned())),
+        last if newest - last > MOST_REPLAYED => (
             newest,
-            Some(format!("{} events were missed", newest - last_id)),
+            Some(format!("{} events were missed", newest - last)),
         ),
-        Some(last_id) => (last_id, None),
+        last => (last, None),
     };
     let types = selection
         .types
@@ -148,10 +124,9 @@ pub(super) async fn stream(
         types,
         waiting: VecDeque::new(),
         resync,
-        last: Some(last),
-        replay_until: newest,
+        last,
         store,
-        events,
+        changed: view.events.subscribe(),
         shutdown: view.shutdown.clone(),
     };
     let events = stream::unfold(reader, |mut reader| async move {

@@ -83,11 +83,7 @@ impl Watching {
 /// `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
 #[utoipa::path(
     get, operation_id = "watch_node", path = "/api/v1/nodes/{node}/live", tag = "nodes", params(("node" = String, Path, description = "Its name")),
-    responses(
-        (status = 200, content_type = "text/event-stream", body = String),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, content_type = "text/event-stream", body = String))
 )]
 pub(super) async fn live(
     State(view): State<HubView>,
@@ -148,9 +144,6 @@ fn timed_out(reply: &Reply) -> bool {
     responses(
         (status = 200, body = Vec<u8>, content_type = "image/jpeg",
          headers(("albireo-frame" = u64, description = "Sequence number of the frame."))),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-        (status = 504, body = Problem, content_type = "application/problem+json", description = "The node did not answer."),
     )
 )]
 pub(super) async fn picture(

@@ -1,15 +1,166 @@
-//! Shows one node, and forgets one.
+//! The nodes: the list, which the hub sorts, filters and cuts, so that a client holds only what it shows; one node; forgetting one.
 
 use super::HubView;
-use crate::presence::NodeView;
+use super::body::unusable;
+use crate::presence::{NodeView, PresenceState, day_of};
 use crate::store::ReportCounts;
+use crate::tuning::selector::Selector;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use std::cmp::Reverse;
+use std::sync::Arc;
+use utoipa::{IntoParams, ToSchema};
+
+/// Most nodes of one answer.
+const MOST: usize = 1000;
+
+/// What rows are sorted by; those that are equal, by name.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Order {
+    /// Name.
+    #[default]
+    Name,
+    /// State: online, degraded, silent, offline.
+    State,
+    /// How long it has that state, the longest first.
+    Since,
+    /// When it was last heard, the longest ago first.
+    Heard,
+    /// Reports that wait in its outbox, the fewest first.
+    Waiting,
+    /// Energy of today (UTC), the least first; by the larger of measured and estimated, which are never added.
+    Joules,
+}
+
+/// Which rows.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Of these states only, separated by commas: `degraded,silent`.
+    state: Option<String>,
+    /// With this text in the name.
+    search: Option<String>,
+    /// Chosen by names, globs and labels, separated by commas: `cam-*,region=north`.
+    select: Option<String>,
+    /// What they are sorted by.
+    #[serde(default)]
+    #[param(inline)]
+    sort: Order,
+    /// The other way round.
+    #[serde(default)]
+    down: bool,
+    /// Rows left out before the first one.
+    #[serde(default)]
+    offset: usize,
+    /// At most this many, 100 by default, 1000 at most.
+    limit: Option<usize>,
+}
+
+/// Nodes by state.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Counts {
+    /// All its parts work.
+    pub online: u64,
+    /// Something of it is impaired.
+    pub degraded: u64,
+    /// Nothing was heard for a while.
+    pub silent: u64,
+    /// It is gone.
+    pub offline: u64,
+}
+
+/// Nodes of the fleet.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct NodeList {
+    /// Nodes of the whole fleet by state.
+    pub counts: Counts,
+    /// Reports that wait in the outboxes of the whole fleet.
+    pub waiting: u64,
+    /// Rows there are of this selection.
+    pub total: usize,
+    /// Place of the first row of this answer among them.
+    pub offset: usize,
+    /// The rows.
+    pub nodes: Vec<NodeView>,
+}
+
+/// The nodes of the fleet
+///
+/// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded,silent&select=region=north&sort=waiting&down=true'`
+#[utoipa::path(
+    get, operation_id = "list_nodes", path = "/api/v1/nodes", tag = "nodes", params(Selection),
+    responses((status = 200, body = NodeList))
+)]
+pub(super) async fn list(
+    State(view): State<HubView>,
+    Query(selection): Query<Selection>,
+) -> Result<Json<NodeList>, Problem> {
+    let names = selection.state.as_deref().unwrap_or_default().split(',');
+    let wanted = names.filter(|name| !name.is_empty()).map(|name| {
+        PresenceState::named(name).ok_or_else(|| {
+            let known = PresenceState::ALL.map(PresenceState::name);
+            let detail = format!(
+                "there is no state `{name}`; there are: {}",
+                known.join(", ")
+            );
+            unusable(detail).allowing(known)
+        })
+    });
+    let wanted: Vec<PresenceState> = wanted.collect::<Result<_, _>>()?;
+    let select = selection.select.filter(|text| !text.trim().is_empty());
+    let select = select.map(|text| text.parse::<Selector>()).transpose();
+    let select = select.map_err(|error| unusable(error.to_string()))?;
+    let search = selection.search.unwrap_or_default();
+
+    let (mut waiting, mut found) = (0, Vec::new());
+    let day = day_of(unix_milliseconds());
+    view.fleet.each(|name, node| {
+        waiting += node.waiting;
+        let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
+            && name.contains(&search)
+            && (select.as_ref()).is_none_or(|it| it.selects(name, node.labels()));
+        if is_wanted {
+            let key = match selection.sort {
+                Order::Name => 0,
+                Order::State => node.state as i64,
+                Order::Since => node.since_ms,
+                Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
+                Order::Joules => node.used_uj(day),
+                Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
+            };
+            found.push((key, Arc::clone(name)));
+        }
+    });
+    // They come by name, and the sort keeps that among equals.
+    match (selection.sort, selection.down) {
+        (Order::Name, true) => found.reverse(),
+        (_, true) => found.sort_by_key(|(key, _)| Reverse(*key)),
+        (_, false) => found.sort_by_key(|(key, _)| *key),
+    }
+    let [online, degraded, silent, offline] = view.fleet.by_state();
+    let limit = selection.limit.unwrap_or(100).min(MOST);
+    let nodes = found.iter().skip(selection.offset).take(limit);
+    Ok(Json(NodeList {
+        counts: Counts {
+            online,
+            degraded,
+            silent,
+            offline,
+        },
+        waiting,
+        total: found.len(),
+        offset: selection.offset,
+        nodes: nodes
+            .filter_map(|(_, name)| view.fleet.view(name))
+            .collect(),
+    }))
+}
 
 /// A node with what is known of its reports.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
@@ -27,11 +178,7 @@ pub struct NodeDetail {
 /// `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
     get, operation_id = "node", path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
-    responses(
-        (status = 200, body = NodeDetail),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = NodeDetail))
 )]
 pub(super) async fn one(
     State(view): State<HubView>,
@@ -58,11 +205,7 @@ pub(super) fn unknown(node: &str) -> Problem {
 /// `curl -X DELETE http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
     delete, operation_id = "forget_node", path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
-    responses(
-        (status = 204, description = "It is forgotten."),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-        (status = 503, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 204, description = "It is forgotten."))
 )]
 pub(super) async fn forget(
     State(view): State<HubView>,

@@ -16,7 +16,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, oneshot};
+use tokio::sync::{oneshot, watch};
 
 /// Presence is written also when no report comes.
 const IDLE: Duration = Duration::from_millis(250);
@@ -49,7 +49,7 @@ pub(crate) struct WriterSetup {
     pub(crate) readiness: Arc<Readiness>,
     pub(crate) fleet: Arc<Fleet>,
     pub(crate) desires: Arc<Desires>,
-    pub(crate) events: Arc<Notify>,
+    pub(crate) events: watch::Sender<()>,
 }
 
 /// Starts the threads. They end when the queue is dropped and empty; what is returned beside it is ready then.
@@ -248,7 +248,7 @@ impl Writer {
             ..committed.counts
         });
         if !committed.events.is_empty() {
-            setup.events.notify_one();
+            setup.events.send_replace(());
         }
         for batch in batches {
             setup.fleet.reported(&batch.node, unix_milliseconds());

@@ -168,13 +168,13 @@ pub(crate) trait Record: Sized {
 
 /// Declares a row: its fields are the columns, in order, under their own names.
 macro_rules! record {
-    ($(#[$meta:meta])* pub(crate) struct $name:ident {
+    ($(#[$meta:meta])* $vis:vis struct $name:ident {
         $($(#[$field_meta:meta])* $field:ident: $type:ty,)+
     }) => {
         $(#[$meta])*
         #[derive(Clone, Debug, PartialEq)]
-        pub(crate) struct $name {
-            $($(#[$field_meta])* pub(crate) $field: $type,)+
+        $vis struct $name {
+            $($(#[$field_meta])* $vis $field: $type,)+
         }
 
         impl $crate::store::record::Record for $name {

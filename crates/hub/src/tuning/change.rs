@@ -1,6 +1,6 @@
 //! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
 
-use super::members::Millis;
+use super::member::{Millis, Outcome};
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
 use crate::desired::DesiredValue;
@@ -58,46 +58,42 @@ impl Tuner {
         } = request;
         let taken = self.taken().await?;
         let (mut lines, mut nodes, mut known) = (Vec::new(), Vec::new(), HashSet::new());
-        let line = |node: &str, outcome: &str, from, detail: String| OutcomeLine {
+        let line = |node: &str, outcome, from, detail| OutcomeLine {
             node: node.to_owned(),
-            outcome: outcome.to_owned(),
+            outcome,
             from,
             to: setting,
             detail,
         };
-        for facts in self.fleet.all_settings() {
-            if !select.selects(&facts.name, facts.labels()) {
+        for node in self.fleet.all_settings() {
+            if !select.selects(&node.name, node.labels()) {
                 continue;
             }
-            known.insert(facts.name.to_string());
-            let from = facts.setting();
-            if let Some(other) = taken.get(&*facts.name) {
-                let detail = format!("takes part in {other}: end or return that first");
-                lines.push(line(&facts.name, "refused", from, detail));
-            } else if let Some(detail) =
-                (self.implausible(facts.revision)).or_else(|| unable(&facts, setting))
-            {
-                lines.push(line(&facts.name, "refused", from, detail));
-            } else if has_it(&facts, self.desired_value(&facts.name), setting) {
-                lines.push(line(&facts.name, "unchanged", from, String::new()));
-            } else if dry_run {
-                let detail = if facts.reachable {
-                    ""
-                } else {
-                    "out of reach: on its return"
-                };
-                lines.push(line(&facts.name, "would_change", from, detail.to_owned()));
-            } else {
-                nodes.push((facts.name.to_string(), from));
-            }
+            known.insert(node.name.to_string());
+            let from = node.setting();
+            let taken = (taken.get(&*node.name))
+                .map(|other| format!("takes part in {other}: end or return that first"));
+            let refused = taken.or_else(|| self.implausible(node.revision));
+            let (outcome, detail) = match refused.or_else(|| unable(&node, setting)) {
+                Some(detail) => (Outcome::Refused, detail),
+                None if has_it(&node, self.desired_value(&node.name), setting) => {
+                    (Outcome::Unchanged, String::new())
+                }
+                None if dry_run && node.reachable => (Outcome::WouldChange, String::new()),
+                None if dry_run => {
+                    let detail = "out of reach: on its return".to_owned();
+                    (Outcome::WouldChange, detail)
+                }
+                None => {
+                    nodes.push((node.name.to_string(), from));
+                    continue;
+                }
+            };
+            lines.push(line(&node.name, outcome, from, detail));
         }
         for name in select.named().filter(|name| !known.contains(*name)) {
-            lines.push(line(
-                name,
-                "refused",
-                None,
-                "there is no node of that name".to_owned(),
-            ));
+            let detail = "there is no node of that name".to_owned();
+            lines.push(line(name, Outcome::Refused, None, detail));
         }
         lines.sort_by(|a, b| a.node.cmp(&b.node));
         let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();

@@ -17,6 +17,7 @@
 //!
 //! With fewer than [`FEWEST_NODES`] measured nodes in a group there is no estimate: the variance between nodes cannot be known.
 
+use super::metric::{BeforeAfter, Figure};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, DiscreteCDF, Hypergeometric, StudentsT};
 use utoipa::ToSchema;
@@ -45,13 +46,6 @@ impl Scale {
             Self::Absolute => after - before,
         };
         change.is_finite().then_some(change)
-    }
-
-    /// The changes of nodes from their means, where they are defined.
-    pub(crate) fn changes(self, means: &[(f64, f64)]) -> Vec<f64> {
-        (means.iter())
-            .filter_map(|(before, after)| self.change(*before, *after))
-            .collect()
     }
 
     /// An estimate on this scale as people read it: a share of the value before, or the figure's unit.
@@ -117,6 +111,46 @@ impl Effect {
             estimate: self.scale.shown(self.change),
             lower: self.scale.shown(self.change - half),
             upper: self.scale.shown(self.change + half),
+        }
+    }
+}
+
+/// One figure of nodes that got the new value beside nodes that did not, over the same hours.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Comparison {
+    /// Nodes that got it with enough clips before and after.
+    pub(crate) nodes: usize,
+    /// Nodes that did not with enough clips over the same hours.
+    pub(crate) compared: usize,
+    /// Mean over the nodes that got it, before and after.
+    pub(crate) means: Option<(f64, f64)>,
+    /// The change; absent with too few nodes.
+    pub(crate) effect: Option<Effect>,
+}
+
+impl Comparison {
+    /// Compares the nodes that have at least `fewest` clips of `figure` before and after.
+    pub(crate) fn of(
+        figure: Figure,
+        scale: Scale,
+        changed: &[&BeforeAfter],
+        unchanged: &[&BeforeAfter],
+        fewest: u64,
+    ) -> Self {
+        let measured = |nodes: &[&BeforeAfter]| -> (Vec<(f64, f64)>, Vec<f64>) {
+            let means = nodes.iter().filter_map(|node| node.means(figure, fewest));
+            let both = means.filter_map(|mean| Some((mean, scale.change(mean.0, mean.1)?)));
+            both.unzip()
+        };
+        let (means, own) = measured(changed);
+        let (_, others) = measured(unchanged);
+        let average =
+            |side: fn(&(f64, f64)) -> f64| means.iter().map(side).sum::<f64>() / means.len() as f64;
+        Self {
+            nodes: own.len(),
+            compared: others.len(),
+            means: (!own.is_empty()).then(|| (average(|mean| mean.0), average(|mean| mean.1))),
+            effect: Effect::of(scale, &own, &others),
         }
     }
 }

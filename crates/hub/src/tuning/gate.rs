@@ -4,9 +4,9 @@
 //! [`effect`](super::effect) describes. Its whole interval within the bound: passed. Its whole interval beyond the bound:
 //! failed. Otherwise undecided: more has to be measured.
 
-use super::effect::{Effect, Interval, Scale};
+use super::effect::{Comparison, Effect, Interval, Scale};
 use super::metric::{BeforeAfter, Figure, Metric};
-use crate::named::as_text;
+use crate::named::{as_text, named};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -74,31 +74,29 @@ impl FromStr for Gate {
             Some(rest) => (rest.trim_end(), true),
             None => (text.trim(), false),
         };
-        let (name, most, bound) = if let Some((name, bound)) = rest.split_once("<=") {
-            (name, true, bound)
-        } else if let Some((name, bound)) = rest.split_once(">=") {
-            (name, false, bound)
-        } else {
-            return Err(fault("it has neither `<=` nor `>=`".to_owned()));
-        };
+        let sides = rest.split_once("<=").or_else(|| rest.split_once(">="));
+        let (name, bound) =
+            sides.ok_or_else(|| fault("it has neither `<=` nor `>=`".to_owned()))?;
         let metric = Metric::named(name.trim()).ok_or_else(|| {
-            let names: Vec<_> = Metric::ALL.iter().map(|metric| metric.name()).collect();
+            let names = Metric::ALL.map(Metric::name);
             fault(format!("the metrics are {}", names.join(", ")))
         })?;
-        if metric.more_is_worse() != most {
-            let sign = if most { ">=" } else { "<=" };
-            return Err(fault(format!("`{metric}` is bounded by `{sign}`")));
+        if !rest.contains(metric.sign()) {
+            return Err(fault(format!(
+                "`{metric}` is bounded by `{}`",
+                metric.sign()
+            )));
         }
         let bound = bound.trim();
         let (number, relative) = match bound.strip_suffix('%') {
             Some(percent) => (percent.trim(), true),
             None => (bound, false),
         };
-        let number: f64 = number
+        let number = number
             .parse()
             .ok()
-            .filter(|number: &f64| number.is_finite())
-            .ok_or_else(|| fault(format!("`{bound}` is no number")))?;
+            .filter(|number: &f64| number.is_finite());
+        let number = number.ok_or_else(|| fault(format!("`{bound}` is no number")))?;
         Ok(Self {
             metric,
             number,
@@ -110,36 +108,27 @@ impl FromStr for Gate {
 
 impl fmt::Display for Gate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let sign = if self.metric.more_is_worse() {
-            "<="
-        } else {
-            ">="
-        };
+        let (metric, sign, number) = (self.metric, self.metric.sign(), self.number);
         let percent = if self.relative { "%" } else { "" };
         let where_measured = if self.where_measured { "?" } else { "" };
-        let number = self.number;
-        write!(
-            f,
-            "{}{sign}{number:+}{percent}{where_measured}",
-            self.metric
-        )
+        write!(f, "{metric}{sign}{number:+}{percent}{where_measured}")
     }
 }
 
 as_text!(Gate);
 
-/// What a gate or a stage came to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// The change is within the bound.
-    Passed,
-    /// The change is beyond the bound.
-    Failed,
-    /// What was measured leaves both possible.
-    Undecided,
-    /// Too few nodes were measured to estimate the change.
-    NotMeasured,
+named! {
+    /// What a gate or a stage came to.
+    pub enum Verdict {
+        /// The change is within the bound.
+        Passed = "passed",
+        /// The change is beyond the bound.
+        Failed = "failed",
+        /// What was measured leaves both possible.
+        Undecided = "undecided",
+        /// Too few nodes were measured to estimate the change.
+        NotMeasured = "not_measured",
+    }
 }
 
 /// A gate's verdict on one figure, with its numbers.
@@ -173,33 +162,42 @@ pub struct ErrorRates {
     pub pass: f64,
 }
 
-/// The nodes whose change is judged.
-#[derive(Clone, Copy, Debug)]
-pub struct Measured<'a> {
-    /// Nodes that got the new value.
-    pub changed: &'a [BeforeAfter],
-    /// Nodes that did not, over the same hours.
-    pub unchanged: &'a [BeforeAfter],
-    /// Fewest clips of a node before and after.
-    pub fewest_clips: u64,
-}
-
-/// Judges every gate on every figure it has.
-pub fn judge(gates: &[Gate], measured: Measured<'_>, rates: ErrorRates) -> Vec<GateResult> {
+/// Judges every gate on every figure it has: nodes that got the new value beside nodes that did not, each with at least
+/// `fewest_clips` before and after.
+pub(crate) fn judge(
+    gates: &[Gate],
+    changed: &[&BeforeAfter],
+    unchanged: &[&BeforeAfter],
+    fewest_clips: u64,
+    rates: ErrorRates,
+) -> Vec<GateResult> {
     let reported = |figure: &Figure| {
-        (measured.changed.iter())
+        (changed.iter())
             .any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
     };
     let mut results = Vec::new();
     for gate in gates {
-        let before = results.len();
-        let figures = gate
-            .metric
-            .figures()
-            .iter()
-            .filter(|figure| reported(figure));
-        results.extend(figures.map(|figure| judge_one(*gate, *figure, measured, rates)));
-        if results.len() == before {
+        let scale = if gate.relative {
+            Scale::Relative
+        } else {
+            Scale::Absolute
+        };
+        let judged = results.len();
+        for figure in gate.metric.figures().filter(reported) {
+            let found = Comparison::of(figure, scale, changed, unchanged, fewest_clips);
+            results.push(GateResult {
+                gate: *gate,
+                figure: Some(figure),
+                nodes: found.nodes,
+                compared: found.compared,
+                before: found.means.map(|(before, _)| before),
+                after: found.means.map(|(_, after)| after),
+                change: found.effect.map(|effect| effect.interval(rates.fail)),
+                verdict: (found.effect)
+                    .map_or(Verdict::NotMeasured, |effect| within(gate, &effect, rates)),
+            });
+        }
+        if results.len() == judged {
             results.push(GateResult {
                 gate: *gate,
                 figure: None,
@@ -227,35 +225,7 @@ pub(crate) fn overall(results: &[GateResult]) -> Verdict {
         .unwrap_or(Verdict::Passed)
 }
 
-fn judge_one(gate: Gate, figure: Figure, measured: Measured<'_>, rates: ErrorRates) -> GateResult {
-    let scale = if gate.relative {
-        Scale::Relative
-    } else {
-        Scale::Absolute
-    };
-    let means = |nodes| BeforeAfter::means(nodes, figure, measured.fewest_clips);
-    let own = means(measured.changed);
-    let (changed, unchanged) = (
-        scale.changes(&own),
-        scale.changes(&means(measured.unchanged)),
-    );
-    let average = |side: fn(&(f64, f64)) -> f64| {
-        (!own.is_empty()).then(|| own.iter().map(side).sum::<f64>() / own.len() as f64)
-    };
-    let effect = Effect::of(scale, &changed, &unchanged);
-    GateResult {
-        gate,
-        figure: Some(figure),
-        nodes: changed.len(),
-        compared: unchanged.len(),
-        before: average(|mean| mean.0),
-        after: average(|mean| mean.1),
-        change: effect.map(|effect| effect.interval(rates.fail)),
-        verdict: effect.map_or(Verdict::NotMeasured, |effect| within(gate, &effect, rates)),
-    }
-}
-
-fn within(gate: Gate, effect: &Effect, rates: ErrorRates) -> Verdict {
+fn within(gate: &Gate, effect: &Effect, rates: ErrorRates) -> Verdict {
     let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
     let bound = gate.bound();
     let (beyond, inside) = if gate.metric.more_is_worse() {

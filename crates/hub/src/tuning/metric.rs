@@ -31,17 +31,14 @@ impl Metric {
         !matches!(self, Self::SkipRate | Self::Recall | Self::Precision)
     }
 
-    /// What is compared: energy that was measured and energy that was estimated are two figures.
-    pub const fn figures(self) -> &'static [Figure] {
-        match self {
-            Self::SkipRate => &[Figure::SkipRate],
-            Self::Joules => &[Figure::JoulesMeasured, Figure::JoulesEstimated],
-            Self::Edp => &[Figure::EdpMeasured, Figure::EdpEstimated],
-            Self::LatencyP99 => &[Figure::LatencyP99],
-            Self::Degraded => &[Figure::Degraded],
-            Self::Recall => &[Figure::Recall],
-            Self::Precision => &[Figure::Precision],
-        }
+    /// The sign between a gate's metric and its bound.
+    pub(crate) const fn sign(self) -> &'static str {
+        if self.more_is_worse() { "<=" } else { ">=" }
+    }
+
+    /// What is compared: the figures whose names begin with its own. Measured and estimated energy are two.
+    pub(crate) fn figures(self) -> impl Iterator<Item = Figure> {
+        (Figure::ALL.into_iter()).filter(move |figure| figure.name().starts_with(self.name()))
     }
 }
 
@@ -73,12 +70,8 @@ impl Figure {
     /// How a node's change is taken: shares by their difference, all else by its ratio.
     pub const fn scale(self) -> Scale {
         match self {
-            Self::JoulesMeasured
-            | Self::JoulesEstimated
-            | Self::EdpMeasured
-            | Self::EdpEstimated
-            | Self::LatencyP99 => Scale::Relative,
-            _ => Scale::Absolute,
+            Self::SkipRate | Self::Degraded | Self::Recall | Self::Precision => Scale::Absolute,
+            _ => Scale::Relative,
         }
     }
 }
@@ -112,16 +105,10 @@ pub struct BeforeAfter {
 }
 
 impl BeforeAfter {
-    /// Means of `figure` before and after, of the nodes with at least `fewest` clips in both.
-    pub(crate) fn means<'a>(
-        nodes: impl IntoIterator<Item = &'a Self>,
-        figure: Figure,
-        fewest: u64,
-    ) -> Vec<(f64, f64)> {
+    /// The means of `figure` before and after, with at least `fewest` clips in both.
+    pub(crate) fn means(&self, figure: Figure, fewest: u64) -> Option<(f64, f64)> {
         let mean = |figures: &Figures| figures.get(&figure)?.of_at_least(fewest);
-        (nodes.into_iter())
-            .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
-            .collect()
+        Some((mean(&self.before)?, mean(&self.after)?))
     }
 
     /// Whether the node made clips before and none since.

@@ -1,14 +1,14 @@
 //! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
-use super::members::{Millis, Observation, Outcome};
+use super::member::{Ask, Millis, Observation, Outcome};
+use super::run::milliseconds;
 use crate::config::TuningConfig;
 use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::setting::is_applied;
 use crate::store::tables::EventRow;
-use crate::store::{OrderNodeRow, OrderRow, Store, StoreError};
+use crate::store::{ChangeNode, ChangeRow, Store, StoreError};
 use albireo_wire::DesiredSetting;
-use albireo_wire::Threshold;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -20,21 +20,20 @@ use utoipa::ToSchema;
 /// How long after a notice that was not followed a node is notified again.
 const NOTIFY_AGAIN_MS: Millis = 5_000;
 
+/// How often a node is set back at most after one change: two hands on one value do not fight for ever.
+const SET_BACK_TIMES: u32 = 3;
+
 /// How far beyond this database's revisions a node's may be. A database that was restored or is empty knows none of the
 /// revisions that nodes have; a node that reports nonsense must not use them up.
 const FARTHEST_AHEAD: u64 = 1 << 32;
-
-/// What is desired, and the nodes that are to have it again with what each has now.
-type SetBack = (DesiredSetting, Vec<(String, Option<DesiredSetting>)>);
 
 /// What an order came to at one node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct OutcomeLine {
     /// The node.
     pub node: String,
-    /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
-    /// has the value already, `would_change` in a dry run.
-    pub outcome: String,
+    /// What became of it.
+    pub outcome: Outcome,
     /// Its setting before, if that was known: a threshold or a target.
     pub from: Option<DesiredSetting>,
     /// What was ordered: a threshold or a target.
@@ -47,7 +46,7 @@ pub struct OutcomeLine {
 impl OutcomeLine {
     /// Whether nothing more is to come for the node within a request.
     pub(crate) fn is_final(&self) -> bool {
-        self.outcome != "pending"
+        self.outcome != Outcome::Pending
     }
 }
 
@@ -67,24 +66,22 @@ pub(crate) struct NewOrder {
 /// An order that a node has not answered finally.
 #[derive(Clone, Debug)]
 struct OpenOrder {
-    revision: u64,
+    ask: Ask,
     setting: DesiredSetting,
     from: Option<DesiredSetting>,
-    asked_ms: Millis,
     notified_ms: Millis,
-    outcome: Outcome,
 }
 
 impl OpenOrder {
-    /// Its row with that outcome at `node`.
-    fn row(&self, node: &str, outcome: &str, at_ms: Millis, detail: String) -> OrderNodeRow {
-        OrderNodeRow {
-            revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
+    /// Its row at `node`.
+    fn row(&self, node: &str, at_ms: Millis) -> ChangeNode {
+        ChangeNode {
+            revision: i64::try_from(self.ask.revision).unwrap_or(i64::MAX),
             node: node.to_owned(),
             setting_before: self.from,
-            outcome: outcome.to_owned(),
+            outcome: self.ask.outcome,
             at_ms,
-            detail,
+            detail: self.ask.reason.clone(),
         }
     }
 }
@@ -131,10 +128,6 @@ impl std::fmt::Debug for Tuner {
     }
 }
 
-pub(crate) fn text(knob: Threshold) -> String {
-    knob.value.to_string()
-}
-
 impl Tuner {
     /// Reads what is desired and what is open from the database.
     ///
@@ -165,23 +158,17 @@ impl Tuner {
         tuner.learn().await?;
         for row in tuner.store.open_order_nodes().await? {
             let revision = row.revision.unsigned_abs();
-            let Some(desired) = tuner
-                .desires
-                .get(&row.node)
-                .filter(|d| d.revision == revision)
-            else {
-                continue;
-            };
-            let order = OpenOrder {
-                revision,
-                setting: desired.setting,
-                from: row.setting_before,
-                // Its time begins again: no hub listened meanwhile.
-                asked_ms: now,
-                notified_ms: 0,
-                outcome: Outcome::Pending,
-            };
-            tuner.open.lock().insert(row.node, order);
+            let desired = tuner.desires.get(&row.node);
+            if let Some(desired) = desired.filter(|desired| desired.revision == revision) {
+                let order = OpenOrder {
+                    // Its time begins again: no hub listened meanwhile.
+                    ask: Ask::new(revision, now, Outcome::Pending),
+                    setting: desired.setting,
+                    from: row.setting_before,
+                    notified_ms: 0,
+                };
+                tuner.open.lock().insert(row.node, order);
+            }
         }
         Ok(tuner)
     }
@@ -190,11 +177,6 @@ impl Tuner {
     fn desire(&self, node: &str, revision: u64, setting: DesiredSetting) {
         let value = DesiredValue { revision, setting };
         self.desires.set(node, value);
-    }
-
-    /// The database.
-    pub(crate) fn store(&self) -> &Store {
-        &self.store
     }
 
     /// What is desired of a node.
@@ -245,40 +227,33 @@ impl Tuner {
         follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
         now: Millis,
     ) -> Result<u64, StoreError> {
-        let open = |revision, from| OpenOrder {
-            revision,
+        let open = |revision, from, outcome| OpenOrder {
+            ask: Ask::new(revision, now, outcome),
             setting: order.setting,
             from,
-            asked_ms: now,
             notified_ms: now,
-            outcome: Outcome::Pending,
-        };
-        let reachable = |node: &str| {
-            self.fleet
-                .settings(node)
-                .is_some_and(|facts| facts.reachable)
         };
         // A restored database does not know what it ordered after its backup, nor what a node has that is away: so that none of
         // those revisions is given again, they begin at the time, in seconds.
         let above =
             (self.reported(order.nodes.iter().map(|(node, _)| node))).max(now.div_euclid(1000));
-        let mut row = OrderRow {
+        let mut row = ChangeRow {
             revision: 0,
             at_ms: now,
-            who: order.who.clone(),
-            why: order.why.clone(),
-            origin: order.origin.clone(),
-            selector: order.selector.clone(),
+            who: order.who,
+            why: order.why,
+            origin: order.origin,
+            selector: order.selector,
             setting: order.setting,
         };
         let mut nodes: Vec<_> = (order.nodes.iter())
             .map(|(node, from)| {
-                let outcome = if reachable(node) {
-                    "pending"
-                } else {
-                    "waiting"
+                let settings = self.fleet.settings(node);
+                let outcome = match settings.is_some_and(|node| node.reachable) {
+                    true => Outcome::Pending,
+                    false => Outcome::Waiting,
                 };
-                open(0, *from).row(node, outcome, now, String::new())
+                open(0, *from, outcome).row(node, now)
             })
             .collect();
         let written = self.store.write(move |writing| {
@@ -297,9 +272,10 @@ impl Tuner {
         }
         for (node, from) in &order.nodes {
             self.desire(node, revision, order.setting);
-            let before = (self.open.lock()).insert(node.clone(), open(revision, *from));
-            if let Some(before) = before {
-                self.send_outcome(&before, node, "superseded", String::new());
+            let present = open(revision, *from, Outcome::Pending);
+            if let Some(mut before) = (self.open.lock()).insert(node.clone(), present) {
+                before.ask.outcome = Outcome::Superseded;
+                self.send_outcome(&before, node);
             }
             self.drift.lock().remove(node);
             self.notifier.notify(node, revision);
@@ -312,23 +288,25 @@ impl Tuner {
         self.desires.remove(node);
         self.drift.lock().remove(node);
         let order = self.open.lock().remove(node);
-        if let Some(order) = order {
-            self.send_outcome(&order, node, "missed", "the node was forgotten".to_owned());
+        if let Some(mut order) = order {
+            order.ask.outcome = Outcome::Missed;
+            order.ask.reason = "the node was forgotten".to_owned();
+            self.send_outcome(&order, node);
         }
     }
 
-    fn send_outcome(&self, order: &OpenOrder, node: &str, outcome: &str, detail: String) {
+    fn send_outcome(&self, order: &OpenOrder, node: &str) {
         let mut followers = self.followers.lock();
-        if let Some(follower) = followers.get(&order.revision) {
+        if let Some(follower) = followers.get(&order.ask.revision) {
             let line = OutcomeLine {
                 node: node.to_owned(),
-                outcome: outcome.to_owned(),
+                outcome: order.ask.outcome,
                 from: order.from,
                 to: order.setting,
-                detail,
+                detail: order.ask.reason.clone(),
             };
             if follower.send(line).is_err() {
-                followers.remove(&order.revision);
+                followers.remove(&order.ask.revision);
             }
         }
     }
@@ -338,38 +316,27 @@ impl Tuner {
     /// # Errors
     /// When the outcomes cannot be kept; they are then found again at the next look.
     pub async fn look(&self, now: Millis) -> Result<(), StoreError> {
-        let patience = super::rollout::seconds(self.config.apply_within_s);
-        let mut rows = Vec::new();
-        let mut changed: Vec<(String, OpenOrder)> = Vec::new();
-        {
-            let open = self.open.lock();
-            for (node, order) in open.iter() {
-                let Some(facts) = self.fleet.settings(node) else {
-                    continue;
-                };
-                let mut order = order.clone();
-                let observed = Observation::from(&facts);
-                let next = order.outcome.next(
-                    &observed,
-                    order.setting,
-                    order.revision,
-                    &mut order.asked_ms,
-                    patience,
-                    now,
-                );
-                if next == Outcome::Pending
-                    && observed.reachable
-                    && now - order.notified_ms >= NOTIFY_AGAIN_MS
-                {
-                    order.notified_ms = now;
-                    self.notifier.notify(node, order.revision);
-                    changed.push((node.clone(), order.clone()));
-                }
-                if next != order.outcome {
-                    rows.push(order.row(node, next.name(), now, next.detail()));
-                    order.outcome = next;
-                    changed.push((node.clone(), order));
-                }
+        let patience = milliseconds(self.config.apply_within_s);
+        let (mut rows, mut changed) = (Vec::new(), Vec::new());
+        for (node, order) in self.open.lock().iter() {
+            let Some(settings) = self.fleet.settings(node) else {
+                continue;
+            };
+            let seen = Observation::from(&settings);
+            let mut order = order.clone();
+            let answered = (order.ask).observe(&seen, order.setting, patience, now);
+            let again = order.ask.outcome == Outcome::Pending
+                && seen.reachable
+                && now - order.notified_ms >= NOTIFY_AGAIN_MS;
+            if again {
+                order.notified_ms = now;
+                self.notifier.notify(node, order.ask.revision);
+            }
+            if answered {
+                rows.push(order.row(node, now));
+            }
+            if again || answered {
+                changed.push((node.clone(), order));
             }
         }
         if !rows.is_empty() {
@@ -378,20 +345,17 @@ impl Tuner {
                 .await?;
         }
         for (node, order) in changed {
-            {
-                let mut open = self.open.lock();
-                let still = open
-                    .get(&node)
-                    .is_some_and(|present| present.revision == order.revision);
-                if !still {
-                    continue;
-                }
-                match order.outcome {
-                    Outcome::Applied { .. } | Outcome::Refused { .. } => open.remove(&node),
-                    _ => open.insert(node.clone(), order.clone()),
-                };
+            let mut open = self.open.lock();
+            let present = open.get(&node).map(|present| present.ask.revision);
+            if present != Some(order.ask.revision) {
+                continue;
             }
-            self.send_outcome(&order, &node, order.outcome.name(), order.outcome.detail());
+            match order.ask.outcome {
+                Outcome::Applied | Outcome::Refused => open.remove(&node),
+                _ => open.insert(node.clone(), order.clone()),
+            };
+            drop(open);
+            self.send_outcome(&order, &node);
         }
         Ok(())
     }
@@ -402,44 +366,40 @@ impl Tuner {
     /// # Errors
     /// When the database cannot be written: they are found again at the next look.
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
-        let mut back: HashMap<String, SetBack> = HashMap::new();
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.all() {
-            let Some(facts) = self.fleet.settings(&node) else {
+            let Some(settings) = self.fleet.settings(&node) else {
                 continue;
             };
-            if !drifted(&facts, desired) {
+            if !drifted(&settings, desired) {
                 // One that was set back stays listed until it has taken the value again.
-                if facts.revision >= desired.revision {
+                if settings.revision >= desired.revision {
                     self.drift.lock().remove(&node);
                 }
                 continue;
             }
-            let mut drift = self.drift.lock();
-            let known = drift.get_mut(&node).map(|entry| {
-                entry.in_force = facts.setting();
-                entry.why = facts.target_off();
-                entry.set_back
-            });
+            let known = self
+                .drift
+                .lock()
+                .get(&node)
+                .map(|drift| (drift.since_ms, drift.set_back));
             if known.is_none() {
-                events.push(drift_event(&node, desired, &facts, now));
-                found.push(Drift {
-                    node: node.clone(),
-                    since_ms: now,
-                    desired: desired.setting,
-                    in_force: facts.setting(),
-                    why: facts.target_off(),
-                    set_back: 0,
+                let detail = serde_json::json!({
+                    "revision": desired.revision,
+                    "desired": desired.setting,
+                    "in_force": settings.setting(),
                 });
+                events.push(EventRow::new(now, "drift", &node, detail));
             }
-            let set_back = known.unwrap_or(0);
-            if self.config.local_change.is_set_back() && set_back < self.config.set_back_times {
-                let group = back.entry(desired.setting.to_string());
-                group
-                    .or_insert_with(|| (desired.setting, Vec::new()))
-                    .1
-                    .push((node, facts.setting()));
-            }
+            let (since_ms, set_back) = known.unwrap_or((now, 0));
+            found.push(Drift {
+                node,
+                since_ms,
+                desired: desired.setting,
+                in_force: settings.setting(),
+                why: settings.target_off(),
+                set_back,
+            });
         }
         if !events.is_empty() {
             (self.store)
@@ -447,18 +407,35 @@ impl Tuner {
                 .await?;
         }
         // Known is only what is in the history: after an error it is found again.
-        (self.drift.lock()).extend(found.into_iter().map(|entry| (entry.node.clone(), entry)));
-        for (setting, nodes) in back.into_values() {
-            let counts: Vec<_> = (nodes.iter())
-                .filter_map(|(node, _)| self.drift.lock().get(node).cloned())
-                .map(|entry| Drift {
-                    set_back: entry.set_back + 1,
-                    ..entry
-                })
-                .collect();
+        self.list_drift(found.clone());
+        if self.config.local_change.is_set_back() {
+            found.retain(|drift| drift.set_back < SET_BACK_TIMES);
+            self.set_back(found, now).await?;
+        }
+        Ok(())
+    }
+
+    fn list_drift(&self, found: Vec<Drift>) {
+        let found = found.into_iter().map(|drift| (drift.node.clone(), drift));
+        self.drift.lock().extend(found);
+    }
+
+    async fn set_back(&self, drifted: Vec<Drift>, now: Millis) -> Result<(), StoreError> {
+        let mut by_setting: HashMap<String, Vec<Drift>> = HashMap::new();
+        for mut drift in drifted {
+            drift.set_back += 1;
+            by_setting
+                .entry(drift.desired.to_string())
+                .or_default()
+                .push(drift);
+        }
+        for drifted in by_setting.into_values() {
+            let nodes = drifted
+                .iter()
+                .map(|drift| (drift.node.clone(), drift.in_force));
             let order = NewOrder {
-                setting,
-                nodes,
+                setting: drifted[0].desired,
+                nodes: nodes.collect(),
                 who: "hub".to_owned(),
                 why: "changed at the node".to_owned(),
                 origin: "drift".to_owned(),
@@ -466,8 +443,7 @@ impl Tuner {
             };
             self.order(order, None, now).await?;
             // Ordering forgets the drift; how often a node was set back must be known the next time.
-            let mut drift = self.drift.lock();
-            drift.extend(counts.into_iter().map(|entry| (entry.node.clone(), entry)));
+            self.list_drift(drifted);
         }
         Ok(())
     }
@@ -476,16 +452,6 @@ impl Tuner {
     pub(crate) fn drift(&self) -> Vec<Drift> {
         self.drift.lock().values().cloned().collect()
     }
-}
-
-/// A change at the node, for the history.
-fn drift_event(node: &str, desired: DesiredValue, facts: &NodeSettings, now: Millis) -> EventRow {
-    let detail = serde_json::json!({
-        "revision": desired.revision,
-        "desired": desired.setting,
-        "in_force": facts.setting(),
-    });
-    EventRow::new(now, "drift", node, detail)
 }
 
 /// Whether a node has taken what is desired and has something else now.

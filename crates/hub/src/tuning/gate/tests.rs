@@ -30,12 +30,9 @@ fn fleet(figure: Figure, count: usize, factor: f64) -> Vec<BeforeAfter> {
 }
 
 fn judged(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Vec<GateResult> {
-    let measured = Measured {
-        changed,
-        unchanged,
-        fewest_clips: 5,
-    };
-    judge(&[gate.parse().unwrap()], measured, RATES)
+    let changed: Vec<_> = changed.iter().collect();
+    let unchanged: Vec<_> = unchanged.iter().collect();
+    judge(&[gate.parse().unwrap()], &changed, &unchanged, 5, RATES)
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod hub;
 mod node;
 
 use super::timeline::{HOUR, Payload, Run, SECOND, Timeline, folder};
-use albireo_hub::tuning::rollout::Command;
+use albireo_hub::tuning::run::Command;
 use albireo_wire::DesiredSetting;
 use hub::Hub;
 use node::Node;

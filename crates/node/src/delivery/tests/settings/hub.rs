@@ -11,10 +11,9 @@ use albireo_hub::store::Store;
 use albireo_hub::tuning::Tuner;
 use albireo_hub::tuning::change::ChangeRequest;
 use albireo_hub::tuning::gate::Gate;
-use albireo_hub::tuning::members::{Member, Outcome};
-use albireo_hub::tuning::rollout::{
-    Command, OnFailure, Phase, Rollout, RolloutPlan, RolloutRequest,
-};
+use albireo_hub::tuning::member::{Member, Outcome};
+use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan};
+use albireo_hub::tuning::run::{Command, Kind, Phase, Run};
 use albireo_hub::tuning::selector::Selector;
 use albireo_service::clock::Now;
 use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage, Threshold};
@@ -212,11 +211,15 @@ impl Hub {
     ) {
         let Some(hub) = &self.running else { return };
         let plan = RolloutPlan {
-            select: Selector::new(nodes).unwrap(),
+            basics: Basics {
+                select: Selector::new(nodes).unwrap(),
+                apply_within_s,
+                seed: Some(seed),
+                ..Basics::default()
+            },
             stages: ["1", "all"].map(|size| size.parse().unwrap()).to_vec(),
             soak_s,
             patience_s,
-            apply_within_s,
             held_for_s,
             offline_deadline_s: 600.0,
             // Nothing is measured: those that do not need it pass.
@@ -230,12 +233,10 @@ impl Hub {
             } else {
                 OnFailure::Return
             },
-            seed: Some(seed),
-            ..RolloutPlan::default()
         };
-        let knob = Threshold::new("u", value);
-        let request = RolloutRequest { knob, plan };
-        self.work(hub.tuner.begin_rollout(request, "ops", now.unix_ms));
+        let to = Threshold::new("u", value);
+        let kind = Kind::Rollout { to, plan };
+        self.work(hub.tuner.begin(kind, "ops", now.unix_ms));
     }
 
     /// Gives a command to one of the rollouts.
@@ -335,7 +336,7 @@ impl Hub {
         let mut rows = select.query([]).unwrap();
         while let Some(row) = rows.next().unwrap() {
             let (id, state): (i64, String) = (row.get(0).unwrap(), row.get(1).unwrap());
-            let rollout: Rollout = serde_json::from_str(&state).unwrap();
+            let rollout: Run = serde_json::from_str(&state).unwrap();
             if row.get(2).unwrap() {
                 wrong.push(format!("rollout {id} is {}", rollout.phase.name()));
             }
@@ -346,19 +347,18 @@ impl Hub {
 
     /// The nodes of a rollout for which nobody ordered anything since, and of which something else is desired than what became of
     /// it.
-    fn not_as_it_ended(&self, id: i64, rollout: &Rollout) -> Vec<String> {
+    fn not_as_it_ended(&self, id: i64, rollout: &Run) -> Vec<String> {
         let is_old = |member: &Member| match rollout.phase {
             Phase::Returned => Some(true),
-            Phase::Done => Some(member.outcome == Outcome::Missed),
+            Phase::Done => Some(member.ask.outcome == Outcome::Missed),
             _ => None,
         };
-        let asked = (rollout.members.iter()).filter(|member| member.revision > 0);
+        let asked = (rollout.members.iter()).filter(|member| member.ask.revision > 0);
         let wrong = asked.filter_map(|member| {
             let wanted = self.desired(&member.node)?;
-            let value = if is_old(member)? {
-                member.before.value
-            } else {
-                rollout.knob.value
+            let value = match &rollout.kind {
+                Kind::Rollout { to, .. } if !is_old(member)? => to.value,
+                _ => member.before.value,
             };
             let is_wrong = wanted.origin == format!("rollout {id}") && wanted.value != value;
             is_wrong.then(|| {

@@ -1,8 +1,8 @@
 mod fleets;
+mod trials;
 
-use super::super::gate::Verdict;
-use super::super::members::Target;
-use super::super::metric::{Figure, Figures, Mean};
+use super::super::metric::{Figures, Mean};
+use super::super::plan::StageSize;
 use super::*;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -82,7 +82,7 @@ impl World {
     }
 
     /// A second passes.
-    fn step(&mut self, rollout: &mut Rollout) {
+    fn step(&mut self, rollout: &mut Run) {
         self.now += SECOND;
         for order in rollout.due() {
             self.revision += 1;
@@ -110,22 +110,16 @@ impl World {
         rollout.observe(self.now, |name| {
             self.nodes.get(name).map(|n| n.seen.clone())
         });
-        if let Some(request) = rollout.tick(self.now) {
-            let measure = |windows: &[Window]| windows.iter().map(|w| self.measure(w)).collect();
-            let measured = Measurements {
-                changed: measure(&request.changed),
-                unchanged: measure(&request.unchanged),
-            };
-            rollout.measured(self.now, &measured);
+        if let Some(windows) = rollout.tick(self.now) {
+            let found = windows.iter().map(|both| self.measure(both)).collect();
+            rollout.measured(&found, self.now);
         }
     }
 
-    fn measure(&self, window: &Window) -> BeforeAfter {
-        assert_eq!(window.old, old());
-        assert!(window.before_ms[0] < window.before_ms[1]);
-        assert!(
-            window.before_ms[1] <= window.after_ms[0] && window.after_ms[0] <= window.after_ms[1]
-        );
+    fn measure(&self, [before, after]: &[Window; 2]) -> (String, BeforeAfter) {
+        assert_eq!(before.value, old().value.to_string());
+        assert!(before.from_ms < before.until_ms);
+        assert!(before.until_ms <= after.from_ms && after.from_ms <= after.until_ms);
         let clips = |mean: f64| Mean {
             clips: 5,
             sum: 5.0 * mean,
@@ -139,24 +133,24 @@ impl World {
             ]
             .into()
         };
-        let node = &self.nodes[&window.node];
-        BeforeAfter {
+        let factor = match after.value == new().value.to_string() {
+            true => self.nodes[&after.node].factor,
+            false => 1.0,
+        };
+        let clips = BeforeAfter {
             before: figures(1.0),
-            after: figures(if window.new == new() {
-                node.factor
-            } else {
-                1.0
-            }),
-        }
+            after: figures(factor),
+        };
+        (after.node.clone(), clips)
     }
 
-    fn run(&mut self, rollout: &mut Rollout, seconds: usize) {
+    fn run(&mut self, rollout: &mut Run, seconds: usize) {
         for _ in 0..seconds {
             self.step(rollout);
         }
     }
 
-    fn run_until(&mut self, rollout: &mut Rollout, phase: &str) {
+    fn run_until(&mut self, rollout: &mut Run, phase: &str) {
         for _ in 0..100_000 {
             if rollout.phase.name() == phase {
                 return;
@@ -166,9 +160,9 @@ impl World {
         panic!("never {phase}: {:?} {:#?}", rollout.phase, rollout.record);
     }
 
-    fn begin(&self, plan: RolloutPlan) -> Rollout {
-        let request = RolloutRequest { knob: new(), plan };
-        Rollout::begin(request, self.candidates(), 7, "ops", self.now).unwrap()
+    fn begin(&self, plan: RolloutPlan) -> Run {
+        let kind = Kind::Rollout { to: new(), plan };
+        Run::begin(kind, self.candidates(), 7, "ops", self.now).unwrap()
     }
 }
 
@@ -185,7 +179,7 @@ fn plan() -> RolloutPlan {
     }
 }
 
-fn stages_entered(rollout: &Rollout) -> Vec<&str> {
+fn stages_entered(rollout: &Run) -> Vec<&str> {
     let entered = rollout.record.iter().filter(|e| e.what == What::Stage);
     entered.map(|e| e.text.as_str()).collect()
 }
@@ -212,9 +206,9 @@ fn a_share_is_rounded_up_and_never_to_nobody() {
     for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
         assert!(wrong.parse::<StageSize>().is_err(), "{wrong}");
     }
-    assert_eq!(plan().new_in_stages(40), [1, 3, 16, 20]);
-    assert_eq!(plan().new_in_stages(1), [1]);
-    assert_eq!(plan().new_in_stages(2), [1, 1]);
+    assert_eq!(plan().stage_ends(40), [1, 4, 20, 40]);
+    assert_eq!(plan().stage_ends(1), [1]);
+    assert_eq!(plan().stage_ends(2), [1, 2]);
 }
 
 #[test]
@@ -346,9 +340,12 @@ fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
     let mut total = 0.0;
     for _ in 0..6 {
         world.run_until(&mut rollout, "held");
-        let rates = rollout.error_rates();
+        let Kind::Rollout { plan, .. } = &rollout.kind else {
+            panic!()
+        };
+        let rates = rollout.error_rates(plan);
         // Each look at each figure of each stage.
-        total += rates.fail * 2.0 * rollout.stages as f64 * f64::from(LOOKS);
+        total += rates.fail * 2.0 * rollout.stages() as f64 * f64::from(LOOKS);
         rollout.command(Command::Resume, "ops", world.now).unwrap();
     }
     assert!(total > 0.049 && total <= 0.05, "{total}");
@@ -395,9 +392,7 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
         "{}",
         world.now
     );
-    let Phase::Held { reason, .. } = &rollout.phase else {
-        panic!()
-    };
+    let reason = &rollout.reason;
     assert!(reason.contains("recall>=-0.02 (not measured)"), "{reason}");
     let mut resumed = rollout.clone();
     resumed.command(Command::Resume, "ops", world.now).unwrap();
@@ -503,7 +498,7 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
         .iter()
         .filter(|m| order.nodes.contains(&m.node));
     assert!(asked.clone().count() > 0);
-    assert!(asked.clone().all(|m| m.outcome == Outcome::Pending));
+    assert!(asked.clone().all(|m| m.ask.outcome == Outcome::Pending));
 }
 
 #[test]
@@ -536,6 +531,7 @@ fn commands_that_make_no_sense_are_refused() {
 
 #[test]
 fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
+    let basics = |basics| RolloutPlan { basics, ..plan() };
     for (field, wrong) in [
         (
             "stages",
@@ -567,17 +563,17 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
         ),
         (
             "confidence",
-            RolloutPlan {
+            basics(Basics {
                 confidence: 1.0,
-                ..plan()
-            },
+                ..Basics::default()
+            }),
         ),
         (
             "fewest_clips",
-            RolloutPlan {
+            basics(Basics {
                 fewest_clips: 1,
-                ..plan()
-            },
+                ..Basics::default()
+            }),
         ),
         (
             "fewest_applied",
@@ -591,16 +587,12 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
     }
     plan().check().unwrap();
     RolloutPlan::default().check().unwrap();
-    let nobody = RolloutRequest {
-        knob: new(),
+    let nobody = Kind::Rollout {
+        to: new(),
         plan: plan(),
     };
-    assert_eq!(
-        Rollout::begin(nobody, vec![], 1, "ops", 0)
-            .unwrap_err()
-            .field,
-        "select"
-    );
+    let error = Run::begin(nobody, vec![], 1, "ops", 0).unwrap_err();
+    assert_eq!(error.field, "select");
 }
 
 #[derive(Clone, Debug)]
@@ -663,7 +655,7 @@ proptest! {
             }
             let stage = rollout.stage;
             for member in &rollout.members {
-                prop_assert!(member.group <= stage || member.target != Target::New);
+                prop_assert!(member.group < stage || member.wanted != Some(new()));
             }
         }
         for (i, entry) in rollout.record.iter().enumerate() {

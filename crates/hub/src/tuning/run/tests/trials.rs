@@ -1,5 +1,7 @@
-use super::super::metric::Mean;
-use super::*;
+//! Trials: the draw, the result, and the way back.
+
+use super::super::super::metric::Mean;
+use super::super::*;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -15,6 +17,10 @@ fn plan() -> TrialPlan {
     }
 }
 
+fn begin(candidates: Vec<Candidate>, seed: u64) -> Result<Run, PlanError> {
+    Run::begin(Kind::Trial { plan: plan() }, candidates, seed, "ops", 0)
+}
+
 fn candidates(count: usize) -> Vec<Candidate> {
     let one = |i: usize| Candidate {
         node: format!("cam-{i:03}"),
@@ -25,7 +31,7 @@ fn candidates(count: usize) -> Vec<Candidate> {
 }
 
 /// Nodes report at once what they are asked for.
-fn obey(trial: &mut Trial, revision: &mut u64, now: Millis) {
+fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     let mut have = BTreeMap::new();
     for order in trial.due() {
         *revision += 1;
@@ -47,10 +53,11 @@ fn obey(trial: &mut Trial, revision: &mut u64, now: Millis) {
 }
 
 /// Each node has a level of its own; the energy falls with the value.
-fn measure(windows: &[Window]) -> Vec<BeforeAfter> {
-    let of = |(i, window): (usize, &Window)| {
+fn measure(windows: &[[Window; 2]]) -> Measured {
+    let of = |(i, [before, after]): (usize, &[Window; 2])| {
         let level = 100.0 + (i % 7) as f64;
-        let factor = |value: Threshold| 1.0 - 0.3 * (value.value / 1e-4).log10();
+        let value = |window: &Window| window.value.parse::<f64>().unwrap();
+        let factor = |window| 1.0 - 0.3 * (value(window) / 1e-4).log10();
         let clips = |mean: f64| {
             [(
                 Figure::JoulesMeasured,
@@ -61,10 +68,11 @@ fn measure(windows: &[Window]) -> Vec<BeforeAfter> {
             )]
             .into()
         };
-        BeforeAfter {
-            before: clips(level * factor(window.old)),
-            after: clips(level * factor(window.new)),
-        }
+        let clips = BeforeAfter {
+            before: clips(level * factor(before)),
+            after: clips(level * factor(after)),
+        };
+        (after.node.clone(), clips)
     };
     windows.iter().enumerate().map(of).collect()
 }
@@ -72,25 +80,24 @@ fn measure(windows: &[Window]) -> Vec<BeforeAfter> {
 #[test]
 fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back() {
     let (mut now, mut revision) = (0, 0);
-    let mut trial = Trial::begin(plan(), candidates(60), 3, now).unwrap();
+    let mut trial = begin(candidates(60), 3).unwrap();
     for (arm, value) in plan().values.iter().enumerate() {
         let order = trial.due().into_iter().find(|o| o.knob == *value).unwrap();
         assert_eq!(order.nodes.len(), 20, "{arm}");
     }
     obey(&mut trial, &mut revision, now);
     trial.tick(now);
-    assert_eq!(trial.phase, TrialPhase::Running { since_ms: 0 });
+    assert_eq!((trial.phase, trial.since_ms), (Phase::Running, 0));
     now += 99_999;
     assert_eq!(trial.tick(now), None);
     now += 1;
     let windows = trial.tick(now).unwrap();
     assert_eq!(windows.len(), 60);
-    assert!(
-        windows
-            .iter()
-            .all(|w| w.after_ms == [0, 100_000] && w.old == u(2e-4))
-    );
-    trial.end(&measure(&windows), None, now);
+    assert!(windows.iter().all(
+        |[before, after]| (after.from_ms, after.until_ms) == (0, 100_000)
+            && before.value == "0.0002"
+    ));
+    trial.measured(&measure(&windows), now);
     let result = trial.result.clone().unwrap();
     let means: Vec<f64> = result.values.iter().map(|v| v.figures[0].mean).collect();
     assert!(means[0] > means[1] && means[1] > means[2], "{means:?}");
@@ -105,17 +112,17 @@ fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back()
     assert_eq!(trial.due()[0].knob, u(2e-4));
     obey(&mut trial, &mut revision, now);
     trial.tick(now);
-    assert_eq!(trial.phase, TrialPhase::Done);
+    assert_eq!(trial.phase, Phase::Done);
 }
 
 #[test]
 fn nodes_out_of_reach_are_in_no_group_and_too_few_are_refused() {
     let mut fleet = candidates(25);
     fleet[3].reachable = false;
-    let trial = Trial::begin(plan(), fleet.clone(), 3, 0).unwrap();
+    let trial = begin(fleet.clone(), 3).unwrap();
     assert!(trial.members.iter().all(|m| m.node != "cam-003"));
     fleet[4].reachable = false;
-    let error = Trial::begin(plan(), fleet, 3, 0).unwrap_err();
+    let error = begin(fleet, 3).unwrap_err();
     assert_eq!(error.field, "select");
 }
 
@@ -135,13 +142,14 @@ fn a_plan_that_compares_nothing_is_refused() {
 #[test]
 fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted() {
     let mut revision = 0;
-    let mut trial = Trial::begin(plan(), candidates(30), 3, 0).unwrap();
+    let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
     trial.tick(0);
     let mut measured = measure(&trial.windows(50_000));
-    measured[0].after.clear();
-    measured[1].after = [(Figure::JoulesMeasured, Mean { clips: 4, sum: 4.0 })].into();
-    trial.end(&measured, Some("ops"), 50_000);
+    measured.get_mut("cam-000").unwrap().after.clear();
+    measured.get_mut("cam-001").unwrap().after =
+        [(Figure::JoulesMeasured, Mean { clips: 4, sum: 4.0 })].into();
+    trial.end_trial(&measured, Some("ops"), 50_000);
     let result = trial.result.unwrap();
     let sum = |of: fn(&ArmResult) -> usize| result.values.iter().map(of).sum::<usize>();
     assert_eq!(sum(|v| v.applied), 30);
@@ -152,14 +160,14 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted
 #[test]
 fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
     let mut revision = 0;
-    let mut trial = Trial::begin(plan(), candidates(30), 3, 0).unwrap();
+    let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
     trial.tick(0);
     for second in 0..i64::from(ATTEMPTS) {
         assert!(trial.tick(100_000 + second * 1_000).is_some());
         trial.not_measured(100_000 + second * 1_000);
     }
-    assert!(matches!(trial.phase, TrialPhase::Returning { .. }));
+    assert_eq!(trial.phase, Phase::Returning);
     assert_eq!(trial.result, None);
     assert_eq!(trial.due()[0].knob, u(2e-4));
 }
@@ -167,16 +175,16 @@ fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
 proptest! {
     #[test]
     fn the_draw_is_even_and_the_same_for_the_same_seed(count in 24usize..200, seed in any::<u64>()) {
-        let trial = Trial::begin(plan(), candidates(count), seed, 0).unwrap();
+        let trial = begin(candidates(count), seed).unwrap();
         let mut reversed = candidates(count);
         reversed.reverse();
-        prop_assert_eq!(&trial, &Trial::begin(plan(), reversed, seed, 0).unwrap());
+        prop_assert_eq!(&trial, &begin(reversed, seed).unwrap());
         let size = |arm| trial.members.iter().filter(|m| m.group == arm).count();
         let sizes = [size(0), size(1), size(2)];
         prop_assert_eq!(sizes.iter().sum::<usize>(), count);
         prop_assert!(sizes.iter().max().unwrap() - sizes.iter().min().unwrap() <= 1);
         // What is read from the database goes on as it was.
         let text = serde_json::to_string(&trial).unwrap();
-        prop_assert_eq!(serde_json::from_str::<Trial>(&text).unwrap(), trial);
+        prop_assert_eq!(serde_json::from_str::<Run>(&text).unwrap(), trial);
     }
 }

@@ -3,8 +3,7 @@
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
 //! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
 
-use super::super::super::gate::Verdict;
-use super::super::super::metric::{Figure, Figures, Mean};
+use super::super::super::metric::{Figures, Mean};
 use super::super::*;
 use super::{new, old};
 
@@ -62,16 +61,17 @@ impl Fleet {
     }
 
     /// Clips of the hours of a window in which the node drives.
-    fn clips(&self, node: u64, [from, until]: [Millis; 2], value: Threshold) -> Figures {
+    fn clips(&self, window: &Window) -> Figures {
+        let node = Self::number(&window.node);
         let (mut energy, mut latency, mut skip) =
             (Mean::default(), Mean::default(), Mean::default());
-        let factor = if value == new() {
+        let factor = if window.value == new().value.to_string() {
             1.0 + self.change
         } else {
             1.0
         };
         let lies = chance(self.seed, [node, 0, 4]) < LIARS;
-        for hour in from.div_euclid(HOUR)..until.div_euclid(HOUR) {
+        for hour in window.from_ms.div_euclid(HOUR)..window.until_ms.div_euclid(HOUR) {
             if self.is_parked(node, hour * HOUR) {
                 continue;
             }
@@ -115,18 +115,18 @@ impl Fleet {
             .collect()
     }
 
-    fn measure(&self, windows: &[Window]) -> Vec<BeforeAfter> {
-        let one = |window: &Window| {
-            let node = Self::number(&window.node);
-            BeforeAfter {
-                before: self.clips(node, window.before_ms, window.old),
-                after: self.clips(node, window.after_ms, window.new),
-            }
+    fn measure(&self, windows: &[[Window; 2]]) -> Measured {
+        let one = |[before, after]: &[Window; 2]| {
+            let clips = BeforeAfter {
+                before: self.clips(before),
+                after: self.clips(after),
+            };
+            (after.node.clone(), clips)
         };
         windows.iter().map(one).collect()
     }
 
-    fn step(&mut self, rollout: &mut Rollout) {
+    fn step(&mut self, rollout: &mut Run) {
         self.now += STEP;
         for order in rollout.due() {
             for node in &order.nodes {
@@ -145,12 +145,8 @@ impl Fleet {
                 refused: None,
             })
         });
-        if let Some(request) = rollout.tick(self.now) {
-            let measured = Measurements {
-                changed: self.measure(&request.changed),
-                unchanged: self.measure(&request.unchanged),
-            };
-            rollout.measured(self.now, &measured);
+        if let Some(windows) = rollout.tick(self.now) {
+            rollout.measured(&self.measure(&windows), self.now);
         }
     }
 }
@@ -168,10 +164,13 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
     let soak = driving_hours / (1.0 - PARKED) * 3600.0;
     let plan = RolloutPlan {
         stages: stages.iter().map(|size| size.parse().unwrap()).collect(),
+        basics: Basics {
+            baseline_s: soak,
+            apply_within_s: 7200.0,
+            ..Basics::default()
+        },
         soak_s: soak,
-        baseline_s: soak,
         patience_s: soak / 2.0,
-        apply_within_s: 7200.0,
         offline_deadline_s: 30.0 * 86_400.0,
         held_for_s: 3600.0,
         ..RolloutPlan::default()
@@ -183,33 +182,29 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
             before: old(),
             reachable: true,
         });
-        let request = RolloutRequest {
-            knob: new(),
+        let kind = Kind::Rollout {
+            to: new(),
             plan: plan.clone(),
         };
         let start = 1_000 * HOUR;
-        let mut rollout =
-            Rollout::begin(request, candidates.collect(), seed, "ops", start).unwrap();
+        let mut rollout = Run::begin(kind, candidates.collect(), seed, "ops", start).unwrap();
         let mut fleet = Fleet {
             seed: seed.wrapping_mul(1_000_003) ^ nodes as u64,
             change,
             has: vec![(old(), start); nodes],
             now: start,
         };
-        let ended = |phase: &Phase| {
-            matches!(
-                phase,
-                Phase::Finishing { .. } | Phase::Done | Phase::Returning { .. }
-            )
-        };
-        while !ended(&rollout.phase) {
+        while !matches!(
+            rollout.phase,
+            Phase::Finishing | Phase::Done | Phase::Returning
+        ) {
             fleet.step(&mut rollout);
         }
         ends.rollouts += 1;
         let failed = (rollout.record.iter()).any(|e| e.verdict == Some(Verdict::Failed));
         match rollout.phase {
-            Phase::Returning { .. } if failed => ends.failed += 1,
-            Phase::Returning { .. } => ends.undecided += 1,
+            Phase::Returning if failed => ends.failed += 1,
+            Phase::Returning => ends.undecided += 1,
             _ => ends.in_force += 1,
         }
     }

@@ -1,0 +1,935 @@
+//! Gives values to nodes and measures what they do: a rollout to more and more nodes, a trial to random groups over the same time.
+//!
+//! A state machine without clock, network or database. The caller passes in what it knows of nodes ([`Run::observe`]), the time
+//! ([`Run::tick`]), the measurements it was asked for ([`Run::measured`]) and people's commands ([`Run::command`]), and reads
+//! off which nodes must be asked for which value ([`Run::due`]). The whole state is serialised; a run read from the database
+//! continues where it was.
+
+#[cfg(test)]
+mod tests;
+
+use super::effect::{Comparison, FEWEST_NODES, Interval, Silence};
+use super::gate::{ErrorRates, GateResult, Verdict, judge, overall};
+use super::member::{self, Member, Millis, Observation, Order, Outcome, shuffled};
+use super::metric::{BeforeAfter, Figure};
+use super::plan::{Basics, OnFailure, PlanError, RolloutPlan, TrialPlan};
+use crate::named::named;
+use albireo_wire::Threshold;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use utoipa::ToSchema;
+
+/// How often at most a stage's gates are judged: half-way (only a failure counts), at the end of the soak, at the
+/// end of the patience.
+const LOOKS: u8 = 3;
+/// Attempts to measure before a rollout is held and a trial ends without a result.
+const ATTEMPTS: u8 = 20;
+/// Most entries of a record; the oldest beyond are left out.
+const MOST_ENTRIES: usize = 500;
+
+named! {
+    /// Where a rollout or a trial is.
+    pub enum Phase {
+        /// Its nodes, or those of the stage, were asked for the new value; their reports are awaited.
+        Applying = "applying",
+        /// The stage's nodes have the new value; measuring.
+        Soaking = "soaking",
+        /// Every node of a trial has its value; measuring.
+        Running = "running",
+        /// Held for a person to decide; after the plan's `held_for_s` the old value returns.
+        Held = "held",
+        /// All stages have passed; nodes out of reach are awaited until their deadline.
+        Finishing = "finishing",
+        /// All nodes are getting their old values back.
+        Returning = "returning",
+        /// Every stage has passed, or the trial is over.
+        Done = "done",
+        /// Every node in reach has its old value back; the others find it when they return.
+        Returned = "returned",
+        /// Ended by hand, values as they were.
+        Stopped = "stopped",
+    }
+}
+
+impl Phase {
+    /// Whether nothing more happens by itself or by hand, but a return.
+    const fn has_ended(self) -> bool {
+        matches!(self, Self::Done | Self::Returned | Self::Stopped)
+    }
+}
+
+named! {
+    /// What a person may ask of a rollout.
+    pub enum Command {
+        /// Its time stops.
+        Pause = "pause",
+        /// Time goes on; a stage that is held is soaked again.
+        Resume = "resume",
+        /// The next stage now, whatever the gates say.
+        Next = "next",
+        /// All nodes get their old values back.
+        Return = "return",
+        /// It ends, and every node keeps what it has.
+        Stop = "stop",
+    }
+}
+
+named! {
+    /// What kind of thing happened.
+    pub enum What {
+        /// It was begun.
+        Begun = "begun",
+        /// A stage was entered.
+        Stage = "stage",
+        /// The nodes have the value.
+        Soaking = "soaking",
+        /// The gates were judged.
+        Judged = "judged",
+        /// It is held.
+        Held = "held",
+        /// Nodes stayed away too long.
+        Missed = "missed",
+        /// The old value returns.
+        Returning = "returning",
+        /// The old value is back.
+        Returned = "returned",
+        /// All stages have passed, or the trial is over.
+        Done = "done",
+        /// Somebody paused it.
+        Paused = "paused",
+        /// Somebody resumed it.
+        Resumed = "resumed",
+        /// Somebody ordered the next stage.
+        Next = "next",
+        /// Somebody ordered the return.
+        Return = "return",
+        /// Somebody ended it.
+        Stopped = "stopped",
+    }
+}
+
+/// One thing that happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Entry {
+    /// When, milliseconds since the Unix epoch.
+    pub at_ms: Millis,
+    /// In which stage, from 1.
+    pub stage: usize,
+    /// What.
+    pub what: What,
+    /// Who ordered it; absent where the hub did it by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub who: Option<String>,
+    /// The same in words.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub text: String,
+    /// Verdict of all gates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
+    /// Each gate with its numbers.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gates: Vec<GateResult>,
+}
+
+/// Clips to measure: those that a node made with this value in force and that were received in this span.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Window {
+    pub(crate) node: String,
+    /// Name of the threshold.
+    pub(crate) knob: String,
+    /// Its value, in the shortest text that reads back as the same.
+    pub(crate) value: String,
+    pub(crate) from_ms: Millis,
+    pub(crate) until_ms: Millis,
+}
+
+impl Window {
+    fn new(node: &str, value: Threshold, from_ms: Millis, until_ms: Millis) -> Self {
+        Self {
+            node: node.to_owned(),
+            knob: value.name.to_string(),
+            value: value.value.to_string(),
+            from_ms,
+            until_ms,
+        }
+    }
+}
+
+/// What was measured, by node.
+pub(crate) type Measured = HashMap<String, BeforeAfter>;
+
+/// A figure of one group of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmFigure {
+    /// What.
+    pub figure: Figure,
+    /// Nodes that have it, with enough clips before and during the trial.
+    pub nodes: usize,
+    /// Their clips during the trial.
+    pub clips: u64,
+    /// Mean over these nodes before.
+    pub before: f64,
+    /// Mean over these nodes during the trial.
+    pub mean: f64,
+    /// The group's change beyond that of the first group: a share for energy, EDP and latency, else in the figure's unit. Absent
+    /// in the first group, and with fewer than eight nodes in either.
+    pub difference: Option<Interval>,
+}
+
+/// What one value came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmResult {
+    /// The value.
+    pub value: Threshold,
+    /// Nodes of the group.
+    pub nodes: usize,
+    /// Of them, those that reported the value.
+    pub applied: usize,
+    /// Of those, how many made clips before the trial and none during it.
+    pub silent: usize,
+    /// Its figures.
+    pub figures: Vec<ArmFigure>,
+}
+
+/// What a trial measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TrialResult {
+    /// From when on clips counted.
+    pub from_ms: Millis,
+    /// Until when.
+    pub until_ms: Millis,
+    /// Probability that all intervals hold the truth together.
+    pub confidence: f64,
+    /// Each value, in the plan's order.
+    pub values: Vec<ArmResult>,
+}
+
+/// A rollout or a trial, with its plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Kind {
+    /// A change in stages, each gated on what was measured.
+    Rollout {
+        /// The new value.
+        to: Threshold,
+        /// How.
+        plan: RolloutPlan,
+    },
+    /// A comparison of values on random groups.
+    Trial {
+        /// How.
+        plan: TrialPlan,
+    },
+}
+
+impl Kind {
+    /// Its name.
+    pub(crate) const fn name(&self) -> &'static str {
+        match self {
+            Self::Rollout { .. } => "rollout",
+            Self::Trial { .. } => "trial",
+        }
+    }
+
+    /// What both have in their plans.
+    pub const fn basics(&self) -> &Basics {
+        match self {
+            Self::Rollout { plan, .. } => &plan.basics,
+            Self::Trial { plan } => &plan.basics,
+        }
+    }
+
+    /// The values that nodes get.
+    pub(crate) fn values(&self) -> &[Threshold] {
+        match self {
+            Self::Rollout { to, .. } => std::slice::from_ref(to),
+            Self::Trial { plan } => &plan.values,
+        }
+    }
+
+    /// Whether its plan can be followed.
+    pub(crate) fn check(&self) -> Result<(), PlanError> {
+        match self {
+            Self::Rollout { plan, .. } => plan.check(),
+            Self::Trial { plan } => plan.check(),
+        }
+    }
+}
+
+/// A rollout or a trial: its plan, its nodes, where it is, and its record.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Run {
+    /// What it is, and how.
+    #[serde(flatten)]
+    pub kind: Kind,
+    /// The seed that drew the order of the nodes, or the groups.
+    pub seed: u64,
+    /// Where it is.
+    pub phase: Phase,
+    /// Since when.
+    pub since_ms: Millis,
+    /// How often the gates of this stage were judged.
+    #[serde(default)]
+    pub looks: u8,
+    /// Why it is held, or why the old values return or have returned.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// The stage it is in, from 1.
+    pub stage: usize,
+    /// How often this stage was soaked: once, and once more each time a person resumed it after a hold.
+    pub soaks: u8,
+    /// Since when it is paused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paused_ms: Option<Millis>,
+    /// Who ended a trial before its time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ended_by: Option<String>,
+    /// What a trial measured, once it is over; absent when it could not be measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub result: Option<TrialResult>,
+    /// What happened, oldest first; absent in a list.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub record: Vec<Entry>,
+    /// Its nodes, in the order of their stages; absent in a list.
+    #[serde(rename = "nodes", default, skip_serializing_if = "Vec::is_empty")]
+    pub members: Vec<Member>,
+    /// Attempts to measure that failed since the last that did not.
+    #[serde(skip)]
+    failed_attempts: u8,
+}
+
+/// A node that a rollout or trial may take.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Candidate {
+    /// Its name.
+    pub(crate) node: String,
+    /// The value in force.
+    pub(crate) before: Threshold,
+    /// Whether it is in reach.
+    pub(crate) reachable: bool,
+}
+
+impl Run {
+    /// Begins on `candidates`, in the order that the seed draws: a rollout with those in reach first, a trial with those in reach
+    /// only, since the others would not be measured.
+    ///
+    /// # Errors
+    /// [`PlanError`] when the plan makes no sense, or there are too few nodes.
+    pub(crate) fn begin(
+        kind: Kind,
+        mut candidates: Vec<Candidate>,
+        seed: u64,
+        who: &str,
+        now: Millis,
+    ) -> Result<Self, PlanError> {
+        kind.check()?;
+        // The draw shall depend on the seed and the nodes alone.
+        candidates.sort_by(|a, b| a.node.cmp(&b.node));
+        let drawn = shuffled(candidates.len(), seed);
+        let (mut order, far): (Vec<usize>, Vec<usize>) =
+            drawn.into_iter().partition(|i| candidates[*i].reachable);
+        let too_few = |reason: String| Err(PlanError::new("select", reason));
+        let mut ends = Vec::new();
+        match &kind {
+            Kind::Rollout { .. } if candidates.is_empty() => {
+                return too_few("no node that can take the value is selected".to_owned());
+            }
+            Kind::Rollout { plan, .. } => {
+                ends = plan.stage_ends(candidates.len());
+                order.extend(far);
+            }
+            Kind::Trial { plan } if order.len() < plan.values.len() * FEWEST_NODES => {
+                return too_few(format!(
+                    "{} nodes in reach are too few for {} values: each needs {FEWEST_NODES} at least",
+                    order.len(),
+                    plan.values.len()
+                ));
+            }
+            Kind::Trial { .. } => {}
+        }
+        let member = |(place, i): (usize, usize)| {
+            let candidate = &candidates[i];
+            let group = match &kind {
+                // Nodes that no stage includes keep the old value: their group is one more than the last stage.
+                Kind::Rollout { .. } => ends.iter().filter(|end| **end <= place).count(),
+                Kind::Trial { plan } => place % plan.values.len(),
+            };
+            Member {
+                reachable: candidate.reachable,
+                ..Member::new(candidate.node.clone(), group, candidate.before)
+            }
+        };
+        let members = order.into_iter().enumerate().map(member).collect();
+        let mut run = Self {
+            kind,
+            seed,
+            phase: Phase::Applying,
+            since_ms: now,
+            looks: 0,
+            reason: String::new(),
+            stage: 1,
+            soaks: 0,
+            paused_ms: None,
+            ended_by: None,
+            result: None,
+            record: Vec::new(),
+            members,
+            failed_attempts: 0,
+        };
+        run.noted(now, What::Begun).who = Some(who.to_owned());
+        run.enter_stage(1, now);
+        Ok(run)
+    }
+
+    /// The nodes that have to be asked, by value. Once the request is in the database, [`Run::asked`] notes it.
+    pub(crate) fn due(&self) -> Vec<Order> {
+        // At its end there may be some too: nodes that missed their deadline get the old value.
+        if self.paused_ms.is_some() || self.phase == Phase::Stopped {
+            return Vec::new();
+        }
+        member::due(&self.members)
+    }
+
+    /// Notes that the nodes of `order` were asked, with that revision.
+    pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
+        for member in &mut self.members {
+            if member.due() == Some((order.knob, order.is_return)) {
+                member.asked(revision, now);
+            }
+        }
+    }
+
+    /// Whether nothing is left to do.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.phase.has_ended() && self.due().is_empty()
+    }
+
+    /// How many stages or groups it has.
+    pub(crate) fn stages(&self) -> usize {
+        match &self.kind {
+            Kind::Rollout { plan, .. } => plan.stage_ends(self.members.len()).len(),
+            Kind::Trial { plan } => plan.values.len(),
+        }
+    }
+
+    /// Takes in what is known of nodes. Returns whether anything changed.
+    pub(crate) fn observe(
+        &mut self,
+        now: Millis,
+        look: impl Fn(&str) -> Option<Observation>,
+    ) -> bool {
+        // Time stops in a pause: what nodes report meanwhile is taken as of then.
+        let now = self.paused_ms.unwrap_or(now);
+        let patience = self.patience();
+        let mut changed = false;
+        for member in &mut self.members {
+            if let Some(seen) = look(&member.node) {
+                changed |= member.observe(&seen, patience, now);
+            }
+        }
+        changed
+    }
+
+    /// Lets time pass. Returns what has to be measured, before and after, if something has.
+    pub(crate) fn tick(&mut self, now: Millis) -> Option<Vec<[Window; 2]>> {
+        if self.paused_ms.is_some() || self.phase.has_ended() {
+            return None;
+        }
+        self.withdraw_the_missed(now);
+        let waited = now - self.since_ms;
+        let all = |is: fn(&Member) -> bool| self.members.iter().all(is);
+        match self.phase {
+            Phase::Applying => self.applying(waited, now),
+            Phase::Soaking | Phase::Running if waited >= self.lasts() => {
+                return Some(self.windows(now));
+            }
+            Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, What::Done, now),
+            // One that comes and goes shall not hold the return open for ever.
+            Phase::Returning if all(Member::is_settled) || waited >= self.lasts() => {
+                match self.kind {
+                    Kind::Rollout { .. } => self.end(Phase::Returned, What::Returned, now),
+                    Kind::Trial { .. } => self.end(Phase::Done, What::Done, now),
+                }
+            }
+            Phase::Held if waited >= self.lasts() => {
+                self.go_back("no decision came in time".to_owned(), now);
+            }
+            _ => {}
+        }
+        None
+    }
+
+    fn applying(&mut self, waited: Millis, now: Millis) {
+        let (mut applied, mut failed, mut away, mut open) = (0, 0, 0, 0);
+        for member in self.members.iter().filter(|m| self.is_in_stage(m)) {
+            match member.ask.outcome {
+                Outcome::Applied => applied += 1,
+                Outcome::Refused | Outcome::TimedOut => failed += 1,
+                Outcome::Waiting | Outcome::Missed => away += 1,
+                _ => open += 1,
+            }
+        }
+        // One that comes and goes shall not hold the others up.
+        if open > 0 && waited < 2 * self.patience() {
+            return;
+        }
+        let away = away + open;
+        let counts =
+            format!("{applied} applied, {failed} refused or timed out, {away} out of reach");
+        let stage = self.stage;
+        if let Kind::Rollout { plan, .. } = &self.kind {
+            if applied == 0 && failed == 0 {
+                // Nobody is there to measure.
+                if waited >= milliseconds(plan.offline_deadline_s) {
+                    self.hold(format!("no node of stage {stage} came back in time"), now);
+                }
+                return;
+            }
+            if f64::from(applied) < plan.fewest_applied * f64::from(applied + failed) {
+                let reason = format!("too few nodes of stage {stage} took the value: {counts}");
+                self.fail(reason, now);
+                return;
+            }
+        }
+        self.soak(now);
+        self.noted(now, What::Soaking).text = counts;
+    }
+
+    fn soak(&mut self, now: Millis) {
+        self.soaks = self.soaks.saturating_add(1);
+        let phase = match self.kind {
+            Kind::Rollout { .. } => Phase::Soaking,
+            Kind::Trial { .. } => Phase::Running,
+        };
+        self.enter(phase, now);
+    }
+
+    /// How long the phase lasts, or until it is measured next.
+    fn lasts(&self) -> Millis {
+        match (&self.kind, self.phase) {
+            (Kind::Trial { plan }, Phase::Running) => milliseconds(plan.duration_s),
+            (Kind::Rollout { plan, .. }, Phase::Held) => milliseconds(plan.held_for_s),
+            (Kind::Rollout { plan, .. }, Phase::Soaking) => milliseconds(match self.looks {
+                0 => plan.soak_s / 2.0,
+                1 => plan.soak_s,
+                _ => plan.soak_s + plan.patience_s,
+            }),
+            _ => 4 * self.patience(),
+        }
+    }
+
+    /// The clips of the nodes that have their new value, before they were asked and since, and over the same hours those of
+    /// the nodes that were not asked yet.
+    pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
+        let baseline = milliseconds(self.kind.basics().baseline_s);
+        let since = self.measured_from(now);
+        let asked = self.members.iter().filter(|m| self.is_in_stage(m));
+        let asked = asked.map(|m| m.ask.asked_ms).min().unwrap_or(since);
+        let windows = self.members.iter().filter_map(|member| {
+            // After a resumption only what came after it counts.
+            let (asked, value, from) = match member.applied_ms() {
+                Some(applied) if self.is_in_stage(member) => {
+                    (member.ask.asked_ms, member.asked?, applied.max(since))
+                }
+                _ if self.is_later(member) => (asked, member.before, since),
+                _ => return None,
+            };
+            Some([
+                Window::new(&member.node, member.before, asked - baseline, asked),
+                Window::new(&member.node, value, from, now),
+            ])
+        });
+        windows.collect()
+    }
+
+    fn measured_from(&self, now: Millis) -> Millis {
+        match self.phase {
+            Phase::Soaking | Phase::Running => self.since_ms,
+            _ => now,
+        }
+    }
+
+    /// The measurements failed: they are asked for again at the next tick. After many attempts a rollout is held, and a trial ends
+    /// without a result.
+    pub(crate) fn not_measured(&mut self, now: Millis) {
+        self.failed_attempts += 1;
+        if self.failed_attempts >= ATTEMPTS {
+            self.failed_attempts = 0;
+            let reason = "the clips could not be read".to_owned();
+            match self.kind {
+                Kind::Rollout { .. } => self.hold(reason, now),
+                Kind::Trial { .. } => self.go_back(reason, now),
+            }
+        }
+    }
+
+    /// Takes the measurements that were asked for: a rollout goes on, back, or waits, a trial is over.
+    pub(crate) fn measured(&mut self, found: &Measured, now: Millis) {
+        self.failed_attempts = 0;
+        match &self.kind {
+            Kind::Trial { .. } => self.end_trial(found, None, now),
+            Kind::Rollout { plan, .. } => {
+                let (verdict, text, gates) = self.judge(plan, found);
+                self.looks += 1;
+                let looks = self.looks;
+                let reason = format!("stage {}: {text}", self.stage);
+                let entry = self.noted(now, What::Judged);
+                (entry.text, entry.verdict, entry.gates) = (text, Some(verdict), gates);
+                match verdict {
+                    Verdict::Failed => self.fail(reason, now),
+                    Verdict::Passed | Verdict::NotMeasured if looks >= 2 => self.advance(now),
+                    Verdict::Undecided if looks >= LOOKS => self.hold(reason, now),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// The verdict on the stage, in words, and each gate with its numbers.
+    fn judge(&self, plan: &RolloutPlan, found: &Measured) -> (Verdict, String, Vec<GateResult>) {
+        let rates = self.error_rates(plan);
+        let changed = self.side(found, |m| self.is_in_stage(m) && m.applied_ms().is_some());
+        let unchanged = self.side(found, |m| self.is_later(m));
+        let fewest = plan.basics.fewest_clips;
+        let results = judge(
+            &plan.gates,
+            &clips(&changed),
+            &clips(&unchanged),
+            fewest,
+            rates,
+        );
+        let (changed, unchanged) = (silence(&changed), silence(&unchanged));
+        let lost = changed.by_chance(unchanged) < rates.fail;
+        // Where too few nodes can be measured, a stage passes when its nodes took the value and are alive.
+        let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
+        let verdict = match overall(&results) {
+            _ if lost => Verdict::Failed,
+            Verdict::Passed | Verdict::NotMeasured if !alive => Verdict::Undecided,
+            verdict => verdict,
+        };
+        let silent = format!(
+            "{} of {} nodes fell silent, {} of {} of the others",
+            changed.silent, changed.nodes, unchanged.silent, unchanged.nodes
+        );
+        let text = match verdict {
+            Verdict::Passed => "all gates passed".to_owned(),
+            Verdict::NotMeasured => format!("took the value and are alive; {silent}"),
+            _ if lost || !alive => format!("{verdict}: {silent}"),
+            _ => format!("{verdict}: {}", named(&results, verdict)),
+        };
+        (verdict, text, results)
+    }
+
+    /// The members of one side of a comparison, with their clips.
+    fn side<'a>(&'a self, found: &'a Measured, is: impl Fn(&Member) -> bool) -> Vec<Side<'a>> {
+        let members = self.members.iter().filter(|member| is(member));
+        members
+            .filter_map(|member| Some((member, found.get(&member.node)?)))
+            .collect()
+    }
+
+    /// Ends a trial with what was measured of its [`windows`](Self::windows); the old values return.
+    pub(crate) fn end_trial(&mut self, found: &Measured, who: Option<&str>, now: Millis) {
+        let Kind::Trial { plan } = &self.kind else {
+            return;
+        };
+        if matches!(self.phase, Phase::Applying | Phase::Running) {
+            self.result = Some(self.compare(plan, found, now));
+            self.ended_by = who.map(str::to_owned);
+            let by = who.map_or("the time is over".to_owned(), |who| {
+                format!("by hand: {who}")
+            });
+            self.go_back(by, now);
+        }
+    }
+
+    /// The groups of a trial beside the first.
+    fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
+        let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
+        let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
+        let nodes = |arm: usize| -> Vec<&BeforeAfter> {
+            clips(&self.side(found, |m| m.group == arm && m.applied_ms().is_some()))
+        };
+        let first = nodes(0);
+        let arm = |(arm, value): (usize, &Threshold)| {
+            let own = nodes(arm);
+            let figure = |figure: Figure| {
+                let fewest = plan.basics.fewest_clips;
+                let found = Comparison::of(figure, figure.scale(), &own, &first, fewest);
+                let clips = own.iter().filter_map(|node| node.after.get(&figure));
+                let (before, mean) = found.means?;
+                Some(ArmFigure {
+                    figure,
+                    nodes: found.nodes,
+                    clips: clips.map(|mean| mean.clips).sum(),
+                    before,
+                    mean,
+                    difference: (found.effect.filter(|_| arm > 0))
+                        .map(|effect| effect.interval(miss)),
+                })
+            };
+            ArmResult {
+                value: *value,
+                nodes: self.members.iter().filter(|m| m.group == arm).count(),
+                applied: own.len(),
+                silent: own.iter().filter(|clips| clips.fell_silent()).count(),
+                figures: Figure::ALL.into_iter().filter_map(figure).collect(),
+            }
+        };
+        TrialResult {
+            from_ms: self.measured_from(now),
+            until_ms: now,
+            confidence: plan.basics.confidence,
+            values: plan.values.iter().enumerate().map(arm).collect(),
+        }
+    }
+
+    /// The error of one look at one figure. What the plan allows for a failure without cause is shared by all stages,
+    /// gates and looks; each resumption has half of what the soak before it had. For a pass it is shared by the looks
+    /// that can pass: every stage has to pass every gate, so there nothing adds up.
+    fn error_rates(&self, plan: &RolloutPlan) -> ErrorRates {
+        let error = (1.0 - plan.basics.confidence) * 0.5_f64.powi(i32::from(self.soaks));
+        let figures: usize = (plan.gates.iter())
+            .map(|gate| gate.metric.figures().count())
+            .sum();
+        // One more for nodes that fall silent.
+        let tests = (self.stages() * (figures + 1)) as f64 * f64::from(LOOKS);
+        ErrorRates {
+            fail: error / tests,
+            pass: error / f64::from(LOOKS - 1),
+        }
+    }
+
+    /// Follows a person's command on a rollout.
+    ///
+    /// # Errors
+    /// Why it makes no sense where the rollout is.
+    pub(crate) fn command(
+        &mut self,
+        command: Command,
+        who: &str,
+        now: Millis,
+    ) -> Result<(), String> {
+        use Phase::{Finishing, Held, Returned, Returning};
+        let returning = matches!(self.phase, Returning | Returned);
+        let (ended, is_held) = (self.phase.has_ended(), self.phase == Held);
+        let (what, possible) = match command {
+            Command::Pause => (
+                What::Paused,
+                !ended && !returning && self.paused_ms.is_none(),
+            ),
+            Command::Resume => (What::Resumed, self.paused_ms.is_some() || is_held),
+            Command::Next => (What::Next, !ended && !returning && self.phase != Finishing),
+            Command::Return => (What::Return, !returning),
+            Command::Stop => (What::Stopped, !ended),
+        };
+        if !possible {
+            let phase = match self.paused_ms {
+                Some(_) => "paused",
+                None => self.phase.name(),
+            };
+            return Err(format!(
+                "a rollout that is {phase} cannot be asked to {command}"
+            ));
+        }
+        self.noted(now, what).who = Some(who.to_owned());
+        if command != Command::Pause {
+            self.wake(now);
+        }
+        match command {
+            Command::Pause => self.paused_ms = Some(now),
+            Command::Resume if is_held => self.soak(now),
+            Command::Resume => {}
+            Command::Next => self.advance(now),
+            Command::Return => self.go_back(format!("by hand: {who}"), now),
+            Command::Stop => self.enter(Phase::Stopped, now),
+        }
+        Ok(())
+    }
+
+    /// Ends a pause, which does not count as time of what began before it.
+    fn wake(&mut self, now: Millis) {
+        let Some(paused) = self.paused_ms.take() else {
+            return;
+        };
+        self.since_ms += now - paused;
+        for member in self.members.iter_mut().filter(|member| is_open(member)) {
+            member.ask.asked_ms += now - paused;
+        }
+    }
+
+    fn advance(&mut self, now: Millis) {
+        if self.stage < self.stages() {
+            self.enter_stage(self.stage + 1, now);
+        } else {
+            self.enter(Phase::Finishing, now);
+        }
+    }
+
+    fn enter_stage(&mut self, stage: usize, now: Millis) {
+        (self.stage, self.soaks) = (stage, 0);
+        self.enter(Phase::Applying, now);
+        let mut count = 0;
+        for member in &mut self.members {
+            member.was_reachable = member.reachable;
+            match &self.kind {
+                Kind::Rollout { to, .. } if member.group + 1 == stage => member.want(*to),
+                Kind::Rollout { .. } => continue,
+                Kind::Trial { plan } => member.want(plan.values[member.group]),
+            }
+            count += 1;
+        }
+        let nodes = if count == 1 { "node" } else { "nodes" };
+        self.noted(now, What::Stage).text = format!("{count} {nodes}");
+    }
+
+    fn fail(&mut self, reason: String, now: Millis) {
+        match &self.kind {
+            Kind::Rollout { plan, .. } if plan.on_failure == OnFailure::Hold => {
+                self.hold(reason, now);
+            }
+            _ => self.go_back(reason, now),
+        }
+    }
+
+    fn hold(&mut self, reason: String, now: Millis) {
+        self.enter(Phase::Held, now);
+        self.noted(now, What::Held).text.clone_from(&reason);
+        self.reason = reason;
+    }
+
+    fn go_back(&mut self, reason: String, now: Millis) {
+        self.members.iter_mut().for_each(Member::give_back);
+        self.enter(Phase::Returning, now);
+        self.noted(now, What::Returning).text.clone_from(&reason);
+        self.reason = reason;
+    }
+
+    fn end(&mut self, phase: Phase, what: What, now: Millis) {
+        let without = |m: &&Member| !matches!(m.ask.outcome, Outcome::Applied | Outcome::Untouched);
+        let names: Vec<String> = (self.members.iter().filter(without))
+            .map(|m| format!("{} {}", m.node, m.ask.outcome))
+            .collect();
+        let reason = std::mem::take(&mut self.reason);
+        self.enter(phase, now);
+        self.reason = reason;
+        self.noted(now, what).text = match names.as_slice() {
+            [] => "every node reported it".to_owned(),
+            names => format!("without {}", list(names)),
+        };
+    }
+
+    fn enter(&mut self, phase: Phase, now: Millis) {
+        (self.phase, self.since_ms, self.looks) = (phase, now, 0);
+        self.reason.clear();
+    }
+
+    /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
+    pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
+        let asked = self
+            .members
+            .iter_mut()
+            .filter(|member| member.asked.is_some());
+        asked
+            .filter(|member| changed_since(member))
+            .for_each(Member::leave);
+    }
+
+    /// A node that stayed away beyond its deadline does not get the value when it returns: it would not be judged.
+    fn withdraw_the_missed(&mut self, now: Millis) {
+        let deadline = match &self.kind {
+            Kind::Rollout { plan, .. } if self.phase != Phase::Returning => {
+                milliseconds(plan.offline_deadline_s)
+            }
+            _ => return,
+        };
+        let mut missed = Vec::new();
+        for member in &mut self.members {
+            if member.ask.outcome == Outcome::Waiting && now - member.ask.asked_ms >= deadline {
+                member.ask.outcome = Outcome::Missed;
+                member.give_back();
+                missed.push(member.node.clone());
+            }
+        }
+        if !missed.is_empty() {
+            self.noted(now, What::Missed).text = list(&missed);
+        }
+    }
+
+    /// Whether a member has the new value in this stage; in a trial all have theirs.
+    fn is_in_stage(&self, member: &Member) -> bool {
+        matches!(self.kind, Kind::Trial { .. }) || member.group + 1 == self.stage
+    }
+
+    /// Whether a member was not asked yet.
+    fn is_later(&self, member: &Member) -> bool {
+        matches!(self.kind, Kind::Rollout { .. }) && member.group >= self.stage
+    }
+
+    fn patience(&self) -> Millis {
+        milliseconds(self.kind.basics().apply_within_s)
+    }
+
+    /// A new entry of the record.
+    fn noted(&mut self, at_ms: Millis, what: What) -> &mut Entry {
+        if self.record.len() >= MOST_ENTRIES {
+            self.record.remove(0);
+        }
+        let stage = self.stage;
+        self.record.push_mut(Entry {
+            at_ms,
+            stage,
+            what,
+            who: None,
+            text: String::new(),
+            verdict: None,
+            gates: Vec::new(),
+        })
+    }
+}
+
+type Side<'a> = (&'a Member, &'a BeforeAfter);
+
+fn clips<'a>(side: &[Side<'a>]) -> Vec<&'a BeforeAfter> {
+    side.iter().map(|(_, clips)| *clips).collect()
+}
+
+/// How many of these nodes, as far as they were in reach when the stage began, are out of reach now, or made clips before and
+/// none since.
+fn silence(side: &[Side<'_>]) -> Silence {
+    let mut silence = Silence::default();
+    for (member, clips) in side.iter().filter(|(member, _)| member.was_reachable) {
+        silence.nodes += 1;
+        silence.silent += u64::from(!member.reachable || clips.fell_silent());
+    }
+    silence
+}
+
+/// Whether the time of a member runs: the node was asked and has not answered.
+const fn is_open(member: &Member) -> bool {
+    matches!(member.ask.outcome, Outcome::Pending | Outcome::Waiting)
+}
+
+pub(crate) fn milliseconds(seconds: f64) -> Millis {
+    (seconds * 1000.0) as Millis
+}
+
+/// The first names of a list, and how many more.
+fn list(names: &[String]) -> String {
+    const SHOWN: usize = 10;
+    let mut text = names[..names.len().min(SHOWN)].join(", ");
+    if names.len() > SHOWN {
+        text.push_str(&format!(" and {} more", names.len() - SHOWN));
+    }
+    text
+}
+
+fn named(results: &[GateResult], verdict: Verdict) -> String {
+    let names: Vec<String> = (results.iter().filter(|r| r.verdict == verdict))
+        .map(|r| match r.figure {
+            Some(figure) => format!("{} ({figure})", r.gate),
+            None => format!("{} (not measured)", r.gate),
+        })
+        .collect();
+    names.join(", ")
+}

@@ -1,0 +1,482 @@
+//! `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
+
+use super::table::{WIDTH, cut, table, wrapped};
+use super::units::{
+    counts, figure, finite, interval, name_of, nodes, seconds, span, threshold, when,
+};
+use super::{Context, Ended};
+use albireo_hub::http::{Rollouts, RunView, Trials};
+use albireo_hub::tuning::effect::Scale;
+use albireo_hub::tuning::metric::Figure;
+use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, TrialResult};
+use anyhow::Context as _;
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::time::Duration;
+
+/// Time between two looks with `--follow`.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Which one.
+#[derive(Debug, clap::Args)]
+pub(super) struct Number {
+    /// Its number.
+    id: i64,
+}
+
+#[derive(Debug, clap::Subcommand)]
+pub(super) enum RolloutCommand {
+    /// Begin one.
+    Start(Box<RolloutArguments>),
+    /// All, the newest first.
+    Ls,
+    /// One with its stages, its verdicts and their numbers.
+    Show {
+        /// Its number; the newest where none is given.
+        id: Option<i64>,
+        /// Look again until it is done, held or back.
+        #[arg(long)]
+        follow: bool,
+    },
+    /// Let time stand still for it.
+    Pause(Number),
+    /// Continue it; a stage that is held soaks again.
+    Resume(Number),
+    /// The next stage now, whatever the gates say.
+    Next(Number),
+    /// Give all its nodes their old values back.
+    Return(Number),
+    /// End it; every node keeps what it has.
+    Stop(Number),
+}
+
+const START_EXAMPLES: &str = "\
+Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05),
+joules<=+5% (of a clip), edp, latency_p99, degraded, recall, precision. The
+change is that of the stage's nodes beyond that of the nodes not asked yet, over
+the same hours; with fewer than eight on either side a gate is not measured. A
+gate with ? at its end holds only where the metric is reported. Measured and
+estimated energy are two figures.
+
+Examples:
+  albireo fleet rollout start 5e-4 --select all
+  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% \\
+      --soak 8h \\
+      --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why
+      'quieter streets'";
+
+/// Arguments of `albireo fleet rollout start`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = START_EXAMPLES)]
+pub(super) struct RolloutArguments {
+    /// The new value.
+    #[arg(value_parser = finite)]
+    value: f64,
+    #[command(flatten)]
+    basics: Basics,
+    /// How many nodes have the value in each stage, numbers or percent (rounded up), the last 100%.
+    #[arg(long, value_delimiter = ',', value_name = "SIZES")]
+    stages: Vec<String>,
+    /// How long a stage is held before it is judged.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    soak: Option<f64>,
+    /// How much longer, where it could not be judged.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    patience: Option<f64>,
+    /// What the change may cost; may be given several times, and replaces the gates by default.
+    #[arg(long = "gate", value_name = "GATE")]
+    gates: Vec<String>,
+    /// When a gate fails: give the old value back, or hold.
+    #[arg(long, value_parser = ["return", "hold"])]
+    on_failure: Option<String>,
+    /// How long a node may stay out of reach; then its value is withdrawn.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    offline_deadline: Option<f64>,
+    /// Look until it is done, held or back.
+    #[arg(long)]
+    follow: bool,
+}
+
+#[derive(Debug, clap::Subcommand)]
+pub(super) enum TrialCommand {
+    /// Begin one.
+    Start(TrialArguments),
+    /// All, the newest first.
+    Ls,
+    /// One with its result.
+    Show {
+        /// Its number; the newest where none is given.
+        id: Option<i64>,
+    },
+    /// End it now, with what was measured; the old values return.
+    End(Number),
+}
+
+/// Arguments of `albireo fleet trial start`.
+#[derive(Debug, clap::Args)]
+pub(super) struct TrialArguments {
+    /// The values, two or more; each is compared with the first.
+    #[arg(required = true, num_args = 2.., value_parser = finite)]
+    values: Vec<f64>,
+    #[command(flatten)]
+    basics: Basics,
+    /// How long the values hold.
+    #[arg(long = "for", value_parser = seconds, default_value = "1h", value_name = "TIME")]
+    duration: f64,
+}
+
+/// What the beginnings of rollouts and trials have in common.
+#[derive(Debug, clap::Args)]
+struct Basics {
+    /// Which nodes; may be given several times.
+    #[arg(long, required = true, value_name = "SELECTOR")]
+    select: Vec<String>,
+    /// The threshold's name, for nodes under another policy.
+    #[arg(long, default_value = "u")]
+    knob: String,
+    /// How far back the measurements before the change go.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    baseline: Option<f64>,
+    /// How sure verdicts and intervals must be.
+    #[arg(long, value_name = "SHARE", value_parser = finite)]
+    confidence: Option<f64>,
+    /// Fewest clips of a node before and after.
+    #[arg(long, value_name = "N")]
+    fewest_clips: Option<u64>,
+    /// How long a node in reach may take to report the value.
+    #[arg(long, value_parser = seconds, value_name = "TIME")]
+    apply_within: Option<f64>,
+    /// Draws the order of the nodes, or the groups.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Why; kept in the history.
+    #[arg(long, default_value = "")]
+    why: String,
+}
+
+impl Basics {
+    /// The request with these fields and `more`; what is not given has the hub's default.
+    fn request(&self, more: Value) -> Value {
+        let mut request = json!({
+            "select": self.select,
+            "baseline_s": self.baseline,
+            "confidence": self.confidence,
+            "fewest_clips": self.fewest_clips,
+            "apply_within_s": self.apply_within,
+            "seed": self.seed,
+            "why": self.why,
+        });
+        if let (Some(request), Value::Object(more)) = (request.as_object_mut(), more) {
+            request.extend(more);
+            request.retain(|_, value| !value.is_null() && *value != json!([]));
+        }
+        request
+    }
+}
+
+pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyhow::Result<Ended> {
+    use RolloutCommand::{Ls, Next, Pause, Resume, Return, Show, Start, Stop};
+    let client = &context.client;
+    let (id, order) = match command {
+        Start(arguments) => return start(context, *arguments).await,
+        Ls => {
+            let rollouts: Rollouts = client.get("/api/v1/rollouts", &[]).await?;
+            context.print(&rollouts, |found| list(&found.rollouts))?;
+            return Ok(Ended::Well);
+        }
+        Show { id, follow } => {
+            let id = number(context, "rollouts", id).await?;
+            if follow {
+                return self::follow(context, id).await;
+            }
+            let rollout: RunView = client.get(&format!("/api/v1/rollouts/{id}"), &[]).await?;
+            context.print(&rollout, whole)?;
+            return Ok(judge(&rollout));
+        }
+        Pause(Number { id }) => (id, "pause"),
+        Resume(Number { id }) => (id, "resume"),
+        Next(Number { id }) => (id, "next"),
+        Return(Number { id }) => (id, "return"),
+        Stop(Number { id }) => (id, "stop"),
+    };
+    let path = format!("/api/v1/rollouts/{id}/{order}");
+    let rollout: RunView = client.post(&path, &json!({})).await?;
+    context.print(&rollout, |rollout| headline(rollout) + "\n")?;
+    Ok(Ended::Well)
+}
+
+pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::Result<Ended> {
+    let client = &context.client;
+    let trial: RunView = match command {
+        TrialCommand::Start(TrialArguments {
+            values,
+            duration,
+            basics,
+        }) => {
+            let value = |value: &f64| json!({ (basics.knob.as_str()): value });
+            let values: Vec<Value> = values.iter().map(value).collect();
+            let body = basics.request(json!({ "values": values, "duration_s": duration }));
+            client.post("/api/v1/trials", &body).await?
+        }
+        TrialCommand::Ls => {
+            let trials: Trials = client.get("/api/v1/trials", &[]).await?;
+            context.print(&trials, |found| list(&found.trials))?;
+            return Ok(Ended::Well);
+        }
+        TrialCommand::Show { id } => {
+            let id = number(context, "trials", id).await?;
+            client.get(&format!("/api/v1/trials/{id}"), &[]).await?
+        }
+        TrialCommand::End(Number { id }) => {
+            client
+                .post(&format!("/api/v1/trials/{id}/end"), &json!({}))
+                .await?
+        }
+    };
+    context.print(&trial, whole)?;
+    Ok(Ended::Well)
+}
+
+/// The number that was given, or that of the newest.
+async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Result<i64> {
+    let Some(id) = id else {
+        let newest = [("limit", "1".to_owned())];
+        let found: Value = context
+            .client
+            .get(&format!("/api/v1/{kind}"), &newest)
+            .await?;
+        return found[kind][0]["id"]
+            .as_i64()
+            .with_context(|| format!("there are no {kind} yet"));
+    };
+    Ok(id)
+}
+
+async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result<Ended> {
+    let body = arguments.basics.request(json!({
+        (arguments.basics.knob.as_str()): arguments.value,
+        "stages": arguments.stages,
+        "soak_s": arguments.soak,
+        "patience_s": arguments.patience,
+        "gates": arguments.gates,
+        "on_failure": arguments.on_failure,
+        "offline_deadline_s": arguments.offline_deadline,
+    }));
+    let rollout: RunView = context.client.post("/api/v1/rollouts", &body).await?;
+    let id = rollout.kept.id;
+    if arguments.follow {
+        return follow(context, id).await;
+    }
+    context.print(&rollout, |rollout| {
+        let mut text = headline(rollout) + "\n";
+        for left_out in &rollout.kept.left_out {
+            let line = format!("  without {}: {}", left_out.node, left_out.why);
+            text += &(cut(&line, WIDTH) + "\n");
+        }
+        text + &format!("albireo fleet rollout show {id} --follow\n")
+    })?;
+    Ok(Ended::Well)
+}
+
+async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
+    let mut printed = 0;
+    loop {
+        let path = format!("/api/v1/rollouts/{id}");
+        let rollout: RunView = context.client.get(&path, &[]).await?;
+        let run = &rollout.kept.run;
+        for entry in run.record.iter().skip(printed) {
+            if context.json {
+                println!("{}", serde_json::to_string(entry)?);
+            } else {
+                print!("{}", entry_text(entry, rollout.kept.begun_ms));
+            }
+        }
+        printed = run.record.len().max(printed);
+        if matches!(
+            run.phase,
+            Phase::Done | Phase::Returned | Phase::Stopped | Phase::Held
+        ) {
+            if !context.json {
+                println!("{}", headline(&rollout));
+            }
+            return Ok(judge(&rollout));
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+fn judge(rollout: &RunView) -> Ended {
+    match rollout.kept.run.phase {
+        Phase::Done | Phase::Stopped => Ended::Well,
+        Phase::Returned | Phase::Returning => Ended::Failed,
+        _ => Ended::Open,
+    }
+}
+
+fn state(run: &RunView) -> String {
+    let paused = if run.paused { ", paused" } else { "" };
+    format!("{}{paused}", run.kept.run.phase)
+}
+
+/// The value that is rolled out, or the values that are compared.
+fn values(kind: &Kind) -> String {
+    match kind {
+        Kind::Rollout { to, .. } => threshold(to),
+        Kind::Trial { plan } => joined(&plan.values, threshold),
+    }
+}
+
+fn headline(view: &RunView) -> String {
+    let run = &view.kept.run;
+    let (id, values, state) = (view.kept.id, values(&run.kind), state(view));
+    let text = match &run.kind {
+        Kind::Trial { .. } => {
+            let (counts, seed) = (counts(&view.counts), run.seed);
+            return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
+        }
+        Kind::Rollout { .. } => {
+            let of = view.stages.len();
+            format!(
+                "rollout {id} to {values}: {state}, stage {} of {of}",
+                run.stage
+            )
+        }
+    };
+    match run.phase {
+        Phase::Held | Phase::Returning => format!("{text} ({})", run.reason),
+        _ => text,
+    }
+}
+
+fn list(found: &[RunView]) -> String {
+    let rows = found.iter().map(|view| {
+        let kept = &view.kept;
+        let nodes: usize = view.stages.iter().map(|stage| stage.nodes).sum();
+        [
+            kept.id.to_string(),
+            values(&kept.run.kind),
+            state(view),
+            format!("{}/{}", kept.run.stage, view.stages.len()),
+            nodes.to_string(),
+            when(kept.begun_ms),
+            kept.who.clone(),
+            kept.run.kind.basics().why.clone(),
+        ]
+    });
+    table(
+        [
+            ">id", ">to", "state", ">stage", ">nodes", "begun", "who", "why",
+        ],
+        rows,
+    )
+}
+
+fn whole(view: &RunView) -> String {
+    let run = &view.kept.run;
+    let mut text = headline(view) + "\n";
+    let Kind::Rollout { plan, .. } = &run.kind else {
+        return text + &run.result.as_ref().map(result).unwrap_or_default();
+    };
+    let _ = writeln!(
+        text,
+        "  nodes {}; stages {}; soak {}\n  gates {}; on failure {}",
+        plan.basics.select,
+        joined(&plan.stages, ToString::to_string),
+        span(plan.soak_s as i64),
+        joined(&plan.gates, ToString::to_string),
+        name_of(&plan.on_failure)
+    );
+    for (number, stage) in (1..).zip(&view.stages) {
+        let counts = match stage.counts.is_empty() {
+            true => "not begun".to_owned(),
+            false => counts(&stage.counts),
+        };
+        let nodes = nodes(stage.nodes as u64);
+        let _ = writeln!(text, "  stage {number}: {nodes}, {counts}");
+    }
+    for entry in &run.record {
+        text += &entry_text(entry, view.kept.begun_ms);
+    }
+    text
+}
+
+fn joined<T>(list: &[T], text: impl Fn(&T) -> String) -> String {
+    list.iter().map(text).collect::<Vec<_>>().join(", ")
+}
+
+/// An entry of a rollout's record, with its time since the rollout began.
+fn entry_text(entry: &Entry, begun_ms: i64) -> String {
+    let who = entry.who.as_ref().map(|who| format!(" by {who}"));
+    let text = match entry.text.as_str() {
+        "" => String::new(),
+        text => format!(": {text}"),
+    };
+    let line = format!(
+        "{:>10}  stage {}  {}{}{text}",
+        format!("+{}", span((entry.at_ms - begun_ms) / 1000)),
+        entry.stage,
+        name_of(&entry.what),
+        who.unwrap_or_default(),
+    );
+    // Why a stage failed is what it is all about: it is not cut.
+    let mut text = wrapped(&line, 15);
+    if entry.gates.is_empty() {
+        return text;
+    }
+    let mean = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), figure);
+    let rows = entry.gates.iter().map(|result| {
+        let measured = result.figure.map(|figure| figure.to_string());
+        let change = result.change.as_ref();
+        let change = change.map(|change| interval(change, result.gate.relative));
+        [
+            format!("   {}", result.gate),
+            measured.unwrap_or_else(|| "not measured".to_owned()),
+            result.nodes.to_string(),
+            result.compared.to_string(),
+            mean(result.before),
+            mean(result.after),
+            change.unwrap_or("-".to_owned()),
+            name_of(&result.verdict),
+        ]
+    });
+    let headings = [
+        "   gate", "figure", ">nodes", ">others", ">before", ">after", "change", "verdict",
+    ];
+    text += &table(headings, rows);
+    text
+}
+
+/// What a trial measured.
+fn result(result: &TrialResult) -> String {
+    let level = result.confidence * 100.0;
+    let row = |shown: Figure, arm: &ArmResult| {
+        let found = arm.figures.iter().find(|found| found.figure == shown)?;
+        let relative = shown.scale() == Scale::Relative;
+        let difference = found.difference.as_ref();
+        let difference = difference.map(|difference| interval(difference, relative));
+        Some([
+            shown.to_string(),
+            threshold(&arm.value),
+            found.nodes.to_string(),
+            found.clips.to_string(),
+            figure(found.before),
+            figure(found.mean),
+            difference.unwrap_or("-".to_owned()),
+        ])
+    };
+    let rows = Figure::ALL.into_iter();
+    let rows = rows.flat_map(|shown| result.values.iter().filter_map(move |arm| row(shown, arm)));
+    let headings = [
+        "figure",
+        ">value",
+        ">nodes",
+        ">clips",
+        ">before",
+        ">during",
+        "difference",
+    ];
+    let table = table(headings, rows);
+    format!(
+        "changes beyond that of the first value's nodes; all intervals together hold at {level} %\n{table}"
+    )
+}
