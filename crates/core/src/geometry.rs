@@ -68,25 +68,13 @@ impl BoundingBox {
     }
 
     /// The corners in normalised coordinates.
+    #[inline]
     pub fn corners(self) -> Corners {
         Corners {
             x1: self.center_x - self.width / 2.0,
             y1: self.center_y - self.height / 2.0,
             x2: self.center_x + self.width / 2.0,
             y2: self.center_y + self.height / 2.0,
-        }
-    }
-
-    /// The centre, as a box without sides.
-    pub(crate) fn center(self) -> Corners {
-        let Self {
-            center_x, center_y, ..
-        } = self;
-        Corners {
-            x1: center_x,
-            y1: center_y,
-            x2: center_x,
-            y2: center_y,
         }
     }
 
@@ -130,11 +118,29 @@ impl Corners {
     }
 
     /// Area; zero for an inverted box.
+    #[inline]
     pub fn area(self) -> f64 {
         (self.x2 - self.x1).max(0.0) * (self.y2 - self.y1).max(0.0)
     }
 
+    /// What every box overlaps whose intersection over union with this one is `gate` or more. With I and U the areas of
+    /// intersection and union, and w, h the sides: the part of w that both share is at least I/h ≥ gate·U/h ≥ gate·w. So
+    /// the other begins before `x2 − gate·w` and ends behind `x1 + gate·w`, and likewise along y. Where the gate is above
+    /// one half, these are the other way round, and still right.
+    pub(crate) fn core(self, gate: f64) -> Self {
+        // A little less, so that rounding excludes no box.
+        let share = (gate - 1e-6).max(0.0);
+        let (x, y) = (share * (self.x2 - self.x1), share * (self.y2 - self.y1));
+        Self {
+            x1: self.x1 + x,
+            y1: self.y1 + y,
+            x2: self.x2 - x,
+            y2: self.y2 - y,
+        }
+    }
+
     /// Intersection over union with `other` in the same coordinates; zero when the union is empty.
+    #[inline]
     pub fn intersection_over_union(self, other: Self) -> f64 {
         let overlap = Self {
             x1: self.x1.max(other.x1),

@@ -230,13 +230,10 @@ impl Gauge {
     /// Where the centres lie of all boxes within the squared distance `gate`, and of some beyond it: what rounding
     /// could do, in the distance or here, is added.
     pub(crate) fn reach(&self, gate: f64) -> Corners {
-        let radius = (gate / self.center).sqrt() * (1.0 + 1e-9);
-        let interval = |center: f64| {
-            let radius = radius + center.abs() * 1e-12;
-            (center - radius, center + radius)
-        };
-        let (x1, x2) = interval(self.expected.center_x);
-        let (y1, y2) = interval(self.expected.center_y);
-        Corners { x1, y1, x2, y2 }
+        let side = 2.0 * (gate / self.center).sqrt() * (1.0 + 1e-9) + 1e-12;
+        let BoundingBox {
+            center_x, center_y, ..
+        } = self.expected;
+        BoundingBox::new(center_x, center_y, side, side).corners()
     }
 }

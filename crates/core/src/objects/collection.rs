@@ -38,7 +38,6 @@ pub(crate) struct ObjectStates {
     states: Vec<ObjectState>,
     next_id: u64,
     matcher: Matcher,
-    usable: Vec<u32>,
     sightings: Vec<Sighting>,
     rejected: u64,
 }
@@ -55,7 +54,6 @@ impl ObjectStates {
             states: Vec::new(),
             next_id: 0,
             matcher: Matcher::default(),
-            usable: Vec::new(),
             sightings: Vec::new(),
             rejected: 0,
         };
@@ -100,7 +98,7 @@ impl ObjectStates {
             model,
             &self.states,
             detections,
-            &self.usable,
+            self.sightings.iter().map(|sighting| sighting.usable),
         );
         let mut detection_of = detection_of.iter();
         let sightings = &mut self.sightings;
@@ -121,17 +119,12 @@ impl ObjectStates {
         }
     }
 
-    /// Lists the detections that can be taken, and counts the others.
+    /// Notes which detections can be taken, and counts the others.
     fn screen(&mut self, detections: &[Detection]) {
-        self.usable.clear();
         self.sightings.clear();
-        for (index, detection) in (0u32..).zip(detections) {
+        for detection in detections {
             let usable = is_usable(detection);
-            if usable {
-                self.usable.push(index);
-            } else {
-                self.rejected = self.rejected.saturating_add(1);
-            }
+            self.rejected = self.rejected.saturating_add(u64::from(!usable));
             self.sightings.push(Sighting {
                 usable,
                 object: None,
@@ -142,17 +135,16 @@ impl ObjectStates {
 
     fn create(&mut self, detections: &[Detection]) {
         let hits_to_confirm = self.settings.life_cycle.hits_to_confirm;
-        for &index in &self.usable {
-            let index = index as usize;
-            if self.matcher.matched()[index] {
-                continue;
+        let found = detections.iter().zip(&mut self.sightings);
+        for ((detection, sighting), is_free) in found.zip(self.matcher.is_free()) {
+            if *is_free {
+                let id = ObjectId(self.next_id);
+                self.next_id += 1;
+                let state = ObjectState::new(id, detection, hits_to_confirm, &self.model);
+                sighting.object = Some(id);
+                sighting.confirmed = state.confirmed;
+                self.states.push(state);
             }
-            let id = ObjectId(self.next_id);
-            self.next_id += 1;
-            let state = ObjectState::new(id, &detections[index], hits_to_confirm, &self.model);
-            self.sightings[index].object = Some(id);
-            self.sightings[index].confirmed = state.confirmed;
-            self.states.push(state);
         }
     }
 
@@ -192,7 +184,6 @@ impl ObjectStates {
             states,
             next_id,
             matcher: _,
-            usable: _,
             sightings,
             rejected,
         } = other;

@@ -16,21 +16,20 @@ pub(crate) struct Edge {
     pub cost: f64,
 }
 
-const UNSEEN: u32 = u32::MAX;
+const NONE: u32 = u32::MAX;
 
 /// The solver with its buffers, which are kept from call to call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ComponentSolver {
     dense: AssignmentSolver,
-    /// First edge of each row, and the end.
-    row_start: Vec<u32>,
-    /// Edges of each column; then where each column's rows begin in `rows_of_columns`.
-    column_degree: Vec<u32>,
-    column_start: Vec<u32>,
-    rows_of_columns: Vec<u32>,
-    /// Place of each row and column within its component.
-    row_place: Vec<u32>,
-    column_place: Vec<u32>,
+    /// For each row another one of its component; itself where it stands for the component.
+    parent: Vec<u32>,
+    /// For each column the first row with an edge to it; then its place within its component.
+    of_column: Vec<u32>,
+    /// The edges, each with the row that stands for its component.
+    sorted: Vec<(u32, Edge)>,
+    /// For each component the place of its next edge in `sorted`.
+    place_of: Vec<usize>,
     rows: Vec<u32>,
     columns: Vec<u32>,
     matrix: Vec<f64>,
@@ -45,136 +44,99 @@ impl ComponentSolver {
         edges: &[Edge],
         pairs: &mut Vec<(u32, u32)>,
     ) {
-        if edges.is_empty() {
-            return;
-        }
-        self.index_rows(rows, columns, edges);
-        let mut columns_indexed = false;
-        for row in 0..rows {
-            let own = self.edges_of(row, edges);
-            match own {
-                [] => {}
-                [edge] if self.column_degree[edge.column as usize] == 1 => {
-                    pairs.push((edge.row, edge.column));
-                }
-                _ => {
-                    if !columns_indexed {
-                        self.index_columns(rows, columns, edges);
-                        columns_indexed = true;
-                    }
-                    if self.row_place[row] == UNSEEN {
-                        self.collect(row as u32, edges);
-                        self.solve_component(edges, pairs);
-                    }
+        self.parent.clear();
+        self.parent.extend(0..rows as u32);
+        self.of_column.clear();
+        self.of_column.resize(columns, NONE);
+        for edge in edges {
+            let first = &mut self.of_column[edge.column as usize];
+            match *first {
+                NONE => *first = edge.row,
+                first => {
+                    let (one, other) = (self.root(first), self.root(edge.row));
+                    self.parent[one.max(other) as usize] = one.min(other);
                 }
             }
         }
+        let sorted = self.sorted_by_root(rows, edges);
+        for component in sorted.chunk_by(|one, other| one.0 == other.0) {
+            match component {
+                [(_, edge)] => pairs.push((edge.row, edge.column)),
+                several => self.solve_component(several, pairs),
+            }
+        }
+        self.sorted = sorted;
     }
 
-    fn edges_of<'a>(&self, row: usize, edges: &'a [Edge]) -> &'a [Edge] {
-        &edges[self.row_start[row] as usize..self.row_start[row + 1] as usize]
-    }
-
-    fn index_rows(&mut self, rows: usize, columns: usize, edges: &[Edge]) {
-        self.row_start.clear();
-        self.row_start.resize(rows + 1, 0);
-        self.column_degree.clear();
-        self.column_degree.resize(columns, 0);
+    /// The edges by component, each with its root; those of a component in the order given.
+    fn sorted_by_root(&mut self, rows: usize, edges: &[Edge]) -> Vec<(u32, Edge)> {
+        self.place_of.clear();
+        self.place_of.resize(rows + 1, 0);
+        let mut sorted = std::mem::take(&mut self.sorted);
+        sorted.clear();
         for edge in edges {
-            self.row_start[edge.row as usize + 1] += 1;
-            self.column_degree[edge.column as usize] += 1;
+            let root = self.root(edge.row);
+            self.place_of[root as usize + 1] += 1;
+            sorted.push((root, *edge));
         }
         for row in 0..rows {
-            self.row_start[row + 1] += self.row_start[row];
+            self.place_of[row + 1] += self.place_of[row];
         }
+        for edge in edges {
+            let root = self.root(edge.row);
+            let place = &mut self.place_of[root as usize];
+            sorted[*place] = (root, *edge);
+            *place += 1;
+        }
+        sorted
     }
 
-    fn index_columns(&mut self, rows: usize, columns: usize, edges: &[Edge]) {
-        self.column_start.clear();
-        let mut start = 0;
-        for degree in &self.column_degree {
-            self.column_start.push(start);
-            start += degree;
+    fn root(&mut self, mut row: u32) -> u32 {
+        while self.parent[row as usize] != row {
+            let parent = self.parent[row as usize];
+            self.parent[row as usize] = self.parent[parent as usize];
+            row = parent;
         }
-        self.column_start.push(start);
-        self.rows_of_columns.clear();
-        self.rows_of_columns.resize(edges.len(), 0);
-        // Filled from behind, so that each column's start ends where it began.
-        for edge in edges.iter().rev() {
-            let remaining = &mut self.column_degree[edge.column as usize];
-            *remaining -= 1;
-            let start = self.column_start[edge.column as usize];
-            self.rows_of_columns[(start + *remaining) as usize] = edge.row;
-        }
-        for column in 0..columns {
-            self.column_degree[column] = self.column_start[column + 1] - self.column_start[column];
-        }
-        self.row_place.clear();
-        self.row_place.resize(rows, UNSEEN);
-        self.column_place.clear();
-        self.column_place.resize(columns, UNSEEN);
+        row
     }
 
-    /// Gathers the component of `first` in `rows` and `columns`.
-    fn collect(&mut self, first: u32, edges: &[Edge]) {
+    fn solve_component(&mut self, edges: &[(u32, Edge)], pairs: &mut Vec<(u32, u32)>) {
         self.rows.clear();
         self.columns.clear();
-        self.row_place[first as usize] = 0;
-        self.rows.push(first);
-        let mut next = 0;
-        while let Some(&row) = self.rows.get(next) {
-            next += 1;
-            let range = self.row_start[row as usize]..self.row_start[row as usize + 1];
-            for edge in &edges[range.start as usize..range.end as usize] {
-                let column = edge.column as usize;
-                if self.column_place[column] != UNSEEN {
-                    continue;
-                }
-                self.column_place[column] = self.columns.len() as u32;
-                self.columns.push(edge.column);
-                let others = self.column_start[column]..self.column_start[column + 1];
-                for &other in &self.rows_of_columns[others.start as usize..others.end as usize] {
-                    if self.row_place[other as usize] == UNSEEN {
-                        self.row_place[other as usize] = self.rows.len() as u32;
-                        self.rows.push(other);
-                    }
-                }
+        let mut largest = 0.0_f64;
+        for (_, edge) in edges {
+            largest = largest.max(edge.cost);
+            if self.rows.last() != Some(&edge.row) {
+                self.rows.push(edge.row);
             }
+            self.columns.push(edge.column);
         }
-    }
-
-    fn solve_component(&mut self, edges: &[Edge], pairs: &mut Vec<(u32, u32)>) {
+        // In order, so that among equal costs the order of the edges decides nothing.
+        self.columns.sort_unstable();
+        self.columns.dedup();
+        for (place, column) in (0..).zip(&self.columns) {
+            self.of_column[*column as usize] = place;
+        }
         let (rows, columns) = (self.rows.len(), self.columns.len());
-        let mut largest = 0.0;
-        let mut cheapest: Option<&Edge> = None;
-        for &row in &self.rows {
-            for edge in self.edges_of(row as usize, edges) {
-                if edge.cost > largest {
-                    largest = edge.cost;
-                }
-                if cheapest.is_none_or(|best| edge.cost < best.cost) {
-                    cheapest = Some(edge);
-                }
-            }
-        }
         if rows == 1 || columns == 1 {
-            pairs.extend(cheapest.map(|edge| (edge.row, edge.column)));
+            let cheapest = (edges.iter())
+                .min_by(|(_, a), (_, b)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
+            pairs.extend(cheapest.map(|(_, edge)| (edge.row, edge.column)));
             return;
         }
         // One forbidden pair more must cost more than all that choosing other edges can save.
         let forbidden = (largest + 1.0) * (rows.min(columns) + 1) as f64;
         self.matrix.clear();
         self.matrix.resize(rows * columns, forbidden);
-        for (place, &row) in self.rows.iter().enumerate() {
-            let range = self.row_start[row as usize]..self.row_start[row as usize + 1];
-            for edge in &edges[range.start as usize..range.end as usize] {
-                let column = self.column_place[edge.column as usize] as usize;
-                self.matrix[place * columns + column] = edge.cost;
+        let mut row = 0;
+        for (_, edge) in edges {
+            if self.rows[row] != edge.row {
+                row += 1;
             }
+            let column = self.of_column[edge.column as usize] as usize;
+            self.matrix[row * columns + column] = edge.cost;
         }
-        // The costs are finite: gates let no other pass. A refusal would mean no pairs.
-        let assigned = self.dense.solve(rows, columns, &self.matrix);
-        for &(row, column) in assigned.unwrap_or_default() {
+        for &(row, column) in self.dense.solve(rows, columns, &self.matrix) {
             if self.matrix[row * columns + column] < forbidden {
                 pairs.push((self.rows[row], self.columns[column]));
             }

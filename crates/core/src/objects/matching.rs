@@ -1,12 +1,9 @@
 //! Which detection belongs to which object: first by overlap, then by statistical distance.
 
-mod overlap_costs;
-
-use super::components::{ComponentSolver, Edge};
-use super::{AssignmentSolver, ObjectState, OverlapIndex};
+use super::{AssignmentSolver, ObjectState, Pairing};
 use crate::detection::Detection;
+use crate::geometry::{BoundingBox, Corners};
 use crate::kalman::FilterModel;
-use overlap_costs::OverlapCosts;
 
 /// When pairs beyond the gate are ruled out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +16,8 @@ pub enum GateOrder {
     AfterAssignment,
 }
 
-/// The rules of matching.
+/// The rules of matching. The class plays no part: the published code takes over that of the detection, and the paper does
+/// not say.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Association {
     /// Stage 1 accepts intersection over union of this or more. Not in the paper.
@@ -32,9 +30,6 @@ pub struct Association {
     pub mahalanobis_gate: f64,
     /// When the gates are applied.
     pub gate: GateOrder,
-    /// Whether only a detection of the object's own class may match it. The published code ignores the
-    /// class and takes over that of the detection; the paper does not say.
-    pub same_class_only: bool,
 }
 
 /// Cost in stage 2 of a pair beyond the gate (published code).
@@ -43,193 +38,87 @@ const BEYOND_GATE: f64 = 1e9;
 /// The two-stage matcher with its buffers, which are kept from call to call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Matcher {
+    pairing: Pairing,
+    /// What it takes to let all pairs compete: objects and detections that may be paired, and their costs.
     full: AssignmentSolver,
-    components: ComponentSolver,
-    /// Object states and detections that the stage at hand may pair, by index.
-    rows: Vec<u32>,
-    columns: Vec<u32>,
-    overlaps: OverlapCosts,
-    /// Where the centres of `columns` lie, when they are many.
-    centers: OverlapIndex,
-    edges: Vec<Edge>,
+    rows: Vec<usize>,
+    columns: Vec<usize>,
     matrix: Vec<f64>,
-    /// Pairs of the stage, as places in `rows` and `columns`.
-    pairs: Vec<(u32, u32)>,
-    detection_of: Vec<Option<u32>>,
-    matched: Vec<bool>,
 }
 
 impl Matcher {
-    /// Matches `states`, predicted to this frame, with those of `detections` whose indices are in
-    /// `usable`. Returns for each state the index of its detection.
+    /// Matches `states`, predicted to this frame, with those of `detections` that are `usable`. Returns for each state
+    /// the index of its detection.
     pub(crate) fn associate(
         &mut self,
         settings: &Association,
         model: &FilterModel,
         states: &[ObjectState],
         detections: &[Detection],
-        usable: &[u32],
+        usable: impl Iterator<Item = bool>,
     ) -> &[Option<u32>] {
-        self.detection_of.clear();
-        self.detection_of.resize(states.len(), None);
-        self.matched.clear();
-        self.matched.resize(detections.len(), false);
+        self.pairing.begin(states.len(), detections, usable);
+        let by_overlap = |row: usize| {
+            let state = &states[row];
+            let own = state.filter.bounding_box().corners();
+            let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
+            let area = own.core(settings.iou_gate);
+            (state.since_update <= settings.iou_frames).then_some((area, cost))
+        };
+        let within = |cost: f64| 1.0 - cost >= settings.iou_gate && cost < 1.0;
+        self.stage(settings.gate, detections, by_overlap, within, |cost| cost);
+        let by_distance = |row: usize| {
+            let gauge = states[row].filter.gauge(model);
+            let cost = move |other: BoundingBox| gauge.squared_distance(other);
+            Some((gauge.reach(settings.mahalanobis_gate), cost))
+        };
+        let within = |cost: f64| cost < settings.mahalanobis_gate;
+        let competing = |cost: f64| if within(cost) { cost } else { BEYOND_GATE };
+        self.stage(settings.gate, detections, by_distance, within, competing);
+        self.pairing.detection_of()
+    }
 
+    /// Whether each detection is usable and was not matched by the last [`associate`](Self::associate).
+    pub(crate) fn is_free(&self) -> &[bool] {
+        self.pairing.is_free()
+    }
+
+    /// One stage: `of` and `within` are what [`Pairing::stage`] needs, and `competing` is what a cost counts when all pairs
+    /// compete.
+    fn stage<C: Fn(BoundingBox) -> f64>(
+        &mut self,
+        order: GateOrder,
+        detections: &[Detection],
+        of: impl Fn(usize) -> Option<(Corners, C)>,
+        within: impl Fn(f64) -> bool,
+        competing: impl Fn(f64) -> f64,
+    ) {
+        if order == GateOrder::BeforeAssignment {
+            self.pairing.stage(detections, of, within);
+            return;
+        }
         self.rows.clear();
-        self.rows.extend(indices(states, |state| {
-            state.since_update <= settings.iou_frames
-        }));
         self.columns.clear();
-        self.columns.extend_from_slice(usable);
-        self.pair_by_overlap(settings, states, detections);
-        self.take_pairs();
-
-        self.rows.clear();
-        let detection_of = &self.detection_of;
-        self.rows.extend(
-            (0..states.len() as u32).filter(|&index| detection_of[index as usize].is_none()),
-        );
-        let matched = &self.matched;
-        self.columns.retain(|&index| !matched[index as usize]);
-        self.pair_by_distance(settings, model, states, detections);
-        self.take_pairs();
-        &self.detection_of
-    }
-
-    /// Whether each detection was matched by the last [`associate`](Self::associate).
-    pub(crate) fn matched(&self) -> &[bool] {
-        &self.matched
-    }
-
-    fn take_pairs(&mut self) {
-        for &(row, column) in &self.pairs {
-            let detection = self.columns[column as usize];
-            self.detection_of[self.rows[row as usize] as usize] = Some(detection);
-            self.matched[detection as usize] = true;
-        }
-    }
-
-    /// Stage 1: cost 1 − IoU.
-    fn pair_by_overlap(
-        &mut self,
-        settings: &Association,
-        states: &[ObjectState],
-        detections: &[Detection],
-    ) {
-        self.pairs.clear();
-        if self.rows.is_empty() || self.columns.is_empty() {
-            return;
-        }
-        self.edges.clear();
         self.matrix.clear();
-        let rows = self.rows.iter().map(|&row| &states[row as usize]);
-        let columns = self
-            .columns
-            .iter()
-            .map(|&column| &detections[column as usize]);
-        match settings.gate {
-            GateOrder::AfterAssignment => {
-                self.overlaps
-                    .fill(settings, rows, columns, &mut self.matrix);
-            }
-            GateOrder::BeforeAssignment => {
-                let class_of = |column: usize| detections[self.columns[column] as usize].class;
-                self.overlaps
-                    .gate(settings, rows, columns, class_of, &mut self.edges);
+        let is_free = self.pairing.is_free().iter().enumerate();
+        self.columns
+            .extend(is_free.filter(|(_, free)| **free).map(|(column, _)| column));
+        let detection_of = self.pairing.detection_of().iter().enumerate();
+        for (row, _) in detection_of.filter(|(_, detection)| detection.is_none()) {
+            if let Some((_, cost_of)) = of(row) {
+                self.rows.push(row);
+                let boxes = self.columns.iter().map(|it| detections[*it].bounding_box);
+                self.matrix.extend(boxes.map(|it| competing(cost_of(it))));
             }
         }
-        let within_gate = |cost: f64| 1.0 - cost >= settings.iou_gate && cost < 1.0;
-        self.pair_up(settings.gate, within_gate);
-    }
-
-    /// Stage 2: cost squared Mahalanobis distance.
-    fn pair_by_distance(
-        &mut self,
-        settings: &Association,
-        model: &FilterModel,
-        states: &[ObjectState],
-        detections: &[Detection],
-    ) {
-        self.pairs.clear();
-        if self.rows.is_empty() || self.columns.is_empty() {
-            return;
-        }
-        self.edges.clear();
-        self.matrix.clear();
-        let Self {
-            rows,
-            columns,
-            centers,
-            edges,
-            matrix,
-            ..
-        } = self;
-        let many = columns.len() >= OverlapIndex::WORTH_WHILE;
-        if settings.gate == GateOrder::BeforeAssignment && many {
-            let center = |&column: &u32| detections[column as usize].bounding_box.center();
-            centers.fill(columns.iter().map(center));
-        }
-        for (place, &row) in rows.iter().enumerate() {
-            let state = &states[row as usize];
-            let gauge = state.filter.gauge(model);
-            let distance_to = |column: usize| {
-                let detection = &detections[columns[column] as usize];
-                let distance = gauge.squared_distance(detection.bounding_box);
-                let within = distance < settings.mahalanobis_gate
-                    && (!settings.same_class_only || detection.class == state.class);
-                within.then_some(distance)
-            };
-            let mut compete = |column: usize| {
-                edges.extend(distance_to(column).map(|cost| Edge {
-                    row: place as u32,
-                    column: column as u32,
-                    cost,
-                }));
-            };
-            match settings.gate {
-                GateOrder::AfterAssignment => {
-                    let costs = (0..columns.len()).map(distance_to);
-                    matrix.extend(costs.map(|cost| cost.unwrap_or(BEYOND_GATE)));
-                }
-                GateOrder::BeforeAssignment if many => {
-                    centers.visit(gauge.reach(settings.mahalanobis_gate), compete);
-                }
-                GateOrder::BeforeAssignment => (0..columns.len()).for_each(&mut compete),
-            }
-        }
-        let within_gate = |cost: f64| cost < settings.mahalanobis_gate;
-        self.pair_up(settings.gate, within_gate);
-    }
-
-    /// Solves what was put in `edges` or `matrix`, as `gate` asks.
-    fn pair_up(&mut self, gate: GateOrder, within_gate: impl Fn(f64) -> bool) {
-        let (rows, columns) = (self.rows.len(), self.columns.len());
-        match gate {
-            GateOrder::BeforeAssignment => {
-                self.components
-                    .solve(rows, columns, &self.edges, &mut self.pairs);
-            }
-            GateOrder::AfterAssignment => {
-                // Usable detections and live filters give finite costs. A refusal would mean no pairs.
-                let assigned = self.full.solve(rows, columns, &self.matrix);
-                for &(row, column) in assigned.unwrap_or_default() {
-                    if within_gate(self.matrix[row * columns + column]) {
-                        self.pairs.push((row as u32, column as u32));
-                    }
-                }
+        let (rows, columns) = (&self.rows, &self.columns);
+        // Usable detections and live filters give finite costs. Others would mean no pairs.
+        for &(row, column) in (self.full).solve(rows.len(), columns.len(), &self.matrix) {
+            if within(self.matrix[row * columns.len() + column]) {
+                self.pairing.pair(rows[row], columns[column]);
             }
         }
     }
-}
-
-fn indices(
-    states: &[ObjectState],
-    wanted: impl Fn(&ObjectState) -> bool,
-) -> impl Iterator<Item = u32> {
-    (0u32..)
-        .zip(states)
-        .filter(move |(_, state)| wanted(state))
-        .map(|(index, _)| index)
 }
 
 #[cfg(test)]

@@ -139,7 +139,6 @@ impl AlbireoSettings {
                 iou_frames: 2,
                 mahalanobis_gate: 9.4877,
                 gate: GateOrder::AfterAssignment,
-                same_class_only: false,
             },
             life_cycle: LifeCycle {
                 hits_to_confirm: 3,

@@ -1,10 +1,10 @@
 //! Promises of the matcher.
 
 use super::*;
-use crate::detection::ClassId;
-use crate::detection::ObjectId;
-use crate::geometry::{BoundingBox, PictureSize};
+use crate::detection::{ClassId, ObjectId};
+use crate::geometry::PictureSize;
 use crate::kalman::FilterParameters;
+use crate::objects::{ComponentSolver, Edge};
 use proptest::prelude::*;
 
 const SETTINGS: Association = Association {
@@ -12,7 +12,6 @@ const SETTINGS: Association = Association {
     iou_frames: 2,
     mahalanobis_gate: 9.4877,
     gate: GateOrder::BeforeAssignment,
-    same_class_only: false,
 };
 
 fn model() -> FilterModel {
@@ -42,9 +41,9 @@ fn associate(
     states: &[ObjectState],
     detections: &[Detection],
 ) -> Vec<Option<u32>> {
-    let usable: Vec<u32> = (0..detections.len() as u32).collect();
+    let usable = detections.iter().map(|_| true);
     Matcher::default()
-        .associate(settings, &model(), states, detections, &usable)
+        .associate(settings, &model(), states, detections, usable)
         .to_vec()
 }
 
@@ -115,26 +114,14 @@ fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
 }
 
 #[test]
-fn classes_matter_only_if_asked_for() {
-    let states = [object(at(0.5, 0.1), 1)];
-    let mut other = detection(at(0.5, 0.1));
-    other.class = ClassId(4);
-    for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
-        let mut settings = Association { gate, ..SETTINGS };
-        assert_eq!(associate(&settings, &states, &[other]), [Some(0)]);
-        settings.same_class_only = true;
-        assert_eq!(associate(&settings, &states, &[other]), [None]);
-    }
-}
-
-#[test]
 fn detections_that_are_not_usable_are_never_matched() {
     let states = [object(at(0.5, 0.1), 1)];
     let detections = [detection(at(f64::NAN, 0.1)), detection(at(0.5, 0.1))];
     let mut matcher = Matcher::default();
-    let found = matcher.associate(&SETTINGS, &model(), &states, &detections, &[1]);
+    let usable = [false, true].into_iter();
+    let found = matcher.associate(&SETTINGS, &model(), &states, &detections, usable);
     assert_eq!(found, [Some(1)]);
-    assert_eq!(matcher.matched(), [false, true]);
+    assert_eq!(matcher.is_free(), [false, false]);
 }
 
 fn boxes(most: usize) -> impl Strategy<Value = Vec<BoundingBox>> {
@@ -168,9 +155,6 @@ fn associate_without_index(
             let state = &states[state];
             for (column, &index) in (0u32..).zip(&columns) {
                 let other = &detections[index as usize];
-                if settings.same_class_only && other.class != state.class {
-                    continue;
-                }
                 let own = state.filter.bounding_box();
                 let iou = own.intersection_over_union(other.bounding_box);
                 let distance = state.filter.squared_distance(&model(), other.bounding_box);
@@ -192,7 +176,7 @@ fn associate_without_index(
 
 /// Boxes on a coarse grid and of few sizes, so that many coincide and costs are equal; or anywhere, some of them large,
 /// some far outside.
-fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u16, u32)>> {
+fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
     let step = |steps: u8, unit: f64| (0..steps).prop_map(move |step| f64::from(step) * unit);
     let coarse = (step(24, 0.04), step(24, 0.04), step(3, 0.02), step(3, 0.02));
     let fine = (
@@ -203,7 +187,7 @@ fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u16, u32)>> {
     );
     let place = prop_oneof![coarse, fine];
     let one = place.prop_map(|(x, y, w, h)| BoundingBox::new(x, y, w + 0.03, h + 0.03));
-    prop::collection::vec((one, 0..2u16, 0..6u32), 0..most)
+    prop::collection::vec((one, 0..6u32), 0..most)
 }
 
 /// The largest number of pairs within the overlap gate, and the smallest cost of that many.
@@ -249,22 +233,12 @@ proptest! {
 
     #[test]
     fn looking_only_where_boxes_may_meet_changes_no_match_not_even_among_equals(
-        seen in scene(150), found in scene(150), same_class_only: bool,
+        seen in scene(150), found in scene(150),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {
-        let states: Vec<_> = seen
-            .into_iter()
-            .map(|(place, class, age)| {
-                let mut state = object(place, age);
-                state.class = ClassId(class);
-                state
-            })
-            .collect();
-        let detections: Vec<_> = found
-            .into_iter()
-            .map(|(place, class, _)| Detection { class: ClassId(class), ..detection(place) })
-            .collect();
-        let settings = Association { same_class_only, iou_gate, ..SETTINGS };
+        let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
+        let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
+        let settings = Association { iou_gate, ..SETTINGS };
         prop_assert_eq!(
             associate(&settings, &states, &detections),
             associate_without_index(&settings, &states, &detections)

@@ -1,6 +1,6 @@
 //! The objects in view: what keeps them, whatever calls the detector.
 
-use super::association::Associator;
+use super::association::associate;
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::{Object, scale};
 use super::settings::{
@@ -10,7 +10,7 @@ use super::settings::{
 use super::velocity::{VelocityRegression, features};
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::objects::is_usable;
+use crate::objects::{Pairing, is_usable};
 use crate::policy::{BoxSource, ObjectId, OutputBox};
 
 /// All objects of a stream.
@@ -24,8 +24,7 @@ pub(super) struct Objects {
     /// The camera-wide covariance scale ᾱ.
     camera_alpha: f64,
     velocity: VelocityRegression,
-    matcher: Associator,
-    usable: Vec<bool>,
+    pairing: Pairing,
     rejected: u64,
 }
 
@@ -38,8 +37,7 @@ impl Objects {
             aspect: 1.0,
             camera_alpha: 1.0,
             velocity: VelocityRegression::default(),
-            matcher: Associator::default(),
-            usable: Vec::new(),
+            pairing: Pairing::default(),
             rejected: 0,
         }
     }
@@ -53,8 +51,7 @@ impl Objects {
             aspect,
             camera_alpha,
             velocity,
-            matcher: _,
-            usable: _,
+            pairing: _,
             rejected,
         } = other;
         self.objects.clone_from(objects);
@@ -138,18 +135,17 @@ impl Objects {
     /// Takes what the detector found: matches, updates, removes, creates. Returns the summed scores of
     /// the new objects.
     pub(crate) fn observe(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
-        self.usable.clear();
-        self.usable.extend(detections.iter().map(is_usable));
-        let unusable = self.usable.iter().filter(|usable| !**usable).count();
-        self.rejected = self.rejected.saturating_add(unusable as u64);
-
-        let aspect = self.aspect;
-        let detection_of = self
-            .matcher
-            .associate(&self.objects, detections, &self.usable, aspect);
+        let (aspect, pairing) = (self.aspect, &mut self.pairing);
+        let rejected = &mut self.rejected;
+        let usable = detections.iter().map(|detection| {
+            let usable = is_usable(detection);
+            *rejected = rejected.saturating_add(u64::from(!usable));
+            usable
+        });
+        associate(pairing, &self.objects, detections, usable, aspect);
         self.velocity.fade(VELOCITY_MEMORY);
         let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
-        let mut detection_of = detection_of.iter();
+        let mut detection_of = self.pairing.detection_of().iter();
         self.objects.retain_mut(|object| {
             // One entry an object, in the same order.
             let Some(&Some(index)) = detection_of.next() else {
@@ -167,8 +163,8 @@ impl Objects {
 
     fn create(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
         let mut scores = 0.0;
-        for (detection, matched) in detections.iter().zip(self.matcher.matched()) {
-            if *matched || detection.confidence < BIRTH_CONFIDENCE {
+        for (detection, is_free) in detections.iter().zip(self.pairing.is_free()) {
+            if !*is_free || detection.confidence < BIRTH_CONFIDENCE {
                 continue;
             }
             scores += detection.confidence;

@@ -1,0 +1,85 @@
+//! Pairs of objects and detections within a gate, made in stages: what a stage pairs is gone for the next.
+
+use super::components::{ComponentSolver, Edge};
+use super::sweep::Sweep;
+use crate::detection::Detection;
+use crate::geometry::{BoundingBox, Corners};
+
+/// The pairs of a frame, with buffers that are kept from call to call.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pairing {
+    solver: ComponentSolver,
+    sweep: Sweep,
+    edges: Vec<Edge>,
+    pairs: Vec<(u32, u32)>,
+    detection_of: Vec<Option<u32>>,
+    is_free: Vec<bool>,
+}
+
+impl Pairing {
+    /// Begins with `objects` objects and those of `detections` that are `usable`.
+    pub(crate) fn begin(
+        &mut self,
+        objects: usize,
+        detections: &[Detection],
+        usable: impl Iterator<Item = bool>,
+    ) {
+        self.detection_of.clear();
+        self.detection_of.resize(objects, None);
+        self.is_free.clear();
+        self.is_free.extend(usable);
+        let boxes = detections.iter().zip(0..).zip(&self.is_free);
+        let usable = boxes.filter(|(_, is_usable)| **is_usable);
+        self.sweep
+            .fill(usable.map(|((detection, place), _)| (detection.bounding_box.corners(), place)));
+    }
+
+    /// Makes as many pairs as can be of objects and detections that are free, at the smallest total cost. `of` says for an
+    /// object, if it takes part, which area the boxes of its detections overlap, and what a box costs; a pair is allowed
+    /// where that is `within` the gate.
+    pub(crate) fn stage<C: Fn(BoundingBox) -> f64>(
+        &mut self,
+        detections: &[Detection],
+        of: impl Fn(usize) -> Option<(Corners, C)>,
+        within: impl Fn(f64) -> bool,
+    ) {
+        self.edges.clear();
+        for (row, _) in (0u32..)
+            .zip(&self.detection_of)
+            .filter(|(_, it)| it.is_none())
+        {
+            let Some((area, cost_of)) = of(row as usize) else {
+                continue;
+            };
+            self.sweep.visit(area, |column| {
+                let cost = cost_of(detections[column as usize].bounding_box);
+                if within(cost) && self.is_free[column as usize] {
+                    self.edges.push(Edge { row, column, cost });
+                }
+            });
+        }
+        self.pairs.clear();
+        let (rows, columns) = (self.detection_of.len(), self.is_free.len());
+        (self.solver).solve(rows, columns, &self.edges, &mut self.pairs);
+        for &(row, column) in &self.pairs {
+            self.detection_of[row as usize] = Some(column);
+            self.is_free[column as usize] = false;
+        }
+    }
+
+    /// Pairs an object and a detection, both of them free.
+    pub(crate) fn pair(&mut self, object: usize, detection: usize) {
+        self.detection_of[object] = Some(detection as u32);
+        self.is_free[detection] = false;
+    }
+
+    /// The detection of each object, by index.
+    pub(crate) fn detection_of(&self) -> &[Option<u32>] {
+        &self.detection_of
+    }
+
+    /// Whether each detection is usable and not paired.
+    pub(crate) fn is_free(&self) -> &[bool] {
+        &self.is_free
+    }
+}
