@@ -345,16 +345,24 @@ pub trait Policy: Send + Sync {
     fn name(&self) -> &'static str;
 
     /// The number a user may turn, if there is one.
-    fn knob(&self) -> Option<Knob>;
+    fn knob(&self) -> Option<Knob> {
+        None
+    }
 
     /// The knob's value in force.
-    fn knob_value(&self) -> Option<f64>;
+    fn knob_value(&self) -> Option<f64> {
+        None
+    }
 
     /// Turns the knob; takes effect with the next `begin`.
     ///
     /// # Errors
     /// [`KnobError`] if there is no knob or the value is out of its range; nothing changes then.
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError>;
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        let _ = value;
+        let policy = self.name();
+        Err(KnobError::Absent { policy })
+    }
 
     /// A frame exists. Advances the filters by `frame.step` and says what is needed first.
     fn begin(&mut self, frame: FrameHead) -> Need;

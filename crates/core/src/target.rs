@@ -4,8 +4,7 @@
 //! an integral controller in the logarithm of the knob. The knob's value *is* the integral and never leaves its range, so
 //! nothing winds up while a target cannot be met, and the controller reacts at once when it can.
 //!
-//! The load targets ([`Target::SkipRate`], [`Target::DetectorMsPerS`], [`Target::Watts`], [`Target::JoulesPerDay`]) settle
-//! within a minute. [`Target::Recall`] goes by the audit ([`crate::audit`]) and moves only when enough boxes have been
+//! The load targets ([`Target::SkipRate`], [`Target::Watts`]) settle within a minute. [`Target::Recall`] goes by the audit ([`crate::audit`]) and moves only when enough boxes have been
 //! compared since it moved last.
 
 mod load;
@@ -28,59 +27,38 @@ pub enum Target {
     Recall(f64),
     /// Share of frames that skip the detector.
     SkipRate(f64),
-    /// Time that the detector works for frames, milliseconds a second; the audit's is not in it.
-    DetectorMsPerS(f64),
     /// Mean power of the node, watts.
     Watts(f64),
-    /// Energy of the node, joules a day, at the power of now.
-    JoulesPerDay(f64),
 }
-
-/// Seconds of a day.
-const DAY_S: f64 = 86_400.0;
 
 impl Target {
     /// The names of all.
-    pub const NAMES: [&'static str; 5] = [
-        "recall",
-        "skip_rate",
-        "detector_ms_per_s",
-        "watts",
-        "joules_per_day",
-    ];
+    pub const NAMES: [&'static str; 3] = ["recall", "skip_rate", "watts"];
 
     /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Recall(_) => "recall",
             Self::SkipRate(_) => "skip_rate",
-            Self::DetectorMsPerS(_) => "detector_ms_per_s",
             Self::Watts(_) => "watts",
-            Self::JoulesPerDay(_) => "joules_per_day",
         }
     }
 
     /// Its value.
     pub const fn value(self) -> f64 {
         match self {
-            Self::Recall(value)
-            | Self::SkipRate(value)
-            | Self::DetectorMsPerS(value)
-            | Self::Watts(value)
-            | Self::JoulesPerDay(value) => value,
+            Self::Recall(value) | Self::SkipRate(value) | Self::Watts(value) => value,
         }
     }
 
     /// The target of that name and value; `None` where there is none of that name.
     pub fn named(name: &str, value: f64) -> Option<Self> {
-        Some(match name {
-            "recall" => Self::Recall(value),
-            "skip_rate" => Self::SkipRate(value),
-            "detector_ms_per_s" => Self::DetectorMsPerS(value),
-            "watts" => Self::Watts(value),
-            "joules_per_day" => Self::JoulesPerDay(value),
-            _ => return None,
-        })
+        let all = [
+            Self::Recall(value),
+            Self::SkipRate(value),
+            Self::Watts(value),
+        ];
+        all.into_iter().find(|target| target.name() == name)
     }
 
     /// Itself, if its value is one that could be held.
@@ -91,9 +69,7 @@ impl Target {
         let (least, most) = match self {
             Self::Recall(_) => (0.1, 0.999),
             Self::SkipRate(_) => (0.01, 0.99),
-            Self::DetectorMsPerS(_) => (0.1, 100_000.0),
             Self::Watts(_) => (0.01, 100_000.0),
-            Self::JoulesPerDay(_) => (0.01 * DAY_S, 100_000.0 * DAY_S),
         };
         let value = self.value();
         // NaN is in no range.
@@ -218,8 +194,6 @@ pub struct Measured {
     pub frames: u64,
     /// Those of them that skipped the detector.
     pub skipped: u64,
-    /// Time the detector worked for them, milliseconds.
-    pub detector_ms: f64,
     /// Mean power of the node, watts; `None` without a figure.
     pub watts: Option<f64>,
     /// What the audit has compared.

@@ -24,8 +24,7 @@ pub(super) struct Arguments {
 /// Arguments of `albireo fleet set-target`.
 #[derive(Debug, clap::Args)]
 pub(super) struct TargetArguments {
-    /// What is to be held: skip_rate=0.5, recall=0.9, detector_ms_per_s=300, watts=6 or joules_per_day=500000, also as JSON
-    /// ('{"skip_rate": 0.5}'); or off.
+    /// What is to be held: skip_rate=0.5, recall=0.9 or watts=6, also as JSON ('{"skip_rate": 0.5}'); or off.
     #[arg(value_parser = target)]
     target: Value,
     #[command(flatten)]

@@ -129,8 +129,8 @@ pub(super) fn setting(setting: &DesiredSetting) -> String {
 
 /// Reads a target as JSON for a hub: `skip_rate=0.5`, `{"skip_rate": 0.5}`, or `off`, which is null.
 pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
-    const FORMS: &str = "write NAME=VALUE with recall, skip_rate, detector_ms_per_s, watts or joules_per_day, for \
-                         instance skip_rate=0.5; or off";
+    const FORMS: &str =
+        "write NAME=VALUE with recall, skip_rate or watts, for instance skip_rate=0.5; or off";
     if text == "off" {
         return Ok(serde_json::Value::Null);
     }

@@ -2823,21 +2823,9 @@ export interface components {
         } | {
             /**
              * Format: double
-             * @description Time that the detector works for frames, milliseconds a second; the audit's is not in it.
-             */
-            detector_ms_per_s: number;
-        } | {
-            /**
-             * Format: double
              * @description Mean power of the node, watts.
              */
             watts: number;
-        } | {
-            /**
-             * Format: double
-             * @description Energy of the node, joules a day, at the power of now.
-             */
-            joules_per_day: number;
         };
         /** @description The target of a node and its state. */
         TargetReport: {

@@ -890,9 +890,9 @@ export interface paths {
         };
         /**
          * Sets a target instead of a threshold
-         * @description One of `recall` (against the detector, the lower end of its interval), `skip_rate`, `detector_ms_per_s`, `watts`,
-         *     `joules_per_day`, or null for none. A controller then moves the knob of all cameras together, inside its range; setting
-         *     the threshold by hand switches it off.
+         * @description One of `recall` (against the detector, the lower end of its interval), `skip_rate` and `watts`, or null for none. A
+         *     controller then moves the knob of all cameras together, inside its range; setting the threshold by hand switches it
+         *     off.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
          */
         put: {
@@ -2770,21 +2770,9 @@ export interface components {
         } | {
             /**
              * Format: double
-             * @description Time that the detector works for frames, milliseconds a second; the audit's is not in it.
-             */
-            detector_ms_per_s: number;
-        } | {
-            /**
-             * Format: double
              * @description Mean power of the node, watts.
              */
             watts: number;
-        } | {
-            /**
-             * Format: double
-             * @description Energy of the node, joules a day, at the power of now.
-             */
-            joules_per_day: number;
         };
         /**
          * @description A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for

@@ -6,9 +6,7 @@ import { small } from "./format";
 export const TARGETS = [
   { name: "skip_rate", words: "skip rate", unit: "of the frames", begin: "0.5" },
   { name: "recall", words: "recall against the detector, at least", unit: "", begin: "0.9" },
-  { name: "detector_ms_per_s", words: "detector time", unit: "ms a second", begin: "300" },
   { name: "watts", words: "power of the node", unit: "W", begin: "6" },
-  { name: "joules_per_day", words: "energy of the node", unit: "J a day", begin: "500000" },
 ] as const;
 
 export type TargetName = (typeof TARGETS)[number]["name"];

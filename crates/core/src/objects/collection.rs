@@ -6,6 +6,12 @@ use crate::detection::ObjectId;
 use crate::geometry::PictureSize;
 use crate::kalman::{FilterModel, FilterParameters};
 
+/// Frames lost in a row after which all objects are forgotten. Neither paper nor code lose frames.
+const LONGEST_GAP: u32 = 300;
+
+/// Smallest side of an estimated box, pixels. Not in the paper.
+const LEAST_SIDE: f64 = 1.0;
+
 /// Everything that governs object states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectSettings {
@@ -68,7 +74,7 @@ impl ObjectStates {
             self.set_picture(picture);
         }
         let life_cycle = &self.settings.life_cycle;
-        if frames.saturating_sub(1) > life_cycle.longest_gap {
+        if frames.saturating_sub(1) > LONGEST_GAP {
             self.states.clear();
             return;
         }
@@ -83,11 +89,11 @@ impl ObjectStates {
     }
 
     /// Takes what the detector found: matches, updates, lets `missed` decide on each object without a
-    /// detection, and creates objects from unmatched detections if `create` says so.
+    /// detection, and creates objects from unmatched detections. So does the published code on every detector frame; the
+    /// paper says it of `E+I` frames only, under which nothing that enters a busy scene would ever be followed.
     pub(crate) fn observe(
         &mut self,
         detections: &[Detection],
-        create: bool,
         mut missed: impl FnMut(&mut ObjectState) -> Missed,
     ) {
         self.screen(detections);
@@ -114,9 +120,7 @@ impl ObjectStates {
                 missed(state) != Missed::Removed
             }
         });
-        if create {
-            self.create(detections);
-        }
+        self.create(detections);
     }
 
     /// Notes which detections can be taken, and counts the others.
@@ -206,7 +210,7 @@ impl ObjectStates {
     fn set_picture(&mut self, picture: PictureSize) {
         self.picture = picture;
         self.model = FilterModel::new(&self.settings.filter, picture);
-        let side = |pixels: u32| self.settings.life_cycle.minimum_side / f64::from(pixels.max(1));
+        let side = |pixels: u32| LEAST_SIDE / f64::from(pixels.max(1));
         self.minimum_size = [side(picture.width), side(picture.height)];
     }
 }

@@ -8,9 +8,6 @@ use crate::geometry::BoundingBox;
 pub struct LifeCycle {
     /// Detections that make an object confirmed; the creating one is the first. Paper: "multiple".
     pub hits_to_confirm: u32,
-    /// Detector frames in a row that a tentative object may be missed in and stay. The published code
-    /// removes it at the first; the paper speaks of confirmed objects only.
-    pub tentative_misses: u32,
     /// Smallest last confidence of an object that is rescued (paper, c_rescue).
     pub c_rescue: f64,
     /// Rescues in a row after which the next miss removes the object (paper, R_max). Predicted frames
@@ -22,14 +19,6 @@ pub struct LifeCycle {
     /// How far outside the picture, as a share of it, a centre may lie before its object is removed.
     /// Published code: 0.05; paper: 0 ("leaves the frame").
     pub boundary_margin: f64,
-    /// Smallest side of an estimated box, pixels. Not in the paper.
-    pub minimum_side: f64,
-    /// Whether every detector frame creates objects from the detections that match none. The published
-    /// code does so; the paper says it of `E+I` frames only, under which nothing that enters a busy
-    /// scene would ever be followed.
-    pub creates_on_every_detector_frame: bool,
-    /// Frames lost in a row after which all objects are forgotten. Neither paper nor code lose frames.
-    pub longest_gap: u32,
 }
 
 /// What becomes of an object that the detector missed.
@@ -37,30 +26,23 @@ pub struct LifeCycle {
 pub enum Missed {
     /// It is still there and its predicted box is reported.
     Rescued,
-    /// It stays, without a box.
-    Kept,
     /// It is gone.
     Removed,
 }
 
 impl LifeCycle {
-    /// Decides on an object that no detection of this frame matched, and counts the miss.
+    /// Decides on an object that no detection of this frame matched, and counts the miss. A tentative object is removed at
+    /// the first (published code; the paper speaks of confirmed objects only).
     pub fn missed(&self, state: &mut ObjectState) -> Missed {
-        let (allowed, verdict) = if !state.confirmed {
-            (self.tentative_misses, Missed::Kept)
-        } else if state.confidence >= self.c_rescue {
-            (self.r_max, Missed::Rescued)
-        } else {
-            (0, Missed::Removed)
-        };
-        if state.misses >= allowed {
+        let may_be_rescued = state.confirmed && state.confidence >= self.c_rescue;
+        if !may_be_rescued || state.misses >= self.r_max {
             return Missed::Removed;
         }
         state.misses += 1;
-        if verdict == Missed::Rescued && self.rescue_resets_age {
+        if self.rescue_resets_age {
             state.since_infer = 0;
         }
-        verdict
+        Missed::Rescued
     }
 
     /// Whether an object whose box is here has left the picture.

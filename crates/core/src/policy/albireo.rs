@@ -7,7 +7,6 @@
 
 use super::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
-use super::reporting::Reporting;
 use super::{
     CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
     OutputBox, Policy, PolicyConfig, PolicyConfigError,
@@ -31,7 +30,6 @@ enum AlbireoPhase {
 pub struct Albireo {
     name: &'static str,
     settings: AlbireoSettings,
-    reporting: Reporting,
     objects: ObjectStates,
     u: f64,
     /// `u` as it was when the frame began.
@@ -79,7 +77,6 @@ impl Albireo {
         Ok(Self {
             name: Self::NAME,
             settings,
-            reporting: Reporting::of(&settings),
             objects: ObjectStates::new(settings.objects()),
             u,
             u_in_force: u,
@@ -119,16 +116,14 @@ impl Albireo {
         &self.settings
     }
 
-    /// Sums up the active objects, and says why one of them calls the detector.
+    /// Sums up the active objects, and says why one of them calls the detector. Tentative objects are active: so in the
+    /// published code, and the paper does not say otherwise.
     fn survey(&mut self) -> Option<CallCause> {
         let (u, settings) = (self.u_in_force, &self.settings);
         let mut cause = None;
         let mut tau_max = f64::NEG_INFINITY;
-        self.active = 0;
+        self.active = self.objects.states().len();
         for state in self.objects.states() {
-            if !(state.confirmed || settings.tentative_counts) {
-                continue;
-            }
             let tau = state.filter.tau();
             let uncertain = !settings.is_certain(tau, u);
             cause = match (cause, uncertain, state.confirmed) {
@@ -138,7 +133,6 @@ impl Albireo {
                 _ => cause,
             };
             tau_max = tau_max.max(tau);
-            self.active += 1;
         }
         self.tau_max = (self.active > 0).then_some(tau_max);
         cause
@@ -149,7 +143,6 @@ impl Albireo {
         let Self {
             name: _,
             settings: _,
-            reporting: _,
             objects,
             u: _,
             u_in_force,
@@ -218,15 +211,14 @@ impl Albireo {
     fn take_detections(&mut self, detections: &[Detection], screened: bool) -> FrameState {
         self.since_detector = 0;
         let life_cycle = self.settings.life_cycle;
-        let create = life_cycle.creates_on_every_detector_frame || self.active == 0;
         let mut rescued = false;
-        self.objects.observe(detections, create, |state| {
+        self.objects.observe(detections, |state| {
             let fate = life_cycle.missed(state);
             rescued |= fate == Missed::Rescued;
             fate
         });
         self.boxes.clear();
-        self.reporting
+        self.settings
             .detector_frame(detections, &self.objects, self.u_in_force, &mut self.boxes);
         if screened {
             FrameState::EI
@@ -313,7 +305,7 @@ impl Policy for Albireo {
         match state {
             FrameState::E => {}
             FrameState::P => {
-                self.reporting
+                self.settings
                     .predicted(&self.objects, self.u_in_force, &mut outcome.boxes);
             }
             FrameState::EI | FrameState::I | FrameState::AI => {

@@ -44,7 +44,7 @@ pub enum DetectorFrameBoxes {
 pub enum ReportedConfidence {
     /// That of the object's last detection (paper).
     Last,
-    /// That, times `max(decay_floor, 1 − τ/u)` (published code, on every frame).
+    /// That, times `max(0.1, 1 − τ/u)` (published code, on every frame).
     Decayed,
 }
 
@@ -55,9 +55,6 @@ pub struct AlbireoSettings {
     pub asks_screen: bool,
     /// Whether τ = u skips the detector. Published code: yes; paper: only τ < u does.
     pub skip_at_equality: bool,
-    /// Whether tentative objects are active: whether they keep the screen from being asked and can call
-    /// the detector. So in the published code; the paper does not say otherwise.
-    pub tentative_counts: bool,
     /// The detector runs when an active object's age reaches this many frames (paper, T_max).
     pub t_max: u32,
     /// The detector runs after this many frames, as long as objects are active.
@@ -69,11 +66,6 @@ pub struct AlbireoSettings {
     pub detector_frame_boxes: DetectorFrameBoxes,
     /// Confidence of filters' boxes. Published code: decayed; paper: last.
     pub confidence: ReportedConfidence,
-    /// What decay leaves at least.
-    pub decay_floor: f64,
-    /// Whether tentative objects' filter boxes are reported. The published code returns confirmed ones
-    /// from its step function, but its evaluation scores all; the paper reports all active ones.
-    pub report_tentative: bool,
     /// The filter's numbers.
     pub filter: FilterParameters,
     /// The rules of matching.
@@ -125,14 +117,11 @@ impl AlbireoSettings {
         Self {
             asks_screen: true,
             skip_at_equality: true,
-            tentative_counts: true,
             t_max: 15,
             periodic_cap: 30,
             periodic_cap_counts: PeriodicCap::FrameIndex,
             detector_frame_boxes: DetectorFrameBoxes::Filter,
             confidence: ReportedConfidence::Decayed,
-            decay_floor: 0.1,
-            report_tentative: true,
             filter: FilterParameters::default(),
             association: Association {
                 iou_gate: 0.25,
@@ -142,14 +131,10 @@ impl AlbireoSettings {
             },
             life_cycle: LifeCycle {
                 hits_to_confirm: 3,
-                tentative_misses: 0,
                 c_rescue: 0.5,
                 r_max: 2,
                 rescue_resets_age: true,
                 boundary_margin: 0.05,
-                minimum_side: 1.0,
-                creates_on_every_detector_frame: true,
-                longest_gap: 300,
             },
         }
     }

@@ -1,8 +1,9 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
+use super::Pixels::{Flow, Off};
 use super::{
     Ablation, Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings,
-    InTracker, Pixels, Policy, Profile, Statues, StatuesSettings, Vanilla,
+    InTracker, Policy, Profile, Statues, StatuesSettings, Trigger, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -109,8 +110,11 @@ const KILL_ONLY: Ablation = Ablation::KillOnly;
 const KILL_ERD: Ablation = Ablation::KillErd;
 const KILL_ERD_10D: Ablation = Ablation::KillErd10d;
 
-const IN_TRACKER_FIXED: &str = ExpectedLoss::FIXED_SKIP_NAME;
-const IN_TRACKER_EVEN: &str = ExpectedLoss::EVEN_SKIP_NAME;
+const PRICED: fn(&PolicyConfig) -> Trigger = |c| Trigger::ExpectedLoss { lambda: c.lambda };
+const FIXED: fn(&PolicyConfig) -> Trigger = |c| Trigger::FixedSkip { n: c.in_tracker.n };
+const EVEN: fn(&PolicyConfig) -> Trigger = |c| Trigger::Even {
+    skip_rate: c.in_tracker.skip_rate,
+};
 
 /// All policies: one line each.
 #[rustfmt::skip]
@@ -124,12 +128,12 @@ const POLICIES: &[Entry] = &[
     entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
     entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
     entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
-    entry(ExpectedLoss::NAME, |c| ExpectedLoss::priced(c, Pixels::Off), Some(|c| &mut c.lambda)),
-    entry(IN_TRACKER_FIXED, |c| ExpectedLoss::fixed_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.n)),
-    entry(IN_TRACKER_EVEN, |c| ExpectedLoss::even_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.skip_rate)),
-    entry(ExpectedLoss::FLOW_NAME, |c| ExpectedLoss::priced(c, Pixels::Flow), Some(|c| &mut c.lambda)),
-    entry(ExpectedLoss::FIXED_SKIP_FLOW_NAME, |c| ExpectedLoss::fixed_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.n)),
-    entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.skip_rate)),
+    entry(ExpectedLoss::NAME, |c| ExpectedLoss::boxed(PRICED(c), Off), Some(|c| &mut c.lambda)),
+    entry(ExpectedLoss::FIXED_SKIP_NAME, |c| ExpectedLoss::boxed(FIXED(c), Off), Some(|c| &mut c.in_tracker.n)),
+    entry(ExpectedLoss::EVEN_SKIP_NAME, |c| ExpectedLoss::boxed(EVEN(c), Off), Some(|c| &mut c.in_tracker.skip_rate)),
+    entry(ExpectedLoss::FLOW_NAMES[0], |c| ExpectedLoss::boxed(PRICED(c), Flow), Some(|c| &mut c.lambda)),
+    entry(ExpectedLoss::FLOW_NAMES[1], |c| ExpectedLoss::boxed(FIXED(c), Flow), Some(|c| &mut c.in_tracker.n)),
+    entry(ExpectedLoss::FLOW_NAMES[2], |c| ExpectedLoss::boxed(EVEN(c), Flow), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.

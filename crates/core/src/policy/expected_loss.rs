@@ -53,7 +53,7 @@ mod velocity;
 
 use super::{
     CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord,
-    Outcome, Policy, PolicyConfig, PolicyConfigError, tracker::check_setting,
+    Outcome, Policy, PolicyConfigError, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
@@ -111,17 +111,17 @@ pub struct ExpectedLoss {
 
 impl ExpectedLoss {
     /// The name in configuration and reports.
-    pub const NAME: &'static str = Trigger::ExpectedLoss { lambda: 0.0 }.policy_name();
+    pub const NAME: &'static str = "expected-loss";
     /// The name with a detector call on one frame of N.
-    pub const FIXED_SKIP_NAME: &'static str = Trigger::FixedSkip { n: 1.0 }.policy_name();
+    pub const FIXED_SKIP_NAME: &'static str = "fixed-skip-in-tracker";
     /// The name with evenly spaced detector calls.
-    pub const EVEN_SKIP_NAME: &'static str = Trigger::Even { skip_rate: 0.0 }.policy_name();
-    /// The name that follows boxes in pictures.
-    pub(crate) const FLOW_NAME: &'static str = "expected-loss+flow";
-    /// The name with a detector call on one frame of N that follows boxes in pictures.
-    pub(crate) const FIXED_SKIP_FLOW_NAME: &'static str = "fixed-skip-in-tracker+flow";
-    /// The name with evenly spaced detector calls that follows boxes in pictures.
-    pub(crate) const EVEN_SKIP_FLOW_NAME: &'static str = "even-skip-in-tracker+flow";
+    pub const EVEN_SKIP_NAME: &'static str = "even-skip-in-tracker";
+    /// The names of the three that follow boxes in pictures.
+    pub(super) const FLOW_NAMES: [&'static str; 3] = [
+        "expected-loss+flow",
+        "fixed-skip-in-tracker+flow",
+        "even-skip-in-tracker+flow",
+    ];
 
     /// λ, the price of a detector call. At 0 every frame runs the detector.
     pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();
@@ -158,31 +158,11 @@ impl ExpectedLoss {
         })
     }
 
-    pub(super) fn priced(
-        config: &PolicyConfig,
+    /// A policy with this trigger that makes this of pixels.
+    pub(super) fn boxed(
+        trigger: Trigger,
         pixels: Pixels,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let lambda = config.lambda;
-        Self::boxed(Trigger::ExpectedLoss { lambda }, pixels)
-    }
-
-    pub(super) fn fixed_skip(
-        config: &PolicyConfig,
-        pixels: Pixels,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let n = config.in_tracker.n;
-        Self::boxed(Trigger::FixedSkip { n }, pixels)
-    }
-
-    pub(super) fn even_skip(
-        config: &PolicyConfig,
-        pixels: Pixels,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let skip_rate = config.in_tracker.skip_rate;
-        Self::boxed(Trigger::Even { skip_rate }, pixels)
-    }
-
-    fn boxed(trigger: Trigger, pixels: Pixels) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = ExpectedLossSettings {
             pixels,
             ..ExpectedLossSettings::default()
@@ -310,11 +290,14 @@ impl ExpectedLoss {
 
 impl Policy for ExpectedLoss {
     fn name(&self) -> &'static str {
-        match (self.settings.pixels, self.trigger) {
-            (Pixels::Off, trigger) => trigger.policy_name(),
-            (Pixels::Flow, Trigger::ExpectedLoss { .. }) => Self::FLOW_NAME,
-            (Pixels::Flow, Trigger::FixedSkip { .. }) => Self::FIXED_SKIP_FLOW_NAME,
-            (Pixels::Flow, Trigger::Even { .. }) => Self::EVEN_SKIP_FLOW_NAME,
+        let [priced, fixed, even] = match self.settings.pixels {
+            Pixels::Off => [Self::NAME, Self::FIXED_SKIP_NAME, Self::EVEN_SKIP_NAME],
+            Pixels::Flow => Self::FLOW_NAMES,
+        };
+        match self.trigger {
+            Trigger::ExpectedLoss { .. } => priced,
+            Trigger::FixedSkip { .. } => fixed,
+            Trigger::Even { .. } => even,
         }
     }
 

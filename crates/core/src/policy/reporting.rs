@@ -4,36 +4,20 @@ use super::{AlbireoSettings, BoxSource, DetectorFrameBoxes, OutputBox, ReportedC
 use crate::detection::Detection;
 use crate::objects::{ObjectState, ObjectStates};
 
-/// The rules of reporting, from the settings that Albireo and the baselines share.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Reporting {
-    boxes: DetectorFrameBoxes,
-    confidence: ReportedConfidence,
-    decay_floor: f64,
-    tentative: bool,
-}
+/// What decay of a confidence leaves at least (published code).
+const DECAY_FLOOR: f64 = 0.1;
 
-impl Reporting {
-    /// The rules in `settings`.
-    pub(crate) fn of(settings: &AlbireoSettings) -> Self {
-        Self {
-            boxes: settings.detector_frame_boxes,
-            confidence: settings.confidence,
-            decay_floor: settings.decay_floor,
-            tentative: settings.report_tentative,
-        }
-    }
-
+impl AlbireoSettings {
     /// Appends the boxes of a frame that `detections` were found in, after `objects` have taken them.
     /// Decayed confidences are relative to the threshold `u`.
-    pub(crate) fn detector_frame(
+    pub(super) fn detector_frame(
         &self,
         detections: &[Detection],
         objects: &ObjectStates,
         u: f64,
         boxes: &mut Vec<OutputBox>,
     ) {
-        let own_boxes = self.boxes == DetectorFrameBoxes::Detector;
+        let own_boxes = self.detector_frame_boxes == DetectorFrameBoxes::Detector;
         if own_boxes {
             for (detection, sighting) in detections.iter().zip(objects.sightings()) {
                 if sighting.usable {
@@ -53,34 +37,22 @@ impl Reporting {
                 0 => BoxSource::Detected,
                 _ => BoxSource::Rescued,
             };
-            // A tentative object that outlives a miss is kept, not rescued: it has no box.
-            let reported = match source {
-                BoxSource::Detected => !own_boxes && self.is_reported(state),
-                _ => state.confirmed,
-            };
-            if reported {
+            if source == BoxSource::Rescued || !own_boxes {
                 boxes.push(self.filter_box(state, source, u));
             }
         }
     }
 
     /// Appends the boxes of a frame that the detector did not look at.
-    pub(crate) fn predicted(&self, objects: &ObjectStates, u: f64, boxes: &mut Vec<OutputBox>) {
-        boxes.extend(
-            (objects.states().iter())
-                .filter(|state| self.is_reported(state))
-                .map(|state| self.filter_box(state, BoxSource::Predicted, u)),
-        );
-    }
-
-    fn is_reported(&self, state: &ObjectState) -> bool {
-        state.confirmed || self.tentative
+    pub(super) fn predicted(&self, objects: &ObjectStates, u: f64, boxes: &mut Vec<OutputBox>) {
+        let states = objects.states().iter();
+        boxes.extend(states.map(|state| self.filter_box(state, BoxSource::Predicted, u)));
     }
 
     fn filter_box(&self, state: &ObjectState, source: BoxSource, u: f64) -> OutputBox {
         let kept = match self.confidence {
             ReportedConfidence::Last => 1.0,
-            ReportedConfidence::Decayed => (1.0 - state.filter.tau() / u).max(self.decay_floor),
+            ReportedConfidence::Decayed => (1.0 - state.filter.tau() / u).max(DECAY_FLOOR),
         };
         OutputBox {
             bounding_box: state.filter.bounding_box(),

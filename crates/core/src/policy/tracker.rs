@@ -1,7 +1,6 @@
 //! What the baselines with objects share: Albireo's filter, matching and reporting. Each has its own
 //! trigger and rules of removal.
 
-use super::reporting::Reporting;
 use super::{
     AlbireoSettings, FrameHead, FrameState, Knob, ObjectRecord, Outcome, OutputBox, PolicyConfig,
     PolicyConfigError,
@@ -17,7 +16,7 @@ pub(super) const DECAY_U: f64 = 3e-4;
 #[derive(Clone, Debug)]
 pub(super) struct Tracker {
     pub objects: ObjectStates,
-    reporting: Reporting,
+    settings: AlbireoSettings,
     tau_max: Option<f64>,
     active: usize,
     boxes: Vec<OutputBox>,
@@ -28,7 +27,7 @@ impl Tracker {
     pub(crate) fn new(settings: &AlbireoSettings) -> Self {
         Self {
             objects: ObjectStates::new(settings.objects()),
-            reporting: Reporting::of(settings),
+            settings: *settings,
             tau_max: None,
             active: 0,
             boxes: Vec::new(),
@@ -57,9 +56,9 @@ impl Tracker {
         detections: &[Detection],
         missed: impl FnMut(&mut ObjectState) -> Missed,
     ) {
-        self.objects.observe(detections, true, missed);
+        self.objects.observe(detections, missed);
         self.boxes.clear();
-        self.reporting
+        self.settings
             .detector_frame(detections, &self.objects, DECAY_U, &mut self.boxes);
     }
 
@@ -68,7 +67,7 @@ impl Tracker {
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
         if state.is_skipped() {
-            self.reporting
+            self.settings
                 .predicted(&self.objects, DECAY_U, &mut outcome.boxes);
         } else {
             outcome.boxes.extend_from_slice(&self.boxes);

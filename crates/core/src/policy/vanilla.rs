@@ -2,8 +2,8 @@
 
 use super::detector_boxes::DetectorBoxes;
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy,
-    PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Need, Outcome, Policy, PolicyConfig,
+    PolicyConfigError,
 };
 
 /// The vanilla policy. It keeps no objects and has no knob.
@@ -25,18 +25,6 @@ impl Vanilla {
 impl Policy for Vanilla {
     fn name(&self) -> &'static str {
         Self::NAME
-    }
-
-    fn knob(&self) -> Option<Knob> {
-        None
-    }
-
-    fn knob_value(&self) -> Option<f64> {
-        None
-    }
-
-    fn set_knob(&mut self, _: f64) -> Result<(), KnobError> {
-        Err(KnobError::Absent { policy: Self::NAME })
     }
 
     fn begin(&mut self, _: FrameHead) -> Need {

@@ -1,10 +1,10 @@
-//! The load targets: skip rate, detector time, power.
+//! The load targets: skip rate and power.
 //!
 //! All are brought to one measure, the logarithm of the load over the load wanted, whose answer to the knob hardly depends
 //! on the scene: where a share `d` of frames takes the detector, a knob larger by a factor e takes about 0.22 off `d` (the
 //! recorded sequences, `u` and `lambda` alike).
 
-use super::{DAY_S, Lever, Measured, Target, TargetStatus, Verdict};
+use super::{Lever, Measured, Target, TargetStatus, Verdict};
 use std::collections::VecDeque;
 
 /// Seconds over which the load is measured for the controller; longer where frames are few.
@@ -132,16 +132,13 @@ impl LoadControl {
         const LEAST: f64 = 0.005;
         let ratio = |load: f64, wanted: f64| (load.max(LEAST * wanted) / wanted).ln();
         let share = load.share?.max(LEAST);
-        let by_power = |wanted: f64| {
-            let watts = load.watts?;
-            let wanted_share = share - (watts - wanted) / self.power.slope(watts);
-            Some(ratio(share, wanted_share.clamp(LEAST, 2.0)))
-        };
         Some(match self.target {
             Target::SkipRate(wanted) => (wanted, ratio(share, 1.0 - wanted)),
-            Target::DetectorMsPerS(wanted) => (wanted, ratio(load.detector_ms_per_s, wanted)),
-            Target::Watts(wanted) => (wanted, by_power(wanted)?),
-            Target::JoulesPerDay(wanted) => (wanted, by_power(wanted / DAY_S)?),
+            Target::Watts(wanted) => {
+                let watts = load.watts?;
+                let wanted_share = share - (watts - wanted) / self.power.slope(watts);
+                (wanted, ratio(share, wanted_share.clamp(LEAST, 2.0)))
+            }
             // Not a load; it has its own rule.
             Target::Recall(_) => return None,
         })
@@ -162,7 +159,6 @@ struct Load {
     seconds: f64,
     /// Share of frames with the detector; `None` without frames.
     share: Option<f64>,
-    detector_ms_per_s: f64,
     watts: Option<f64>,
 }
 
@@ -194,7 +190,6 @@ impl Window {
         let seconds: f64 = self.seconds.iter().map(|one| one.seconds).sum();
         let frames: u64 = self.seconds.iter().map(|one| one.frames).sum();
         let skipped: u64 = self.seconds.iter().map(|one| one.skipped).sum();
-        let busy: f64 = self.seconds.iter().map(|one| one.detector_ms).sum();
         let known = (self.seconds.iter()).filter_map(|one| {
             let watts = one.watts.filter(|watts| watts.is_finite())?;
             Some((one.seconds, watts))
@@ -205,7 +200,6 @@ impl Window {
         Load {
             seconds,
             share: (frames > 0).then(|| 1.0 - skipped.min(frames) as f64 / frames as f64),
-            detector_ms_per_s: busy / seconds,
             watts: (covered > 0.0 && joules > 0.0).then(|| joules / covered),
         }
     }
@@ -216,9 +210,7 @@ impl Load {
     fn of(&self, target: Target) -> Option<f64> {
         match target {
             Target::SkipRate(_) => self.share.map(|share| 1.0 - share),
-            Target::DetectorMsPerS(_) => Some(self.detector_ms_per_s),
             Target::Watts(_) => self.watts,
-            Target::JoulesPerDay(_) => self.watts.map(|watts| watts * DAY_S),
             Target::Recall(_) => None,
         }
     }

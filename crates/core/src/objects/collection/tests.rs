@@ -19,7 +19,7 @@ fn seen(x: f64) -> Detection {
 fn frame(objects: &mut ObjectStates, detections: &[Detection]) {
     objects.predict(PICTURE, 1);
     let life_cycle = objects.settings().life_cycle;
-    objects.observe(detections, true, |state| life_cycle.missed(state));
+    objects.observe(detections, |state| life_cycle.missed(state));
 }
 
 fn objects() -> ObjectStates {
@@ -54,18 +54,6 @@ fn a_tentative_object_goes_with_its_first_miss_and_its_number_is_not_used_again(
     assert!(objects.states().is_empty());
     frame(&mut objects, &[seen(0.5)]);
     assert_eq!(objects.states()[0].id, ObjectId(1));
-}
-
-#[test]
-fn a_tentative_object_may_be_given_more_misses() {
-    let mut settings = AlbireoSettings::paper().objects();
-    settings.life_cycle.tentative_misses = 1;
-    let mut objects = ObjectStates::new(settings);
-    frame(&mut objects, &[seen(0.5)]);
-    frame(&mut objects, &[]);
-    assert_eq!(objects.states().len(), 1);
-    frame(&mut objects, &[]);
-    assert!(objects.states().is_empty());
 }
 
 #[test]

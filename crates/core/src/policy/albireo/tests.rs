@@ -119,29 +119,15 @@ fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confiden
 }
 
 #[test]
-fn predicted_frames_report_all_active_objects_by_default() {
-    for report_tentative in [true, false] {
-        let settings = AlbireoSettings {
-            report_tentative,
-            ..AlbireoSettings::paper()
-        };
-        let mut run = watching(settings);
-        run.frame(1, Some(&[seen(0.5, 0.9), seen(0.8, 0.6)]));
-        run.policy.set_knob(1.0).unwrap();
-        assert_eq!(run.frame(1, None), FrameState::P);
-        assert!(!run.outcome.degraded);
-        let found: Vec<_> = run
-            .outcome
-            .boxes
-            .iter()
-            .map(|b| (b.source, b.confidence))
-            .collect();
-        let mut expected = vec![(BoxSource::Predicted, 0.9)];
-        if report_tentative {
-            expected.push((BoxSource::Predicted, 0.6));
-        }
-        assert_eq!(found, expected);
-    }
+fn predicted_frames_report_all_active_objects() {
+    let mut run = watching(AlbireoSettings::paper());
+    run.frame(1, Some(&[seen(0.5, 0.9), seen(0.8, 0.6)]));
+    run.policy.set_knob(1.0).unwrap();
+    assert_eq!(run.frame(1, None), FrameState::P);
+    assert!(!run.outcome.degraded);
+    let found = run.outcome.boxes.iter().map(|b| (b.source, b.confidence));
+    let expected = [0.9, 0.6].map(|confidence| (BoxSource::Predicted, confidence));
+    assert_eq!(found.collect::<Vec<_>>(), expected);
 }
 
 #[test]

@@ -3,8 +3,8 @@
 
 use crate::policy::detector_boxes::DetectorBoxes;
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy,
-    PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Need, Outcome, Policy, PolicyConfig,
+    PolicyConfigError,
 };
 
 /// Progress of the current frame.
@@ -41,18 +41,6 @@ impl ErdOnly {
 impl Policy for ErdOnly {
     fn name(&self) -> &'static str {
         Self::NAME
-    }
-
-    fn knob(&self) -> Option<Knob> {
-        None
-    }
-
-    fn knob_value(&self) -> Option<f64> {
-        None
-    }
-
-    fn set_knob(&mut self, _: f64) -> Result<(), KnobError> {
-        Err(KnobError::Absent { policy: Self::NAME })
     }
 
     fn begin(&mut self, _: FrameHead) -> Need {

@@ -57,15 +57,6 @@ impl Trigger {
         useful_maximum: 0.95,
     };
 
-    /// Name of the policy with this trigger.
-    pub(crate) const fn policy_name(&self) -> &'static str {
-        match self {
-            Self::ExpectedLoss { .. } => "expected-loss",
-            Self::FixedSkip { .. } => "fixed-skip-in-tracker",
-            Self::Even { .. } => "even-skip-in-tracker",
-        }
-    }
-
     /// Its number.
     pub const fn knob(&self) -> Knob {
         match self {

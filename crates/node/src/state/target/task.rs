@@ -80,7 +80,6 @@ impl TargetTask {
             seconds: now.at.saturating_duration_since(before.at).as_secs_f64(),
             frames: now.frames.saturating_sub(before.frames),
             skipped: now.skipped.saturating_sub(before.skipped),
-            detector_ms: now.detector_us.saturating_sub(before.detector_us) as f64 / 1e3,
             watts: (now.power.zip(before.power)).and_then(|((to, to_s), (from, from_s))| {
                 (to_s > from_s).then(|| (to - from) / (to_s - from_s))
             }),
