@@ -7,6 +7,7 @@ use crate::attribution::Attribution;
 use crate::condition::{Condition, ConditionSum};
 use crate::detector_watts::DetectorWatts;
 use crate::reading::{Domain, Reading};
+use crate::sampler::MeterCost;
 use crate::totals::{History, Sample, Totals};
 use albireo_wire::{BoardState, DomainEnergy, EnergyQuality, FULL_COVERAGE};
 use std::collections::BTreeMap;
@@ -81,10 +82,7 @@ struct Notes {
 impl Notes {
     fn add(&mut self, sample: &Sample) {
         for (peak, watts) in self.peaks.iter_mut().zip(sample.watts) {
-            *peak = match (*peak, watts) {
-                (Some(peak), Some(watts)) => Some(peak.max(watts)),
-                (one, None) | (None, one) => one,
-            };
+            *peak = [*peak, watts].into_iter().flatten().reduce(f64::max);
         }
         self.add_rule(sample);
     }
@@ -96,39 +94,28 @@ impl Notes {
     }
 }
 
-/// An instant whose totals will be asked for, and the totals once they are known.
-#[derive(Clone, Debug)]
-struct Mark<T> {
-    at: Instant,
-    known: Option<T>,
-}
-
-impl<T> Mark<T> {
-    const fn new(at: Instant) -> Self {
-        Self { at, known: None }
-    }
-}
-
 #[derive(Debug)]
 struct Open {
     camera: u64,
-    start: Mark<Totals>,
+    start: Instant,
+    /// The totals at the start, once the first sample after it has come.
+    from: Option<Totals>,
     /// Where it ends if nothing more happens.
-    end: Mark<(Totals, Notes)>,
+    end: Instant,
+    /// The totals there, and what was noted until then; as `from`.
+    to: Option<(Totals, Notes)>,
     notes: Notes,
 }
 
 impl Open {
     /// Takes note of a sample, which is in `history` already.
     fn sampled(&mut self, sample: &Sample, history: &History) {
-        if sample.at < self.start.at {
+        if sample.at < self.start {
             return;
         }
-        if self.start.known.is_none() {
-            self.start.known = Some(history.at(self.start.at));
-        }
-        if self.end.known.is_none() && sample.at > self.end.at {
-            self.end.known = Some((history.at(self.end.at), self.notes.clone()));
+        self.from.get_or_insert_with(|| history.at(self.start));
+        if self.to.is_none() && sample.at > self.end {
+            self.to = Some((history.at(self.end), self.notes.clone()));
         }
         self.notes.add(sample);
     }
@@ -143,6 +130,8 @@ pub(crate) struct Account {
     pub cameras: Attribution,
     pub detector: DetectorWatts,
     pub condition: Condition,
+    pub cost: MeterCost,
+    pub failed_reads: u64,
     open: BTreeMap<u64, Open>,
     next_number: u64,
 }
@@ -157,6 +146,8 @@ impl Account {
             cameras: Attribution::default(),
             detector: DetectorWatts::new(interval),
             condition: Condition::default(),
+            cost: MeterCost::default(),
+            failed_reads: 0,
             open: BTreeMap::new(),
             next_number: 0,
         }
@@ -190,8 +181,10 @@ impl Account {
     pub(crate) fn open(&mut self, camera: u64, start: Instant) -> u64 {
         let mut open = Open {
             camera,
-            start: Mark::new(start),
-            end: Mark::new(start),
+            start,
+            from: None,
+            end: start,
+            to: None,
             notes: Notes::default(),
         };
         // A measurement between two samples and two conditions has those before it.
@@ -210,9 +203,9 @@ impl Account {
     /// Says where a measurement ends if nothing more happens. It never moves back.
     pub(crate) fn until(&mut self, number: u64, at: Instant) {
         if let Some(open) = self.open.get_mut(&number)
-            && at > open.end.at
+            && at > open.end
         {
-            open.end = Mark::new(at);
+            (open.end, open.to) = (at, None);
         }
     }
 
@@ -224,11 +217,10 @@ impl Account {
     /// Ends a measurement: what was used until `end`, by the samples there are.
     pub(crate) fn close(&mut self, number: u64, end: Instant) -> Option<Measured> {
         let open = self.open.remove(&number)?;
-        let known = open.end.known.filter(|_| open.end.at == end);
+        let known = open.to.filter(|_| open.end == end);
         let (to, notes) = known.unwrap_or_else(|| (self.history.at(end), open.notes));
-        let start = open.start.at;
-        let from = open.start.known.unwrap_or_else(|| self.history.at(start));
-        let seconds = end.saturating_duration_since(start).as_secs_f64();
+        let from = open.from.unwrap_or_else(|| self.history.at(open.start));
+        let seconds = end.saturating_duration_since(open.start).as_secs_f64();
         let node = self.energy(&from, &to, seconds, &notes);
         let (before, after) = (from.camera(open.camera), to.camera(open.camera));
         let saved_s = after.saved_s - before.saved_s;
@@ -245,11 +237,11 @@ impl Account {
     fn energy(&self, from: &Totals, to: &Totals, seconds: f64, notes: &Notes) -> Energy {
         let mut found = Energy::unavailable(&self.source);
         let mut least = 1.0_f64;
-        for domain in Domain::ALL
-            .into_iter()
-            .filter(|domain| self.history.has(*domain))
-        {
+        for domain in Domain::ALL {
             let index = domain as usize;
+            if !self.history.has(domain) {
+                continue;
+            }
             let (from, to) = (from.sums[index], to.sums[index]);
             let (joules, covered_s) = (to.joules - from.joules, to.covered_s - from.covered_s);
             let share = match seconds > 0.0 {
@@ -269,14 +261,11 @@ impl Account {
                 });
             }
         }
-        if found.coverage > 0.0 {
-            let gaps = self.quality == EnergyQuality::Measured && least < FULL_COVERAGE;
-            found.quality = if gaps {
-                EnergyQuality::Partial
-            } else {
-                self.quality
-            };
-        }
+        found.quality = match self.quality {
+            _ if found.coverage <= 0.0 => EnergyQuality::Unavailable,
+            EnergyQuality::Measured if least < FULL_COVERAGE => EnergyQuality::Partial,
+            quality => quality,
+        };
         found.samples = to.samples - from.samples;
         found.total_from = notes.rules.join(", then ");
         found

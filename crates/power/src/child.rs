@@ -17,9 +17,8 @@ const MOST_LINES: usize = 256;
 /// A longer line is cut here: no source of ours prints one.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// Shortest time from one start to the next; doubled up to the longest while the child keeps ending at once.
-const FIRST_PAUSE: Duration = Duration::from_millis(100);
-const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+/// Shortest time from one start to the next.
+const PAUSE: Duration = Duration::from_secs(1);
 
 /// How long the end of a killed child is waited for. That of another user (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
@@ -35,7 +34,6 @@ pub(crate) struct LineChild {
     /// When it was started last, or printed its newest line.
     last_sign: Instant,
     started: Instant,
-    pause: Duration,
     trouble: Option<String>,
 }
 
@@ -60,7 +58,6 @@ impl LineChild {
             lines,
             last_sign: now,
             started: now,
-            pause: FIRST_PAUSE,
             trouble: None,
         })
     }
@@ -99,14 +96,9 @@ impl LineChild {
         if let Some(longest) = silent_for {
             self.trouble = Some(format!("it printed nothing for {} s", longest.as_secs()));
         }
-        let lived = self.started.elapsed();
-        if lived < self.pause {
+        if self.started.elapsed() < PAUSE {
             return;
         }
-        self.pause = match lived > LONGEST_PAUSE {
-            true => FIRST_PAUSE,
-            false => (self.pause * 2).min(LONGEST_PAUSE),
-        };
         (self.started, self.last_sign) = (Instant::now(), Instant::now());
         tracing::warn!(
             reason = self.trouble,

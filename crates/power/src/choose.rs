@@ -10,7 +10,7 @@ use crate::rapl::Rapl;
 use crate::tegrastats::Tegrastats;
 
 /// The meters `auto` tries, best first: those of the whole board, then those of a PC's parts, then the estimate.
-const BEST_FIRST: [PowerSource; 5] = [
+pub(crate) const BEST_FIRST: [PowerSource; 5] = [
     PowerSource::Ina,
     PowerSource::Tegrastats,
     PowerSource::Rapl,

@@ -96,11 +96,11 @@ impl PowerConfig {
                 format!("must be from 10 to 10000, not {}", self.interval_ms),
             );
         }
-        let paths = [("tegrastats", &self.tegrastats)];
-        for (key, path) in paths {
-            if path.as_os_str().is_empty() {
-                add(key, "is empty; leave the key out instead".to_owned());
-            }
+        if self.tegrastats.as_os_str().is_empty() {
+            add(
+                "tegrastats",
+                "is empty; leave the key out instead".to_owned(),
+            );
         }
         let (idle, busy) = (self.idle_watts, self.busy_watts);
         for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {

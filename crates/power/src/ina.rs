@@ -58,7 +58,7 @@ pub(crate) struct Ina {
 }
 
 impl Ina {
-    /// Finds the monitors under `{sysfs}/class/hwmon`, or else under `{sysfs}/bus/i2c/drivers`.
+    /// Finds the monitors under `{sysfs}/class/hwmon`, where every hwmon driver lists its chips.
     ///
     /// # Errors
     /// [`MeterError::Missing`] where there is none, or none with a rail; [`MeterError::Permission`] and
@@ -67,21 +67,12 @@ impl Ina {
         config.check()?;
         let mut chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
         chips.retain(|chip| kind(chip).is_some());
-        if chips.is_empty() {
-            let drivers = config.sysfs.join("bus/i2c/drivers");
-            chips = (CHIPS.iter())
-                .flat_map(|driver| sysfs::entries(&drivers.join(driver)))
-                .flat_map(|device| sysfs::entries(&device.join("hwmon")))
-                .filter(|chip| kind(chip).is_some())
-                .collect();
-        }
         let channels: Vec<Channel> = chips.iter().flat_map(|chip| channels(chip)).collect();
         if channels.is_empty() {
             return Err(MeterError::Missing {
                 source_name: SOURCE,
                 reason: format!(
-                    "no ina3221 or ina238 with a named rail under {0}/class/hwmon or {0}/bus/i2c/drivers (Jetson \
-                     boards have them)",
+                    "no ina3221 or ina238 with a named rail under {}/class/hwmon (Jetson boards have them)",
                     config.sysfs.display()
                 ),
             });

@@ -68,6 +68,6 @@ pub use measurement::{CameraEnergy, Measurement};
 pub use meter::Meter;
 pub use rails::{RailMap, RailTable, RailWatts};
 pub use reading::{Domain, Rail, Reading, Value, Values};
-pub use sampler::{EnergySoFar, MeterCost, PowerHandle, PowerNow, start, start_with};
+pub use sampler::{MeterCost, PowerHandle, PowerSnapshot, start, start_with};
 pub use survey::{RailNow, SourceSurvey, survey};
 pub use tegrastats::{Tegrastats, TegrastatsLine};

@@ -4,8 +4,9 @@ use crate::condition::{Condition, is_a_sensor};
 use crate::config::PowerConfig;
 use crate::sysfs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -166,36 +167,32 @@ const QUERY_INTERVAL: Duration = Duration::from_secs(60);
 /// How long the first answer is waited for: nothing is measured yet.
 const FIRST_ANSWER: Duration = Duration::from_secs(2);
 
-/// The board's power mode: `nvpmodel`'s, else the platform profile of ACPI. The program takes its time, so it is started
-/// at one reading and its answer taken at a later one.
+/// The board's power mode: `nvpmodel`'s, else the platform profile of ACPI. The program takes its time, so a thread asks it,
+/// and its answer is taken at a later reading.
 #[derive(Debug)]
 struct PowerMode {
-    /// Absent where it had no answer at first: no program is started every minute for nothing.
-    nvpmodel: Option<PathBuf>,
+    nvpmodel: PathBuf,
     profile: PathBuf,
     asked_at: Instant,
-    running: Option<Child>,
+    question: Option<JoinHandle<Option<Arc<str>>>>,
+    /// None where the program had no answer at first: it is not started every minute for nothing.
     known: Option<Arc<str>>,
 }
 
 impl PowerMode {
     fn new(nvpmodel: &Path, profile: PathBuf) -> Self {
         let mut mode = Self {
-            nvpmodel: Some(nvpmodel.to_owned()),
+            nvpmodel: nvpmodel.to_owned(),
             profile,
             asked_at: Instant::now(),
-            running: None,
+            question: None,
             known: None,
         };
-        mode.start_query();
+        mode.ask();
         let until = std::time::Instant::now() + FIRST_ANSWER;
-        while mode.running.is_some() && std::time::Instant::now() < until {
+        while mode.question.is_some() && std::time::Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
             mode.take_answer();
-        }
-        if mode.known.is_none() {
-            mode.nvpmodel = None;
-            mode.end();
         }
         mode
     }
@@ -203,48 +200,33 @@ impl PowerMode {
     /// The mode as far as it is known; never waits.
     fn read(&mut self, now: Instant) -> Option<Arc<str>> {
         self.take_answer();
-        if self.nvpmodel.is_none() {
+        if self.known.is_none() {
             let profile = sysfs::text(SOURCE, &self.profile).ok();
             return profile.filter(|mode| !mode.is_empty()).map(Into::into);
         }
-        if self.running.is_none() && now.saturating_duration_since(self.asked_at) >= QUERY_INTERVAL
+        if self.question.is_none() && now.saturating_duration_since(self.asked_at) >= QUERY_INTERVAL
         {
             self.asked_at = now;
-            self.start_query();
+            self.ask();
         }
         self.known.clone()
     }
 
-    fn start_query(&mut self) {
-        let started = self.nvpmodel.as_ref().map(|program| {
+    fn ask(&mut self) {
+        let program = self.nvpmodel.clone();
+        self.question = Some(std::thread::spawn(move || {
             let mut command = Command::new(program);
-            let command = command.arg("-q").stdin(Stdio::null());
-            command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn()
-        });
-        self.running = started.and_then(Result::ok);
+            let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
+            mode_in(&String::from_utf8_lossy(&output.stdout)).map(Into::into)
+        }));
     }
 
     fn take_answer(&mut self) {
-        let ended = |child: &mut Child| !matches!(child.try_wait(), Ok(None));
-        if let Some(child) = self.running.take_if(ended)
-            && let Ok(output) = child.wait_with_output()
-            && let Some(mode) = mode_in(&String::from_utf8_lossy(&output.stdout))
+        if let Some(question) = self.question.take_if(|question| question.is_finished())
+            && let Ok(Some(mode)) = question.join()
         {
-            self.known = Some(mode.into());
+            self.known = Some(mode);
         }
-    }
-
-    fn end(&mut self) {
-        if let Some(mut child) = self.running.take() {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-impl Drop for PowerMode {
-    fn drop(&mut self) {
-        self.end();
     }
 }
 

@@ -21,25 +21,17 @@ const SOURCE: &str = "nvml";
 /// Joules of one count of a card's energy counter, which counts millijoules.
 const UNIT: f64 = 1e-3;
 
-/// Why a card does not answer.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum CardError {
-    /// It cannot be read.
-    NotSupported,
-    /// It could, but does not now.
-    Failed(String),
-}
-
-/// The cards of a machine, as the driver shows them.
+/// The cards of a machine, as the driver shows them: `Ok(None)` is what a card cannot tell, an error what it does not tell
+/// now.
 trait Cards: Send {
     /// How many there are.
-    fn count(&self) -> Result<u32, CardError>;
+    fn count(&self) -> Result<u32, String>;
     /// The name of one.
-    fn name(&self, card: u32) -> Result<String, CardError>;
+    fn name(&self, card: u32) -> Option<String>;
     /// Energy since the driver was loaded, millijoules.
-    fn energy_mj(&self, card: u32) -> Result<u64, CardError>;
+    fn energy_mj(&self, card: u32) -> Result<Option<u64>, String>;
     /// Power now, milliwatts.
-    fn power_mw(&self, card: u32) -> Result<u32, CardError>;
+    fn power_mw(&self, card: u32) -> Result<Option<u32>, String>;
     /// Temperature, throttling and clock.
     fn condition(&self, card: u32) -> Condition;
 }
@@ -49,6 +41,16 @@ struct Card {
     index: u32,
     name: Arc<str>,
     energy: Counter,
+}
+
+impl Card {
+    /// Joules counted so far, with the counter at `raw` now.
+    fn count(&mut self, now: Instant, raw: u64) -> f64 {
+        if !self.energy.update(now, raw) {
+            tracing::warn!(card = %self.name, "its energy counter was reset; counting on from it");
+        }
+        self.energy.joules()
+    }
 }
 
 /// The NVIDIA cards of this machine.
@@ -80,21 +82,16 @@ impl Nvml {
     }
 
     fn with(driver: Box<dyn Cards>) -> Result<Self, MeterError> {
-        let failed = |error: CardError| match error {
-            CardError::NotSupported => missing("the driver does not list its cards".to_owned()),
-            CardError::Failed(reason) => missing(reason),
-        };
-        let count = driver.count().map_err(failed)?;
+        let count = driver.count().map_err(missing)?;
         let (mut cards, mut all_count) = (Vec::new(), true);
         for index in 0..count {
-            let counts = driver.energy_mj(index).is_ok();
-            match driver.power_mw(index) {
-                _ if counts => {}
-                Ok(_) => all_count = false,
-                Err(CardError::NotSupported) => continue,
-                Err(CardError::Failed(reason)) => return Err(unreadable(index, reason)),
+            let counts = matches!(driver.energy_mj(index), Ok(Some(_)));
+            let power = driver.power_mw(index);
+            if !counts && power.map_err(|reason| unreadable(index, reason))?.is_none() {
+                continue;
             }
-            let name = driver.name(index).unwrap_or_else(|_| "card".to_owned());
+            all_count &= counts;
+            let name = driver.name(index).unwrap_or_else(|| "card".to_owned());
             cards.push(Card {
                 index,
                 name: format!("{index} {name}").into(),
@@ -148,22 +145,15 @@ impl Meter for Nvml {
         };
         for card in &mut self.cards {
             let read = if self.count {
-                self.driver.energy_mj(card.index).map(|raw| {
-                    if !card.energy.update(now, raw) {
-                        tracing::warn!(card = %card.name, "its energy counter was reset; counting on from it");
-                    }
-                    card.energy.joules()
-                })
+                let energy = self.driver.energy_mj(card.index);
+                energy.map(|raw| raw.map(|raw| card.count(now, raw)))
             } else {
-                let milliwatts = self.driver.power_mw(card.index);
-                milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)
+                let power = self.driver.power_mw(card.index);
+                power.map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3))
             };
-            let read = read.map_err(|error| match error {
-                CardError::NotSupported => {
-                    unreadable(card.index, "it no longer reads its power".to_owned())
-                }
-                CardError::Failed(reason) => unreadable(card.index, reason),
-            })?;
+            let lost = || "it no longer reads its power".to_owned();
+            let read = read.and_then(|read| read.ok_or_else(lost));
+            let read = read.map_err(|reason| unreadable(card.index, reason))?;
             sum += read;
             rails.push(Rail {
                 name: Arc::clone(&card.name),

@@ -6,9 +6,6 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Readings without the input rail after which it counts as missing, and rails are added up instead.
-const GONE_AFTER: u32 = 20;
-
 /// Which rails of a board count for what.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -95,8 +92,8 @@ pub struct RailWatts {
 #[derive(Debug)]
 pub struct RailMap {
     tables: Vec<RailTable>,
-    /// Readings since the input rail was there; none if it never was.
-    since_input: Option<u32>,
+    /// Whether the input rail was ever read: a reading without it is a gap then, and not another rule.
+    has_input: bool,
     input_rail: Arc<str>,
     sum_of_rails: Arc<str>,
     unknown_board: Arc<str>,
@@ -117,7 +114,7 @@ impl RailMap {
         };
         Ok(Self {
             tables,
-            since_input: None,
+            has_input: false,
             input_rail: INPUT_RAIL.into(),
             sum_of_rails: SUM_OF_RAILS.into(),
             unknown_board: "sum_of_rails of an unknown board".into(),
@@ -148,17 +145,9 @@ impl RailMap {
             .as_ref()
             .and_then(|t| t.input.iter().find(|name| watts(name).is_some()))
             .cloned();
-        let (total, total_from) = if let Some(name) = &input {
-            self.since_input = Some(0);
-            (watts(name), &self.input_rail)
-        } else if let Some(since) = self
-            .since_input
-            .as_mut()
-            .filter(|since| **since < GONE_AFTER)
-        {
-            // It was there a moment ago: this is a gap, not another rule.
-            *since += 1;
-            (None, &self.input_rail)
+        self.has_input |= input.is_some();
+        let (total, total_from) = if self.has_input {
+            (input.as_deref().and_then(watts), &self.input_rail)
         } else if let Some(table) = &table {
             (added(&table.sum), &self.sum_of_rails)
         } else {

@@ -11,7 +11,7 @@ use crate::config::PowerConfig;
 use crate::counter::Counter;
 use crate::error::MeterError;
 use crate::meter::Meter;
-use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
+use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value};
 use crate::sysfs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -45,6 +45,15 @@ impl Kind {
             "dram" => Self::Dram,
             _ if name.starts_with("package") => Self::Package,
             _ => Self::Other,
+        }
+    }
+
+    const fn domain(self) -> Option<Domain> {
+        match self {
+            Self::Package => Some(Domain::Cpu),
+            Self::Uncore => Some(Domain::Gpu),
+            Self::Dram => Some(Domain::IoMem),
+            Self::Platform | Self::Core | Self::Other => None,
         }
     }
 }
@@ -156,19 +165,16 @@ fn includes_its_parts(zones: &[Zone]) -> bool {
 }
 
 fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
-    let tops = sysfs::entries(root);
-    let tops = |prefix: &'static str| {
-        tops.iter()
-            .filter(move |path| {
-                let name = sysfs::name(path);
-                name.strip_prefix(prefix).is_some_and(|number| {
-                    !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())
-                })
-            })
-            .cloned()
+    let numbered = |path: &PathBuf| {
+        let number = sysfs::name(path).rsplit_once(':').map(|(_, number)| number);
+        number.is_some_and(|number| number.parse::<u32>().is_ok())
+    };
+    let tops = |kind: &'static str| {
+        let entries = sysfs::entries(root).into_iter().filter(numbered);
+        entries.filter(move |path| sysfs::name(path).split(':').next() == Some(kind))
     };
     let mut zones: Vec<Zone> = Vec::new();
-    for top in tops("intel-rapl:").chain(tops("intel-rapl-mmio:")) {
+    for top in tops("intel-rapl").chain(tops("intel-rapl-mmio")) {
         let zone = Zone::open(&top, None)?;
         if zones.iter().any(|known| known.name == zone.name) {
             continue;
@@ -192,12 +198,9 @@ impl Meter for Rapl {
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         read(&mut self.zones, now)?;
-        let mut values = Values::default();
+        let mut sums = [None; Domain::ALL.len()];
         let mut add = |domain: Domain, joules: f64| {
-            let sum = values[domain as usize]
-                .and_then(Value::joules)
-                .unwrap_or(0.0);
-            values[domain as usize] = Some(Value::Counter(sum + joules));
+            *sums[domain as usize].get_or_insert(0.0) += joules;
         };
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {
@@ -206,12 +209,7 @@ impl Meter for Rapl {
             if in_total {
                 add(Domain::Total, joules);
             }
-            let domain = match zone.kind {
-                Kind::Package => Some(Domain::Cpu),
-                Kind::Uncore => Some(Domain::Gpu),
-                Kind::Dram => Some(Domain::IoMem),
-                Kind::Platform | Kind::Core | Kind::Other => None,
-            };
+            let domain = zone.kind.domain();
             if let Some(domain) = domain {
                 add(domain, joules);
             }
@@ -227,7 +225,7 @@ impl Meter for Rapl {
         }
         Ok(vec![Reading {
             at: None,
-            values,
+            values: sums.map(|sum| sum.map(Value::Counter)),
             total_from: Arc::clone(&self.total_from),
             rails,
         }])

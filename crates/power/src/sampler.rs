@@ -11,9 +11,9 @@ use crate::meter::{Meter, NONE, NoMeter};
 use crate::reading::{Domain, Reading};
 use albireo_wire::{DomainWatts, EnergyQuality};
 use parking_lot::{Mutex, MutexGuard};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -26,26 +26,40 @@ const CONDITION_EVERY: Duration = Duration::from_secs(1);
 /// Least time between two log lines about a meter that cannot be read.
 const WARN_EVERY: Duration = Duration::from_secs(60);
 
-/// Power now.
+/// Power now, and energy since sampling began.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PowerNow {
-    /// The source's name.
+pub struct PowerSnapshot {
+    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
     pub source: String,
-    /// How far to trust it: [`EnergyQuality::Unavailable`] when there is no fresh sample.
+    /// How far to trust the power: [`EnergyQuality::Unavailable`] when there is no fresh sample.
     pub quality: EnergyQuality,
-    /// Watts by domain; empty when there is no fresh sample.
+    /// How far to trust the meter.
+    pub meter_quality: EnergyQuality,
+    /// Power by domain, watts; empty when there is no fresh sample.
     pub watts: Vec<DomainWatts>,
+    /// Energy by domain since sampling began, joules, over the time that samples cover; only ever grows.
+    pub joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    pub covered_s: BTreeMap<String, f64>,
+    /// From the first sample to the newest, seconds: longer than the covered time where there were gaps.
+    pub sampled_s: f64,
+    /// Detector seconds that avoided calls of all cameras would have taken since sampling began.
+    pub saved_detector_s: f64,
+    /// Watts that a running detector adds on this machine, as far as its power has followed the detector's use; `None`
+    /// until that is known. Of the quality of the power.
+    pub detector_watts: Option<f64>,
+    /// What reading the source has cost.
+    pub cost: MeterCost,
+    /// How often it could not be read.
+    pub failed_reads: u64,
+    /// The machine's hottest sensor and its temperature, °C.
+    pub hottest: Option<(String, f64)>,
 }
 
-/// Energy since sampling began.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EnergySoFar {
-    /// Which domain.
-    pub domain: Domain,
-    /// Joules, over the time that samples cover.
-    pub joules: f64,
-    /// That time, seconds.
-    pub covered_s: f64,
+impl Default for PowerSnapshot {
+    fn default() -> Self {
+        PowerHandle::none().snapshot()
+    }
 }
 
 /// What reading the meter has cost.
@@ -73,8 +87,6 @@ struct Shared {
     quality: EnergyQuality,
     interval: Duration,
     account: Mutex<Account>,
-    cost: Mutex<MeterCost>,
-    failures: AtomicU64,
 }
 
 /// Answers for power and energy. Cheap to clone.
@@ -99,8 +111,6 @@ impl PowerHandle {
             quality,
             interval,
             account: Mutex::new(Account::new(source, quality, interval)),
-            cost: Mutex::default(),
-            failures: AtomicU64::new(0),
         });
         (Self { shared, newest }, announce)
     }
@@ -127,86 +137,53 @@ impl PowerHandle {
         let _ = tokio::time::timeout_at(limit.min(patient), reached).await;
     }
 
-    /// Energy by domain since sampling began, up to the newest sample.
-    pub fn so_far(&self) -> Vec<EnergySoFar> {
+    /// Power now, and energy up to the newest sample.
+    pub fn snapshot(&self) -> PowerSnapshot {
         let account = self.account();
-        let sums = account.history.totals().sums;
-        let known = Domain::ALL.into_iter().zip(sums);
-        known
-            .filter(|(domain, _)| account.history.has(*domain))
-            .map(|(domain, sum)| EnergySoFar {
-                domain,
-                joules: sum.joules,
-                covered_s: sum.covered_s,
-            })
-            .collect()
-    }
-
-    /// From the first sample to the newest, seconds: longer than the covered time where there were gaps.
-    pub fn sampled_s(&self) -> f64 {
-        self.account().history.sampled_s()
-    }
-
-    /// Detector seconds that avoided calls of all cameras would have taken since sampling began.
-    pub fn saved_detector_s(&self) -> f64 {
-        let account = self.account();
-        let cameras = &account.history.totals().cameras;
-        cameras.iter().map(|(_, camera)| camera.saved_s).sum()
-    }
-
-    /// Watts that a running detector adds on this machine, as far as its power has followed the detector's use; `None`
-    /// until that is known. Of the quality of [`now`](Self::now).
-    pub fn detector_watts(&self) -> Option<f64> {
-        self.account().detector.watts()
-    }
-
-    /// Power now.
-    pub fn now(&self) -> PowerNow {
-        let account = self.account();
-        let present = account.history.present(Instant::now());
-        let watts = present.map(|sample| sample.watts).unwrap_or_default();
-        let watts: Vec<_> = (Domain::ALL.into_iter().zip(watts))
+        let history = &account.history;
+        let named = || {
+            Domain::ALL
+                .into_iter()
+                .map(|domain| domain.as_str().to_owned())
+        };
+        let known = || named().zip(Domain::ALL).filter(|(_, it)| history.has(*it));
+        let sum = |domain: Domain| history.totals().sums[domain as usize];
+        let present = history.present(Instant::now());
+        let watts = named().zip(present.map(|sample| sample.watts).unwrap_or_default());
+        let watts: Vec<_> = watts
             .filter_map(|(domain, watts)| {
-                let domain = domain.as_str().to_owned();
                 Some(DomainWatts {
                     domain,
                     watts: watts?,
                 })
             })
             .collect();
-        PowerNow {
+        let cameras = history.totals().cameras.iter();
+        let hottest = account.condition.hottest.clone();
+        PowerSnapshot {
             source: self.shared.source.clone(),
             quality: match watts.is_empty() {
                 true => EnergyQuality::Unavailable,
                 false => self.shared.quality,
             },
+            meter_quality: self.shared.quality,
             watts,
+            joules: known().map(|(name, it)| (name, sum(it).joules)).collect(),
+            covered_s: known()
+                .map(|(name, it)| (name, sum(it).covered_s))
+                .collect(),
+            sampled_s: history.sampled_s(),
+            saved_detector_s: cameras.map(|(_, camera)| camera.saved_s).sum(),
+            detector_watts: account.detector.watts(),
+            cost: account.cost,
+            failed_reads: account.failed_reads,
+            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
         }
     }
 
     /// The source's name: `rapl`, `estimate`, `none`, …
     pub fn source(&self) -> &str {
         &self.shared.source
-    }
-
-    /// How far to trust the source.
-    pub fn quality(&self) -> EnergyQuality {
-        self.shared.quality
-    }
-
-    /// How often the meter could not be read.
-    pub fn failed_reads(&self) -> u64 {
-        self.shared.failures.load(Ordering::Relaxed)
-    }
-
-    /// The board's condition as last read.
-    pub fn condition(&self) -> Condition {
-        self.account().condition.clone()
-    }
-
-    /// What reading the meter has cost so far.
-    pub fn cost(&self) -> MeterCost {
-        *self.shared.cost.lock()
     }
 }
 
@@ -270,8 +247,6 @@ struct Read {
     condition: Option<Condition>,
     /// The middle of the reading.
     at: Instant,
-    /// CPU time of all readings so far, other processes of the meter included.
-    cpu: Duration,
 }
 
 impl Sensors {
@@ -283,11 +258,8 @@ impl Sensors {
         let readings =
             polled.unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
         let at = before + before.elapsed() / 2;
-        let age = |last: Instant| before.saturating_duration_since(last);
-        let due = self
-            .condition_at
-            .is_none_or(|last| age(last) >= CONDITION_EVERY);
-        let condition = due.then(|| {
+        let is_due = |last: Instant| before.saturating_duration_since(last) >= CONDITION_EVERY;
+        let condition = self.condition_at.is_none_or(is_due).then(|| {
             self.condition_at = Some(before);
             let machine = self.machine.as_mut().map(|machine| machine.read(before));
             self.meter.condition().and(machine.unwrap_or_default())
@@ -297,7 +269,6 @@ impl Sensors {
             readings,
             condition,
             at,
-            cpu: self.cpu + self.meter.other_cpu(),
         }
     }
 }
@@ -330,13 +301,10 @@ async fn sample(
             return;
         };
         sensors = returned;
-        {
-            let mut cost = shared.cost.lock();
-            cost.polls += 1;
-            cost.cpu = read.cpu;
-            cost.elapsed = began.elapsed();
-        }
         let mut account = shared.account.lock();
+        account.cost.polls += 1;
+        account.cost.cpu = sensors.cpu + sensors.meter.other_cpu();
+        account.cost.elapsed = began.elapsed();
         if let Some(condition) = read.condition {
             account.set_condition(condition);
         }
@@ -350,8 +318,9 @@ async fn sample(
                 announce.send_if_modified(|known| std::mem::replace(known, newest) != newest);
             }
             Err(error) => {
+                account.failed_reads += 1;
+                let failures = account.failed_reads;
                 drop(account);
-                let failures = shared.failures.fetch_add(1, Ordering::Relaxed) + 1;
                 if warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY) {
                     tracing::warn!(%error, failures, "the power meter cannot be read now");
                     warned = Some(Instant::now());

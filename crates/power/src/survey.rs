@@ -11,15 +11,6 @@ use serde::Serialize;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The sources, in the order they are listed.
-const SOURCES: [PowerSource; 5] = [
-    PowerSource::Ina,
-    PowerSource::Tegrastats,
-    PowerSource::Rapl,
-    PowerSource::Nvml,
-    PowerSource::Estimate,
-];
-
 /// How long a source is watched.
 const WATCH: Duration = Duration::from_millis(1000);
 
@@ -62,7 +53,7 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
     let automatic = choose::open_source(PowerSource::Auto, config)
         .map(|meter| meter.source().to_owned())
         .unwrap_or_default();
-    SOURCES
+    choose::BEST_FIRST
         .into_iter()
         .map(|source| {
             let mut found = SourceSurvey {
@@ -87,8 +78,7 @@ impl SourceSurvey {
     fn watch(&mut self, meter: &mut dyn Meter, config: &PowerConfig) -> Result<(), MeterError> {
         let interval = Duration::from_millis(config.interval_ms);
         let began = Instant::now();
-        let mut first: Option<(Instant, Reading)> = None;
-        let mut last: Option<(Instant, Reading)> = None;
+        let mut seen: Vec<(Instant, Reading)> = Vec::new();
         let (mut cpu, mut polls) = (Duration::ZERO, 0_u32);
         while began.elapsed() < WATCH {
             let now = Instant::now();
@@ -96,19 +86,17 @@ impl SourceSurvey {
             let readings = meter.poll(now);
             cpu += thread_cpu().saturating_sub(before);
             polls += 1;
-            for reading in readings? {
-                let at = reading.at.unwrap_or(now);
-                first.get_or_insert_with(|| (at, reading.clone()));
-                last = Some((at, reading));
-            }
+            seen.extend(
+                (readings?.into_iter()).map(|reading| (reading.at.unwrap_or(now), reading)),
+            );
             std::thread::sleep(interval);
         }
         let cpu = cpu + meter.other_cpu();
         self.quality = meter.quality();
         // What one interval's reading costs, whatever the length of this watch.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
-        if let (Some(first), Some(last)) = (first, last) {
-            self.fill(&first, &last);
+        if let (Some(first), Some(last)) = (seen.first(), seen.last()) {
+            self.fill(first, last);
         }
         Ok(())
     }

@@ -81,7 +81,7 @@ pub(crate) struct Sample {
 pub(crate) struct History {
     gap_s: f64,
     totals: Totals,
-    first: Option<Instant>,
+    sampled_s: f64,
     /// The newest value of each domain.
     last: [Option<(Instant, Value)>; Domain::ALL.len()],
     recent: VecDeque<Sample>,
@@ -93,7 +93,7 @@ impl History {
         Self {
             gap_s: longest_gap(interval).as_secs_f64(),
             totals: Totals::default(),
-            first: None,
+            sampled_s: 0.0,
             last: Default::default(),
             recent: VecDeque::new(),
         }
@@ -111,11 +111,11 @@ impl History {
         if newest.is_some_and(|newest| newest >= at) {
             return false;
         }
-        self.first.get_or_insert(at);
         let joules_before = self.totals.total().joules;
         let watts = Domain::ALL.map(|domain| self.advance(domain, at, reading.value(domain)?));
         self.totals.samples += u64::from(reading.value(Domain::Total).is_some());
         let seconds = newest.map_or(0.0, |newest| (at - newest).as_secs_f64());
+        self.sampled_s += seconds;
         self.totals.cameras = divide(self.totals.total().joules - joules_before, seconds);
         if self.recent.len() == KEPT {
             self.recent.pop_front();
@@ -177,11 +177,7 @@ impl History {
 
     /// From the first sample to the newest, seconds.
     pub(crate) fn sampled_s(&self) -> f64 {
-        let length = self
-            .newest()
-            .zip(self.first)
-            .map(|(newest, first)| newest - first);
-        length.unwrap_or_default().as_secs_f64()
+        self.sampled_s
     }
 
     /// The newest sample, unless it is too old to be the present of `now`.

@@ -23,17 +23,17 @@ use crate::state::readiness;
 use crate::state::target::NodeTarget;
 use albireo_core::policy::KnobError;
 use albireo_core::target::{Target, TargetError};
-use albireo_power::{EnergySoFar, MeterCost, PowerHandle};
+pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
-use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, SettingSource};
+use albireo_wire::{ClipReport, CountersMessage, SettingSource};
 use parking_lot::Mutex;
 use power_past::PowerPast;
 use savings::SavingsSince;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
@@ -45,83 +45,6 @@ pub(crate) const RECENT_CLIPS: usize = 256;
 
 /// Events a slow reader may be behind before it loses some (and learns how many).
 const EVENT_BACKLOG: usize = 1024;
-
-/// Power now, and energy since the node started.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PowerSnapshot {
-    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
-    pub source: String,
-    /// How far to trust the power: unavailable without a fresh sample.
-    pub quality: EnergyQuality,
-    /// How far to trust the meter.
-    pub meter_quality: EnergyQuality,
-    /// Power by domain, watts; empty without a source.
-    pub watts: Vec<DomainWatts>,
-    /// Energy by domain since the node started, joules, over the time that samples cover; only ever grows.
-    pub joules: BTreeMap<String, f64>,
-    /// That time, seconds.
-    pub covered_s: BTreeMap<String, f64>,
-    /// From the first sample to the newest, seconds.
-    pub sampled_s: f64,
-    /// Detector time that avoided calls would have taken since the node started, seconds.
-    pub saved_detector_s: f64,
-    /// Watts that a running detector adds, once that is known.
-    pub detector_watts: Option<f64>,
-    /// What reading the source has cost.
-    pub cost: MeterCost,
-    /// How often it could not be read.
-    pub failed_reads: u64,
-    /// The machine's hottest sensor and its temperature, °C.
-    pub hottest: Option<(String, f64)>,
-}
-
-impl Default for PowerSnapshot {
-    fn default() -> Self {
-        Self {
-            source: "none".to_owned(),
-            quality: EnergyQuality::Unavailable,
-            meter_quality: EnergyQuality::Unavailable,
-            watts: Vec::new(),
-            joules: BTreeMap::new(),
-            covered_s: BTreeMap::new(),
-            sampled_s: 0.0,
-            saved_detector_s: 0.0,
-            detector_watts: None,
-            cost: MeterCost::default(),
-            failed_reads: 0,
-            hottest: None,
-        }
-    }
-}
-
-impl PowerSnapshot {
-    /// The figures as they are now.
-    pub(crate) fn of(power: &PowerHandle) -> Self {
-        let now = power.now();
-        let so_far = power.so_far();
-        let by_domain = |figure: fn(&EnergySoFar) -> f64| {
-            let named = so_far
-                .iter()
-                .map(|sum| (sum.domain.as_str().to_owned(), figure(sum)));
-            named.collect()
-        };
-        let hottest = power.condition().hottest;
-        Self {
-            source: now.source,
-            quality: now.quality,
-            meter_quality: power.quality(),
-            watts: now.watts,
-            joules: by_domain(|sum| sum.joules),
-            covered_s: by_domain(|sum| sum.covered_s),
-            sampled_s: power.sampled_s(),
-            saved_detector_s: power.saved_detector_s(),
-            detector_watts: power.detector_watts(),
-            cost: power.cost(),
-            failed_reads: power.failed_reads(),
-            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
-        }
-    }
-}
 
 /// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 
 use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;
-use crate::state::board::{Board, PowerSnapshot};
+use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{CountersMessage, NodeKeys};
@@ -63,10 +63,10 @@ impl Counters {
         loop {
             tokio::select! {
                 // The figures at the end are the last ones anybody sees.
-                () = shutdown.cancelled() => return self.board.set_power(PowerSnapshot::of(&self.power)),
+                () = shutdown.cancelled() => return self.board.set_power(self.power.snapshot()),
                 _ = ticks.tick() => {}
             }
-            self.board.set_power(PowerSnapshot::of(&self.power));
+            self.board.set_power(self.power.snapshot());
             for message in self.board.publish_counters(unix_nanoseconds()) {
                 self.publish(&message);
             }

@@ -150,7 +150,7 @@ pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
     board.readiness().probe(POWER, "", move || {
         let silent = power.source() != "none"
             && begun.elapsed() > FIRST_SAMPLE
-            && power.now().quality == EnergyQuality::Unavailable;
+            && power.snapshot().quality == EnergyQuality::Unavailable;
         silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
     });
 }

@@ -60,7 +60,7 @@ fn a_silent_child_is_killed_and_started_again() {
     assert_eq!(texts(&mut child, 1), ["here"]);
     let stalled = child.process().unwrap();
     // It has been silent for longer than not at all, and started long enough ago.
-    std::thread::sleep(FIRST_PAUSE);
+    std::thread::sleep(PAUSE);
     child.take(Duration::ZERO);
     assert_eq!(texts(&mut child, 1), ["here"]);
     assert_ne!(child.process(), Some(stalled));

@@ -1,6 +1,6 @@
 //! The cards as NVIDIA's driver shows them.
 
-use super::{CardError, Cards, Condition};
+use super::{Cards, Condition};
 use nvml_wrapper::Nvml;
 use nvml_wrapper::bitmasks::device::ThrottleReasons;
 use nvml_wrapper::enum_wrappers::device::{Clock, TemperatureSensor};
@@ -30,38 +30,35 @@ impl Driver {
         Err(why)
     }
 
+    /// The answer, or `None` where the card has none: a driver too old for a question lacks its symbol.
     fn ask<T>(
         &self,
         card: u32,
         question: impl FnOnce(&nvml_wrapper::Device<'_>) -> Result<T, NvmlError>,
-    ) -> Result<T, CardError> {
-        let device = self.nvml.device_by_index(card).map_err(failure)?;
-        question(&device).map_err(failure)
-    }
-}
-
-fn failure(error: NvmlError) -> CardError {
-    match error {
-        // A driver too old for a question lacks its symbol.
-        NvmlError::NotSupported | NvmlError::FailedToLoadSymbol(_) => CardError::NotSupported,
-        other => CardError::Failed(other.to_string()),
+    ) -> Result<Option<T>, String> {
+        let device = self.nvml.device_by_index(card);
+        match device.and_then(|device| question(&device)) {
+            Ok(answer) => Ok(Some(answer)),
+            Err(NvmlError::NotSupported | NvmlError::FailedToLoadSymbol(_)) => Ok(None),
+            Err(error) => Err(error.to_string()),
+        }
     }
 }
 
 impl Cards for Driver {
-    fn count(&self) -> Result<u32, CardError> {
-        self.nvml.device_count().map_err(failure)
+    fn count(&self) -> Result<u32, String> {
+        self.nvml.device_count().map_err(|error| error.to_string())
     }
 
-    fn name(&self, card: u32) -> Result<String, CardError> {
-        self.ask(card, |device| device.name())
+    fn name(&self, card: u32) -> Option<String> {
+        self.ask(card, |device| device.name()).ok()?
     }
 
-    fn energy_mj(&self, card: u32) -> Result<u64, CardError> {
+    fn energy_mj(&self, card: u32) -> Result<Option<u64>, String> {
         self.ask(card, |device| device.total_energy_consumption())
     }
 
-    fn power_mw(&self, card: u32) -> Result<u32, CardError> {
+    fn power_mw(&self, card: u32) -> Result<Option<u32>, String> {
         self.ask(card, |device| device.power_usage())
     }
 
@@ -71,13 +68,19 @@ impl Cards for Driver {
             | ThrottleReasons::SW_THERMAL_SLOWDOWN
             | ThrottleReasons::HW_THERMAL_SLOWDOWN
             | ThrottleReasons::HW_POWER_BRAKE_SLOWDOWN;
-        let celsius = self.ask(card, |device| device.temperature(TemperatureSensor::Gpu));
-        let reasons = self.ask(card, |device| device.current_throttle_reasons());
-        let clock = self.ask(card, |device| device.clock_info(Clock::SM));
+        let celsius = self
+            .ask(card, |device| device.temperature(TemperatureSensor::Gpu))
+            .unwrap_or_default();
+        let reasons = self
+            .ask(card, |device| device.current_throttle_reasons())
+            .unwrap_or_default();
+        let clock = self
+            .ask(card, |device| device.clock_info(Clock::SM))
+            .unwrap_or_default();
         Condition {
-            hottest: celsius.ok().map(|c| ("gpu".into(), f64::from(c))),
-            throttled: reasons.ok().map(|r| r.intersects(held_back)),
-            gpu_mhz: clock.ok().map(f64::from),
+            hottest: celsius.map(|c| ("gpu".into(), f64::from(c))),
+            throttled: reasons.map(|r| r.intersects(held_back)),
+            gpu_mhz: clock.map(f64::from),
             ..Condition::default()
         }
     }

@@ -7,8 +7,8 @@ use std::time::Duration;
 /// What one card says.
 #[derive(Clone)]
 struct Fake {
-    energy: Result<u64, CardError>,
-    power: Result<u32, CardError>,
+    energy: Result<Option<u64>, String>,
+    power: Result<Option<u32>, String>,
 }
 
 #[derive(Clone)]
@@ -29,19 +29,19 @@ impl FakeMachine {
 }
 
 impl Cards for FakeMachine {
-    fn count(&self) -> Result<u32, CardError> {
+    fn count(&self) -> Result<u32, String> {
         Ok(self.0.lock().unwrap().len() as u32)
     }
 
-    fn name(&self, _card: u32) -> Result<String, CardError> {
-        Ok("Test GPU".to_owned())
+    fn name(&self, _card: u32) -> Option<String> {
+        Some("Test GPU".to_owned())
     }
 
-    fn energy_mj(&self, card: u32) -> Result<u64, CardError> {
+    fn energy_mj(&self, card: u32) -> Result<Option<u64>, String> {
         self.0.lock().unwrap()[card as usize].energy.clone()
     }
 
-    fn power_mw(&self, card: u32) -> Result<u32, CardError> {
+    fn power_mw(&self, card: u32) -> Result<Option<u32>, String> {
         self.0.lock().unwrap()[card as usize].power.clone()
     }
 
@@ -54,38 +54,33 @@ impl Cards for FakeMachine {
     }
 }
 
-fn counting(mj: u64) -> Fake {
-    Fake {
-        energy: Ok(mj),
-        power: Ok(1),
-    }
+fn card(energy: Option<u64>, power: Option<u32>) -> Fake {
+    let (energy, power) = (Ok(energy), Ok(power));
+    Fake { energy, power }
 }
 
-fn power_only(mw: u32) -> Fake {
-    Fake {
-        energy: Err(CardError::NotSupported),
-        power: Ok(mw),
-    }
+fn counting(mj: u64) -> Fake {
+    card(Some(mj), Some(1))
 }
 
 fn jetson() -> Fake {
-    Fake {
-        energy: Err(CardError::NotSupported),
-        power: Err(CardError::NotSupported),
-    }
+    card(None, None)
+}
+
+/// The reading a second after the first, before which the first card becomes `next`.
+fn second_reading(machine: &FakeMachine, next: Fake) -> Reading {
+    let mut meter = machine.open().unwrap();
+    let start = Instant::now();
+    meter.poll(start).unwrap();
+    machine.set(0, next);
+    let later = start + Duration::from_secs(1);
+    meter.poll(later).unwrap().remove(0)
 }
 
 #[test]
 fn the_energy_counters_are_used_where_all_cards_have_one() {
     let machine = FakeMachine::new(&[counting(5_000), counting(7_000)]);
-    let mut meter = machine.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    machine.set(0, counting(65_000));
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let reading = second_reading(&machine, counting(65_000));
     let total = reading.value(Domain::Total);
     assert_eq!(total, Some(Value::Counter(60.0)));
     assert_eq!(reading.value(Domain::Gpu), total);
@@ -94,7 +89,7 @@ fn the_energy_counters_are_used_where_all_cards_have_one() {
 
 #[test]
 fn power_is_used_where_a_card_counts_no_energy() {
-    let machine = FakeMachine::new(&[counting(5_000), power_only(75_500)]);
+    let machine = FakeMachine::new(&[counting(5_000), card(None, Some(75_500))]);
     let mut meter = machine.open().unwrap();
     let reading = meter.poll(Instant::now()).unwrap().remove(0);
     assert_eq!(
@@ -138,14 +133,9 @@ fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
     let machine = FakeMachine::new(&[counting(0), counting(0)]);
     let mut meter = machine.open().unwrap();
     meter.poll(Instant::now()).unwrap();
-    let lost = CardError::Failed("GPU is lost".to_owned());
-    machine.set(
-        1,
-        Fake {
-            energy: Err(lost.clone()),
-            power: Err(lost),
-        },
-    );
+    let lost = "GPU is lost".to_owned();
+    let (energy, power) = (Err(lost.clone()), Err(lost));
+    machine.set(1, Fake { energy, power });
     let text = meter.poll(Instant::now()).unwrap_err().to_string();
     assert!(
         text.contains("card 1") && text.contains("GPU is lost"),
@@ -156,14 +146,7 @@ fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
 #[test]
 fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
     let machine = FakeMachine::new(&[counting(9_000_000)]);
-    let mut meter = machine.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    machine.set(0, counting(10));
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let reading = second_reading(&machine, counting(10));
     assert_eq!(reading.value(Domain::Total), Some(Value::Counter(0.0)));
 }
 

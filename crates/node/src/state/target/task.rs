@@ -98,15 +98,15 @@ impl TargetTask {
     }
 
     fn so_far(&self) -> (SoFar, AuditSums) {
+        let power = self.power.snapshot();
+        let total = Domain::Total.as_str();
         let mut so_far = SoFar {
             at: Instant::now(),
             frames: 0,
             skipped: 0,
             degraded: 0,
             detector_us: 0,
-            power: (self.power.so_far().iter())
-                .find(|sum| sum.domain == Domain::Total)
-                .map(|sum| (sum.joules, sum.covered_s)),
+            power: (power.joules.get(total).copied()).zip(power.covered_s.get(total).copied()),
         };
         let mut audit = AuditSums::default();
         for camera in self.board.cameras() {

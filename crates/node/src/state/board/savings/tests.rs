@@ -5,7 +5,7 @@ use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
-use crate::state::board::{Board, BoardSetup, PowerSnapshot};
+use crate::state::board::{Board, BoardSetup};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
@@ -214,7 +214,7 @@ fn told(power: &PowerHandle) -> Option<f64> {
     };
     let (_, status) = watch::channel(DetectorStatus::Starting);
     let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
-    board.set_power(PowerSnapshot::of(power));
+    board.set_power(power.snapshot());
     let energy = board.savings().0.energy.unwrap();
     assert_eq!(energy.quality, EnergyQuality::Measured);
     energy.saved_joules_estimated
