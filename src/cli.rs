@@ -26,6 +26,8 @@ mod man;
 mod node;
 mod node_config;
 mod power;
+#[cfg(feature = "eval")]
+mod progress;
 mod publish;
 mod rate;
 #[cfg(feature = "eval")]

@@ -7,7 +7,7 @@ use albireo_core::policy::Profile;
 use albireo_eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::replay::Scoring;
-use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::run::{Settings, run};
 use albireo_eval::scoring::{decayed_confidence, score_object};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, resolve};
@@ -143,10 +143,10 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             interpolation: Interpolation::AllPoints,
             ..Settings::default()
         };
-        let results = run_stored(&clips.clips, &policies, &settings, &|| ()).expect("it runs");
+        let results = run(&clips.clips, &policies, &settings, &|| ()).expect("it runs");
         for result in results {
             let expected = &summary[&(result.clip.clone(), result.policy.clone())];
-            let [e, p, ei, i, ai] = result.states.shares();
+            let [e, p, ei, i, ai] = result.state_shares();
             let mut figures = vec![
                 ("skip_rate", result.skip_rate()),
                 ("share_E", e),

@@ -4,7 +4,7 @@
 use crate::support::shared;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::against_detector::{ComparedFrame, against_detector, total};
+use albireo_eval::against_detector::{ComparedFrame, against_detector};
 use albireo_eval::data::recorded;
 use albireo_eval::run::Settings;
 
@@ -37,8 +37,8 @@ fn cameras(policy: &str) -> (Vec<Vec<ComparedFrame>>, AuditSums) {
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();
     let mut all = AuditSums::default();
-    for frames in &compared {
-        all.merge(&total(frames));
+    for frame in compared.iter().flatten() {
+        frame.sums.iter().for_each(|sums| all.merge(sums));
     }
     (compared, all)
 }

@@ -250,7 +250,7 @@ fn bad_input_ends_with_what_was_wrong_where_and_what_to_do() {
         ),
         (
             vec!["recorded", good, "--energy-model", "/nowhere.toml"],
-            vec!["energy model /nowhere.toml"],
+            vec!["cannot read /nowhere.toml"],
         ),
     ] {
         let output = eval(&arguments);

@@ -9,15 +9,16 @@ use crate::support::shared;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Profile;
-use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
+use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsRequested, StepTimes,
-    against_vanilla, collect, looks_at_pixels, run_pictured,
+    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
+    looks_at_pixels,
 };
 use albireo_eval::replay::Scoring;
 use albireo_eval::result::{ClipResult, Provenance};
-use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, resolve};
 use albireo_eval::trace;
@@ -136,8 +137,8 @@ fn assert_replays_alike(pictured: &PicturedClip, confidence: f64) -> Vec<ClipRes
     assert_eq!(stored.clips[0], pictured.clip);
     let policies = specs(&NO_PIXELS, ScreenRule::Recorded);
     let settings = settings(confidence, ScreenRule::Recorded);
-    let live = run_pictured(pictured, &policies, &settings, &|| ()).unwrap();
-    let replayed = run_stored(&stored.clips, &policies, &settings, &|| ()).unwrap();
+    let live = run([pictured], &policies, &settings, &|| ()).unwrap();
+    let replayed = run(&stored.clips, &policies, &settings, &|| ()).unwrap();
     assert_eq!(live.len(), replayed.len());
     for (live, replayed) in live.iter().zip(&replayed) {
         assert_eq!(live.policy, replayed.policy);
@@ -337,7 +338,7 @@ fn pictures_are_judged_by_their_ground_truth() {
 
 /// A clip made by hand: one sure car on every frame, and round times.
 fn by_hand(frames: usize) -> PicturedClip {
-    let car = StoredDetection {
+    let car = ScoredBox {
         corners: Corners {
             x1: 100.0,
             y1: 100.0,
@@ -346,19 +347,14 @@ fn by_hand(frames: usize) -> PicturedClip {
         },
         class: ClassId(2),
         confidence: 0.9,
+        object: None,
     };
     PicturedClip {
         clip: Clip {
-            name: "by-hand".to_owned(),
-            picture: PictureSize::new(1280, 720),
             frame_rate: Some(10.0),
-            camera: None,
-            frames,
             detections: Some(vec![vec![car]; frames]),
             screen: Some(vec![Some(false); frames]),
-            truth: None,
-            pictures: Vec::new(),
-            ignored: Vec::new(),
+            ..Clip::new("by-hand".to_owned(), PictureSize::new(1280, 720), frames)
         },
         grey: Vec::new(),
         small: Vec::new(),
@@ -380,7 +376,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
     let pictured = by_hand(30);
     let policies = specs(&["fixed-skip:2", "erd-only"], ScreenRule::Recorded);
     let settings = settings(0.5, ScreenRule::Recorded);
-    let results = run_pictured(&pictured, &policies, &settings, &|| ()).unwrap();
+    let results = run([&pictured], &policies, &settings, &|| ()).unwrap();
     let mean = |index: usize| {
         let time = results[index].frame_time.unwrap();
         assert_eq!(time.provenance, Provenance::Composed);
@@ -406,7 +402,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
 #[test]
 fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
     let mut pictured = by_hand(5);
-    let unsure = StoredDetection {
+    let unsure = ScoredBox {
         confidence: 0.3,
         ..pictured.clip.detections.as_ref().unwrap()[0][0]
     };
@@ -416,7 +412,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
     pictured.clip.truth = Some(truth);
     let policies = specs(&["vanilla"], ScreenRule::Nonempty);
     let settings = settings(0.5, ScreenRule::Nonempty);
-    let results = run_pictured(&pictured, &policies, &settings, &|| ()).unwrap();
+    let results = run([&pictured], &policies, &settings, &|| ()).unwrap();
     assert_eq!(results[0].accuracy.unwrap().ap50, 1.0);
 }
 
@@ -424,10 +420,10 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
     let asked = |policies: &[&str]| looks_at_pixels(&specs(policies, nonempty)).unwrap();
-    assert_eq!(asked(&NO_PIXELS), PixelsRequested::default());
-    assert!(asked(&["albireo", "statues:75"]).half);
+    assert_eq!(asked(&NO_PIXELS), PassSettings::default());
+    assert!(asked(&["albireo", "statues:75"]).keep_grey);
     let flow = asked(&["expected-loss", "expected-loss+flow"]);
-    assert_eq!((flow.half, flow.small), (false, Some(320)));
+    assert_eq!((flow.keep_grey, flow.keep_small), (false, Some(320)));
 }
 
 /// YOLOX-Nano and the upstream screen over a real clip.

@@ -3,18 +3,19 @@
 mod clip;
 mod play;
 
+use super::progress;
 use albireo_eval::compare::{
     Boxes, ClassNumbers, Comparison, Playing, Run, Turn, Variant, agreement, render, schedule,
     summarise, variants, write,
 };
-use albireo_eval::footage::SourceName;
+use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::spec::BASELINE;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadName;
 use anyhow::{Context, bail, ensure};
 use clip::LoadedClip;
-use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use indicatif::HumanDuration;
 use play::{Played, Player};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -146,21 +147,17 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ..config
     };
     eprintln!("Reading the clip …");
-    let source = arguments
-        .clip
-        .open(
-            arguments.rate,
-            albireo_eval::footage::VideoEncoding::default(),
-        )
+    let source = (arguments.clip)
+        .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
     let clip = LoadedClip::read(source, arguments.seconds).await?;
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
     let turns = schedule(variants.len(), arguments.repeat as usize);
-    let length = clip.frames() as f64 / clip.rate() / arguments.speed;
+    let length = clip.len() as f64 / clip.rate() / arguments.speed;
     eprintln!(
         "{} runs of {} frames of {} at {}; power: {}",
         turns.len(),
-        clip.frames(),
+        clip.len(),
         clip.name(),
         match rate {
             Some(rate) => format!(
@@ -255,24 +252,15 @@ async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
     Ok(Chosen { config, name })
 }
 
-/// A run that was played, and when.
-struct Done {
-    turn: Turn,
-    played: Played,
-}
-
 /// Plays every turn; on a signal, what is complete by then.
 async fn play_all(
     player: &Player,
     variants: &[Variant],
     turns: &[Turn],
     shutdown: &CancellationToken,
-) -> anyhow::Result<Vec<Done>> {
+) -> anyhow::Result<Vec<(Turn, Played)>> {
     let frames = player.frames_of_a_run();
-    let bar = ProgressBar::new(frames * turns.len() as u64).with_style(
-        ProgressStyle::with_template("{bar:30} {percent:>3} %  {eta} left  {msg}")
-            .context("the progress bar's template")?,
-    );
+    let bar = progress::bar(Some(frames * turns.len() as u64), "frames  {msg}");
     let mut done = Vec::new();
     for (number, turn) in turns.iter().enumerate() {
         let Some(variant) = variants.get(turn.variant) else {
@@ -294,10 +282,7 @@ async fn play_all(
         }
         let played =
             played.with_context(|| format!("{}, round {}", variant.label, turn.round + 1))?;
-        done.push(Done {
-            turn: *turn,
-            played,
-        });
+        done.push((*turn, played));
     }
     bar.finish_and_clear();
     let complete = done.len() / variants.len() * variants.len();
@@ -312,67 +297,58 @@ async fn play_all(
 }
 
 /// Judges every run's boxes against those of the policy that looks at every frame.
-fn judge(player: &Player, variants: &[Variant], done: Vec<Done>) -> anyhow::Result<Comparison> {
+fn judge(
+    player: &Player,
+    variants: &[Variant],
+    done: Vec<(Turn, Played)>,
+) -> anyhow::Result<Comparison> {
     let vanilla = variants
         .iter()
         .position(|variant| variant.config.name == BASELINE);
     let boxes_of = vanilla.unwrap_or(0);
     let mut classes = ClassNumbers::default();
-    let boxes: Vec<Boxes> = done
-        .iter()
-        .map(|done| done.played.boxes(&mut classes))
+    let boxes: Vec<Boxes> = (done.iter())
+        .map(|(_, played)| played.boxes(&mut classes))
         .collect();
     // A detector finds the same in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
-    for (done, boxes) in done.iter().zip(&boxes) {
-        if done.turn.variant == boxes_of {
+    for ((turn, _), boxes) in done.iter().zip(&boxes) {
+        if turn.variant == boxes_of {
             for (frame, found) in boxes {
                 reference.entry(*frame).or_insert_with(|| found.clone());
             }
         }
     }
-    let provider = done
-        .first()
-        .map_or_else(String::new, |done| done.played.report.provider.clone());
-    let knobs: Vec<_> = variants
-        .iter()
-        .map(|variant| variant.config.build().ok().and_then(|policy| policy.knob()))
-        .collect();
-    let runs = done
-        .into_iter()
-        .zip(&boxes)
-        .map(|(done, boxes)| Run {
-            advice: knobs
-                .get(done.turn.variant)
-                .and_then(|knob| done.played.advice(*knob)),
-            round: done.turn.round,
-            variant: done.turn.variant,
-            cpu_s: done.played.cpu.as_secs_f64(),
-            meter_share_of_core: done.played.meter_share_of_core,
-            report: done.played.report,
+    let provider = (done.first()).map_or("", |(_, played)| played.report.provider.as_str());
+    let model = player.config.detector.model.file_name().unwrap_or_default();
+    let playing = Playing {
+        clip: player.clip.name().to_owned(),
+        frames: player.clip.len() as u64,
+        size: player.clip.size().to_string(),
+        rate: player.clip.rate(),
+        played_rate: player.rate,
+        warm_up_s: player.warm_up_s,
+        cool_down_s: player.cool_down.as_secs_f64(),
+        detector: format!("{} run by {provider}", model.display()),
+        cores: std::thread::available_parallelism().map_or(1, usize::from),
+    };
+    let mut runs = Vec::new();
+    for ((turn, played), boxes) in done.into_iter().zip(&boxes) {
+        let variant = variants.get(turn.variant).context("a variant")?;
+        runs.push(Run {
+            advice: played.advice(variant.config.build()?.knob()),
+            round: turn.round,
+            variant: turn.variant,
+            cpu_s: played.cpu.as_secs_f64(),
+            meter_share_of_core: played.meter_share_of_core,
+            report: played.report,
             agreement: agreement(boxes, &reference),
-        })
-        .collect();
-    let model = player.config.detector.model.file_name();
+        });
+    }
+    let labels = variants.iter().map(|variant| variant.label.clone());
     Ok(Comparison {
-        playing: Playing {
-            clip: player.clip.name().to_owned(),
-            frames: player.clip.frames() as u64,
-            size: player.clip.size().to_string(),
-            rate: player.clip.rate(),
-            played_rate: player.rate,
-            warm_up_s: player.warm_up_s,
-            cool_down_s: player.cool_down.as_secs_f64(),
-            detector: format!(
-                "{} run by {provider}",
-                model.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-            ),
-            cores: std::thread::available_parallelism().map_or(1, usize::from),
-        },
-        policies: variants
-            .iter()
-            .map(|variant| variant.label.clone())
-            .collect(),
+        playing,
+        policies: labels.collect(),
         boxes_of,
         runs,
     })

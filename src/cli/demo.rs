@@ -5,8 +5,8 @@ mod hub;
 mod show;
 
 use super::replay::{
-    ClipIds, FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, open_session,
-    publish,
+    ClipIds, FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, close,
+    open_session, publish,
 };
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
@@ -181,10 +181,8 @@ async fn camera(
     let options = PublishOptions {
         rate: Rate::PerSecond(arguments.rate),
         repeat: true,
-        frames: None,
         clip: ClipIds::OfSource,
-        clip_seconds: None,
-        first_sequence: 0,
+        ..PublishOptions::default()
     };
     let key = config.keys()?.camera(CAMERA)?.frame();
     let playing = async {
@@ -199,10 +197,7 @@ async fn camera(
             });
         }
         publish(source, &sender, &options, |_| {}, &shutdown).await?;
-        session
-            .close()
-            .await
-            .map_err(|error| anyhow::anyhow!("{error}"))
+        close(session).await
     };
     tokio::select! {
         played = playing => played.context("camera"),

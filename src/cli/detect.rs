@@ -1,6 +1,7 @@
 //! `albireo detect`: says what a detector is, and runs it on pictures.
 
 use super::size::parse_size;
+use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
@@ -12,7 +13,7 @@ use albireo_vision::picture::{
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
-use serde::Serialize;
+use serde_json::json;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -71,40 +72,6 @@ pub(super) struct Arguments {
     write_input: Option<PathBuf>,
 }
 
-/// The printed facts of the model.
-#[derive(Serialize)]
-struct ModelFacts<'a> {
-    model: &'a Path,
-    head: &'a str,
-    input: [i64; 4],
-    classes: &'a [String],
-}
-
-/// The printed results of a picture.
-#[derive(Serialize)]
-struct PictureFacts<'a> {
-    picture: &'a Path,
-    width: u32,
-    height: u32,
-    decode_ms: f64,
-    letterbox_ms: f64,
-    model_ms: f64,
-    head_ms: f64,
-    detections: Vec<Detected<'a>>,
-}
-
-/// A detection, in pixels of the picture.
-#[derive(Serialize)]
-struct Detected<'a> {
-    class: u16,
-    class_name: &'a str,
-    confidence: f64,
-    x1: f64,
-    y1: f64,
-    x2: f64,
-    y2: f64,
-}
-
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Seconds for a large model, minutes for TensorRT.
     let loading =
@@ -114,20 +81,15 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     loading.finish_and_clear();
     let mut network = network?;
     let names = network.class_names().to_vec();
-    let facts = ModelFacts {
-        model: &arguments.model,
-        head: network.head().as_str(),
-        input: network.input_format().shape(),
-        classes: &names,
-    };
+    let (head, input) = (network.head().as_str(), network.input_format().shape());
     if arguments.json {
-        println!("{}", serde_json::to_string(&facts)?);
+        let model = &arguments.model;
+        let facts = json!({"model": model, "head": head, "input": input, "classes": names});
+        println!("{facts}");
     } else {
         println!("{}: {}", arguments.model.display(), network.signature());
         println!(
-            "head {}, fed {:?} ({:?}, {:?}, {:?}), reports {} classes: {}",
-            facts.head,
-            facts.input,
+            "head {head}, fed {input:?} ({:?}, {:?}, {:?}), reports {} classes: {}",
             network.input_format().fit,
             network.input_format().color_order,
             network.input_format().value_range,
@@ -138,32 +100,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for path in &arguments.pictures {
         for file in picture_files(path)? {
             let encoded = read_picture_file(&file)?;
-            let started = Instant::now();
-            let mut picture = Picture::default();
-            decode(
-                &encoded,
-                &FrameLimits::default(),
-                PixelLayout::Rgb8,
-                Some(decoding_target(network.input_format(), None, encoded.size)),
-                &mut picture,
-            )
-            .with_context(|| file.display().to_string())?;
-            let decode_ms = started.elapsed().as_secs_f64() * 1e3;
-            let prepared = network
-                .preparation()
-                .prepare(&picture)
+            look(arguments, &mut network, &file, &encoded, &names)
                 .with_context(|| file.display().to_string())?;
-            let found = network
-                .detect(&prepared)
-                .with_context(|| file.display().to_string())?;
-            print_detections(arguments.json, &file, &picture, decode_ms, &found, &names)?;
-            if let Some(folder) = &arguments.out {
-                write_drawn(folder, &file, &encoded, &found)
-                    .with_context(|| file.display().to_string())?;
-            }
-            if let Some(folder) = &arguments.write_input {
-                write_input(folder, &file, prepared.values())?;
-            }
         }
     }
     let counts = network.counts();
@@ -195,62 +133,92 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
     }
 }
 
+/// Runs the detector on a picture, prints what it finds and writes what was asked for.
+fn look(
+    arguments: &Arguments,
+    network: &mut DetectorNetwork,
+    file: &Path,
+    encoded: &EncodedPicture,
+    names: &[String],
+) -> anyhow::Result<()> {
+    let started = Instant::now();
+    let mut picture = Picture::default();
+    decode(
+        encoded,
+        &FrameLimits::default(),
+        PixelLayout::Rgb8,
+        Some(decoding_target(network.input_format(), None, encoded.size)),
+        &mut picture,
+    )?;
+    let decoding = started.elapsed();
+    let prepared = network.preparation().prepare(&picture)?;
+    let found = network.detect(&prepared)?;
+    let times = [decoding, found.letterbox, found.model, found.head].map(|t| t.as_secs_f64() * 1e3);
+    print_detections(
+        arguments.json,
+        file,
+        picture.source_size,
+        times,
+        &found.detections,
+        names,
+    )?;
+    if let Some(folder) = &arguments.out {
+        write_drawn(folder, file, encoded, &found)?;
+    }
+    if let Some(folder) = &arguments.write_input {
+        write_input(folder, file, prepared.values())?;
+    }
+    Ok(())
+}
+
+/// `times`: milliseconds of decoding, letterbox, model and head.
 fn print_detections(
     json: bool,
     file: &Path,
-    picture: &Picture,
-    decode_ms: f64,
-    found: &Found,
+    size: PictureSize,
+    times: [f64; 4],
+    found: &[Detection],
     names: &[String],
 ) -> anyhow::Result<()> {
-    let size = picture.source_size;
-    let detections = found
-        .detections
-        .iter()
-        .map(|detection| {
-            let corners = detection.bounding_box.pixel_corners(size);
-            Detected {
-                class: detection.class.0,
-                class_name: names
-                    .get(usize::from(detection.class.0))
-                    .map_or("", String::as_str),
-                confidence: detection.confidence,
-                x1: corners.x1,
-                y1: corners.y1,
-                x2: corners.x2,
-                y2: corners.y2,
-            }
-        })
-        .collect();
-    let facts = PictureFacts {
-        picture: file,
-        width: size.width,
-        height: size.height,
-        decode_ms,
-        letterbox_ms: found.letterbox.as_secs_f64() * 1e3,
-        model_ms: found.model.as_secs_f64() * 1e3,
-        head_ms: found.head.as_secs_f64() * 1e3,
-        detections,
+    let [decode, letterbox, model, head] = times;
+    let name = |found: &Detection| {
+        let name = names.get(usize::from(found.class.0));
+        name.map_or("", String::as_str)
     };
     let mut out = std::io::stdout().lock();
     if json {
-        writeln!(out, "{}", serde_json::to_string(&facts)?)?;
+        let detection = |found: &Detection| {
+            let corners = found.bounding_box.pixel_corners(size);
+            json!({
+                "class": found.class.0, "class_name": name(found), "confidence": found.confidence,
+                "x1": corners.x1, "y1": corners.y1, "x2": corners.x2, "y2": corners.y2,
+            })
+        };
+        let detections: Vec<_> = found.iter().map(detection).collect();
+        let facts = json!({
+            "picture": file, "width": size.width, "height": size.height, "decode_ms": decode,
+            "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
+        });
+        writeln!(out, "{facts}")?;
         return Ok(());
     }
     writeln!(
         out,
-        "{} {size}: {} detections (decode {decode_ms:.1} ms, letterbox {:.1} ms, model {:.1} ms, head {:.1} ms)",
+        "{} {size}: {} detections (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
         file.display(),
-        facts.detections.len(),
-        facts.letterbox_ms,
-        facts.model_ms,
-        facts.head_ms,
+        found.len(),
     )?;
-    for found in &facts.detections {
+    for found in found {
+        let corners = found.bounding_box.pixel_corners(size);
         writeln!(
             out,
             "  {:<14} {:.3}  [{:.1}, {:.1}, {:.1}, {:.1}]",
-            found.class_name, found.confidence, found.x1, found.y1, found.x2, found.y2
+            name(found),
+            found.confidence,
+            corners.x1,
+            corners.y1,
+            corners.x2,
+            corners.y2
         )?;
     }
     Ok(())

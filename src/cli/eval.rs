@@ -3,15 +3,17 @@
 mod advise;
 mod video;
 
+use super::progress;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Profile;
 use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::conclusion::conclusion;
 use albireo_eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
+use albireo_eval::files;
 use albireo_eval::replay::Scoring;
 use albireo_eval::report::Report;
-use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::run::{Settings, run as run_policies};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
 use albireo_eval::streams::{self, RunTimes, Stream, StreamResults};
@@ -19,7 +21,6 @@ use albireo_eval::text::wrapped;
 use albireo_eval::{summary, table};
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "\
@@ -43,27 +44,12 @@ pub struct EvalArguments {
 #[derive(Debug, Subcommand)]
 enum What {
     /// Replay recorded detections: a folder with sequences.json, detections/ and groundtruth/.
-    Recorded {
-        /// The folder.
-        folder: PathBuf,
-        #[command(flatten)]
-        run: RunArguments,
-    },
-    /// Replay the public detections of a MOTChallenge sequence, or of a folder of sequences.
+    Recorded(FolderArguments),
+    /// Replay the public detections of a MOTChallenge sequence (seqinfo.ini, gt/ and det/), or of a folder of sequences.
     #[command(name = "motchallenge")]
-    MotChallenge {
-        /// The folder, with seqinfo.ini, gt/ and det/, or with such folders.
-        folder: PathBuf,
-        #[command(flatten)]
-        run: RunArguments,
-    },
+    MotChallenge(FolderArguments),
     /// Replay stored detections on KITTI tracking: a folder with label_02/ and det_02/.
-    Kitti {
-        /// The folder.
-        folder: PathBuf,
-        #[command(flatten)]
-        run: RunArguments,
-    },
+    Kitti(FolderArguments),
     /// Replay stored detections on BDD100K MOT (box_track_20), or any labels in the Scalabel form.
     Bdd100k {
         /// Labels: a JSON file or a folder of them.
@@ -95,6 +81,15 @@ enum What {
     Video(video::VideoArguments),
     /// Propose a value of a policy's threshold for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
+}
+
+/// A data set in a folder.
+#[derive(Debug, Args)]
+struct FolderArguments {
+    /// The folder.
+    folder: PathBuf,
+    #[command(flatten)]
+    run: RunArguments,
 }
 
 /// Headings of the help.
@@ -144,8 +139,8 @@ struct RunArguments {
     /// Judge the boxes too that are drawn between two detector calls when the second is known; settled.txt in --out.
     #[arg(long, help_heading = JUDGED)]
     settled: bool,
-    /// Project energy and frame time with this model where none is measured; `none` for no energy [default: a
-    /// Jetson AGX Thor with YOLO26x].
+    /// Project energy and frame time with the model of a board with this detector (config/energy); without one nothing
+    /// is said of energy.
     #[arg(long, help_heading = WRITTEN, value_name = "FILE")]
     energy_model: Option<PathBuf>,
     /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
@@ -165,9 +160,9 @@ struct RunArguments {
 /// A sentence with what was wrong, where, and what to do.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     match &arguments.what {
-        What::Recorded { folder, run } => compare(recorded::read(folder)?, folder, run),
-        What::MotChallenge { folder, run } => compare(mot_challenge::read(folder)?, folder, run),
-        What::Kitti { folder, run } => compare(kitti::read(folder)?, folder, run),
+        What::Recorded(of) => compare(recorded::read(&of.folder)?, &of.folder, &of.run),
+        What::MotChallenge(of) => compare(mot_challenge::read(&of.folder)?, &of.folder, &of.run),
+        What::Kitti(of) => compare(kitti::read(&of.folder)?, &of.folder, &of.run),
         What::Bdd100k {
             ground_truth,
             detections,
@@ -206,13 +201,9 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     for line in clips.report.lines() {
         eprintln!("{line}");
     }
-    let bar = ProgressBar::new((clips.clips.len() * policies.len()) as u64).with_style(
-        ProgressStyle::with_template(
-            "{bar:40} {pos}/{len} clips x policies, {elapsed}, {eta} left",
-        )
-        .context("the progress bar's template")?,
-    );
-    let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
+    let steps = clips.clips.len() * policies.len();
+    let bar = progress::bar(Some(steps as u64), "clips x policies");
+    let results = run_policies(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let streams = (streams_asked(arguments).into_iter())
         .map(|stream| streams::run(&clips.clips, &policies, &settings, stream))
@@ -224,12 +215,27 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
         policies: summary::summarise(&results),
         clips: results,
     };
-    print!("{}", table::render(&report.policies));
-    print_conclusion(&report.policies);
-    print_streams(&streams);
+    conclude(&report, &streams, arguments)
+}
+
+/// Prints a finished run, and writes it where that was asked for.
+fn conclude(
+    report: &Report,
+    streams: &[StreamResults],
+    arguments: &RunArguments,
+) -> anyhow::Result<()> {
+    println!("{}", table::render(&report.policies));
+    for sentence in conclusion(&report.policies) {
+        println!("{}", wrapped(&sentence, 100));
+    }
+    for stream in streams {
+        print!("\n{}", stream.table());
+    }
     if let Some(folder) = &arguments.out {
         report.write(folder)?;
-        write_streams(&streams, folder)?;
+        for stream in streams {
+            files::write(&folder.join(stream.file_name()), stream.table())?;
+        }
         eprintln!("Written to {}", folder.display());
     }
     Ok(())
@@ -240,29 +246,6 @@ fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
     let at_arrival = (arguments.detector_ms.clone()).map(|detector| Stream::AtArrival { detector });
     let settled = arguments.settled.then_some(Stream::Settled);
     at_arrival.into_iter().chain(settled).collect()
-}
-
-fn print_streams(streams: &[StreamResults]) {
-    for stream in streams {
-        print!("\n{}", stream.table());
-    }
-}
-
-fn write_streams(streams: &[StreamResults], folder: &Path) -> anyhow::Result<()> {
-    for stream in streams {
-        let file = folder.join(stream.file_name());
-        std::fs::write(&file, stream.table())
-            .with_context(|| format!("cannot write {}", file.display()))?;
-    }
-    Ok(())
-}
-
-/// What the table comes to, below it.
-fn print_conclusion(policies: &[summary::PolicySummary]) {
-    println!();
-    for sentence in conclusion(policies) {
-        println!("{}", wrapped(&sentence, 100));
-    }
 }
 
 fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
@@ -285,26 +268,22 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot write to {}", folder.display()))?;
     }
-    let energy_model = match arguments.energy_model.as_deref() {
-        Some(none) if none == Path::new("none") => None,
-        Some(file) => Some(EnergyModel::load(file)?),
-        None => Some(EnergyModel::built_in()?),
-    };
+    let energy_model = (arguments.energy_model.as_deref())
+        .map(EnergyModel::load)
+        .transpose()?;
     Ok(Settings {
         scoring: arguments.profile,
         confidence: arguments.confidence,
         report_confidence: arguments.report_confidence,
         screen: arguments.screen,
         longest_empty_run: arguments.longest_empty_run,
-        classes: if arguments.per_class {
-            Classes::Separate
-        } else {
-            Classes::Pooled
+        classes: match arguments.per_class {
+            true => Classes::Separate,
+            false => Classes::Pooled,
         },
-        interpolation: if arguments.coco_interpolation {
-            Interpolation::Coco101
-        } else {
-            Interpolation::AllPoints
+        interpolation: match arguments.coco_interpolation {
+            true => Interpolation::Coco101,
+            false => Interpolation::AllPoints,
         },
         traces: arguments.traces.clone(),
         keep_worst: arguments.out.is_some(),
@@ -315,54 +294,40 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
 
 /// The settings that decide what the figures mean.
 fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
+    let confidence = arguments.confidence;
     let profile = match arguments.profile {
         Scoring::Reference => "reference (the published code)",
         Scoring::Paper => "paper (the paper's text)",
     };
-    let classes = if arguments.per_class {
-        "each by itself, then their mean"
-    } else {
-        "pooled, as the published evaluator"
+    let judged = match (arguments.profile, arguments.report_confidence) {
+        (Scoring::Reference, _) => "all".to_owned(),
+        (Scoring::Paper, Some(least)) => format!("of confidence {least} and above"),
+        (Scoring::Paper, None) => format!(
+            "as a node publishes them: detected ones of confidence {confidence} and above, others from {}",
+            confidence / 2.0
+        ),
     };
-    let area = if arguments.coco_interpolation {
-        "at COCO's 101 recall levels"
-    } else {
-        "at all points"
+    let classes = match arguments.per_class {
+        true => "each by itself, then their mean",
+        false => "pooled, as the published evaluator",
     };
-    let mut listed = vec![
+    let area = match arguments.coco_interpolation {
+        true => "at COCO's 101 recall levels",
+        false => "at all points",
+    };
+    let energy = match &arguments.energy_model {
+        Some(model) => format!("projected with {}", model.display()),
+        None => "not known: --energy-model names no model".to_owned(),
+    };
+    [
         ("Profile", profile.to_owned()),
-        (
-            "Detector confidence",
-            format!("at least {}", arguments.confidence),
-        ),
-        (
-            "Boxes judged",
-            match (arguments.profile, arguments.report_confidence) {
-                (Scoring::Reference, _) => "all".to_owned(),
-                (Scoring::Paper, Some(least)) => format!("of confidence {least} and above"),
-                (Scoring::Paper, None) => format!(
-                    "as a node publishes them: detected ones of confidence {} and above, others from {}",
-                    arguments.confidence,
-                    arguments.confidence / 2.0
-                ),
-            },
-        ),
+        ("Detector confidence", format!("at least {confidence}")),
+        ("Boxes judged", judged),
         ("Empty-scene screen", arguments.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),
-    ];
-    listed.push((
-        "Energy",
-        match &arguments.energy_model {
-            Some(none) if none == Path::new("none") => "none".to_owned(),
-            Some(model) => format!("projected with {}", model.display()),
-            None => "estimated: projected with the built-in model of another board, a Jetson AGX Thor with YOLO26x, \
-                     for --energy-model names none"
-                .to_owned(),
-        },
-    ));
-    listed
-        .into_iter()
-        .map(|(name, value)| (name.to_owned(), value))
-        .collect()
+        ("Energy", energy),
+    ]
+    .map(|(name, value)| (name.to_owned(), value))
+    .to_vec()
 }

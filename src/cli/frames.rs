@@ -6,6 +6,7 @@ mod session;
 #[cfg(feature = "eval")]
 pub(crate) use sender::SentFrame;
 pub use sender::{FrameSender, OutgoingFrame, Pacing};
+pub(crate) use session::close;
 #[cfg(feature = "eval")]
 pub use session::flush;
 pub use session::{DEFAULT_ENDPOINT, open_session};

@@ -1,7 +1,7 @@
 //! `albireo publish`: a live camera's frames for a node on another machine.
 
 use super::block_on;
-use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, open_session};
+use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
 use albireo_node::input::source::{
     Handover, LiveSource, RtspTransport, SourceAddress, SourceOptions, SourceSettings, SourceSink,
 };
@@ -122,10 +122,7 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
         failed: false,
     };
     let ended = source.run(sink, shutdown).await;
-    session
-        .close()
-        .await
-        .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+    close(session).await?;
     println!("sent {} frames on {key}", sent.load(Ordering::Relaxed));
     ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
     if receivers.borrow().is_none() {

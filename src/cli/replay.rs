@@ -2,6 +2,7 @@
 
 mod publish;
 
+pub(crate) use super::frames::close;
 pub use super::frames::{
     DEFAULT_ENDPOINT, FrameSender, OutgoingFrame, Pacing, flush, open_session,
 };
@@ -11,11 +12,13 @@ pub use albireo_eval::footage::{
 pub use publish::{ClipIds, PublishOptions, Rate, Sent, publish};
 
 use super::frames::{FrameTarget, NOBODY};
-use anyhow::{Context, anyhow, bail};
+use super::progress;
+use anyhow::bail;
 use clap::Args;
-use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use indicatif::HumanBytes;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
+use zenoh::Session;
 
 /// Heading of the help.
 const CLIPS: &str = "Clips";
@@ -128,40 +131,17 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     };
     let source = arguments.source.open(rate, arguments.encoding)?;
     let options = arguments.publish_options();
-    let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
-    let session = tokio::select! {
-        session = open_session(&arguments.target.connect, &arguments.target.listen, patience) => session?,
+    let (session, sender) = tokio::select! {
+        connected = connect(&arguments, &key) => connected?,
         () = shutdown.cancelled() => return Ok(Sent::default()),
     };
-    let pacing = if arguments.every {
-        Pacing::WaitForNode
-    } else {
-        Pacing::Drop
-    };
-    let sender = FrameSender::declare(&session, &key, pacing).await?;
-    if arguments.wait_for_subscriber.is_some() {
-        tokio::select! {
-            waited = sender.wait_for_receiver(patience) => waited?,
-            () = shutdown.cancelled() => return Ok(Sent::default()),
-        }
-    }
     let receivers = sender.receivers();
-    if receivers.borrow().is_none() {
-        // What a node subscribes to is known a moment after the session is open.
-        let waited = tokio::select! {
-            waited = sender.wait_for_receiver(LISTENERS) => waited,
-            () = shutdown.cancelled() => return Ok(Sent::default()),
-        };
-        if waited.is_err() {
-            eprintln!("albireo: no node subscribes to `{key}` yet, so frames are lost: {NOBODY}");
-        }
-    }
     let total = match (options.frames, source.frames()) {
         (Some(frames), Some(own)) if !options.repeat => Some(frames.min(own)),
         (Some(frames), _) => Some(frames),
         (None, own) => own.filter(|_| !options.repeat),
     };
-    let bar = progress_bar(total)?;
+    let bar = progress::bar(total, "frames  {msg}");
     let sent = publish(
         source,
         &sender,
@@ -174,10 +154,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     )
     .await;
     bar.finish_and_clear();
-    session
-        .close()
-        .await
-        .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+    close(session).await?;
     let sent = sent?;
     println!("{}", summary(&sent, &key));
     if sent.frames > 0 && receivers.borrow().is_none() {
@@ -186,19 +163,24 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     Ok(sent)
 }
 
-fn progress_bar(total: Option<u64>) -> anyhow::Result<ProgressBar> {
-    let (bar, style) = match total {
-        Some(total) => (
-            ProgressBar::new(total),
-            "{bar:40} {pos}/{len} frames  {msg}  {per_sec}  {eta} left",
-        ),
-        None => (
-            ProgressBar::new_spinner(),
-            "{spinner} {pos} frames  {msg}  {per_sec}  {elapsed}",
-        ),
+/// Opens a session and waits, as asked, until a node takes frames.
+async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Session, FrameSender)> {
+    let target = &arguments.target;
+    let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
+    let session = open_session(&target.connect, &target.listen, patience).await?;
+    let pacing = match arguments.every {
+        true => Pacing::WaitForNode,
+        false => Pacing::Drop,
     };
-    bar.set_style(ProgressStyle::with_template(style).context("progress bar")?);
-    Ok(bar)
+    let sender = FrameSender::declare(&session, key, pacing).await?;
+    if arguments.wait_for_subscriber.is_some() {
+        sender.wait_for_receiver(patience).await?;
+    }
+    // What a node subscribes to is known a moment after the session is open.
+    if sender.wait_for_receiver(LISTENERS).await.is_err() {
+        eprintln!("albireo: no node subscribes to `{key}` yet, so frames are lost: {NOBODY}");
+    }
+    Ok((session, sender))
 }
 
 /// One line on what was sent.

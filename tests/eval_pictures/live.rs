@@ -6,8 +6,8 @@ use albireo_core::detection::Detection;
 use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
 use albireo_eval::data::classes::from_name;
 use albireo_eval::footage::{FrameSource, PictureFolder};
-use albireo_eval::pictures::{PicturedClip, run_pictured};
-use albireo_eval::run::Settings;
+use albireo_eval::pictures::PicturedClip;
+use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
 use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
@@ -130,7 +130,7 @@ pub(crate) fn assert_live_alike(
         longest_empty_run: screen.longest_empty_run,
         ..settings(confidence, rule)
     };
-    let replayed = run_pictured(pictured, &policies, &settings, &|| ()).unwrap();
+    let replayed = run([pictured], &policies, &settings, &|| ()).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()

@@ -8,7 +8,7 @@ use albireo_core::policy::Profile;
 use albireo_eval::average_precision::Accuracy;
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::result::ClipResult;
-use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::run::{self, Settings};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{BASELINE, Common, resolve};
 use albireo_eval::summary::Difference;
@@ -133,7 +133,7 @@ impl Recordings {
         let spec = resolve(&[policy.to_owned()], &[], &common)?.pop();
         let spec = spec.ok_or("there is no policy")?;
         let value = spec.config.build()?.knob_value().unwrap_or_default();
-        let clips = run_stored(clips, &[spec], &self.settings, &|| ())?;
+        let clips = run::run(clips, &[spec], &self.settings, &|| ())?;
         Ok(Point { value, clips })
     }
 

@@ -14,4 +14,3 @@ mod trial;
 pub use choose::{Advice, advise};
 pub use target::Target;
 pub use text::render;
-pub use trial::Settings;

@@ -6,19 +6,13 @@ use crate::replay::drive;
 use crate::run::Settings;
 use crate::source::{ClipEvidence, SourceError, StoredEvidence};
 use albireo_core::audit::AuditSums;
-use albireo_core::policy::{FrameState, Policy};
+use albireo_core::policy::Policy;
 
 /// One frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ComparedFrame {
     /// Its index in the stream, which counts lost frames too: what the audit draws by.
     pub index: u64,
-    /// Its state.
-    pub state: FrameState,
-    /// The detector was needed and failed.
-    pub degraded: bool,
-    /// Whether the empty-scene screen was asked.
-    pub screen: bool,
     /// The comparison; `None` on a frame of the detector, which is the reference, and on a degraded one.
     pub sums: Option<Box<AuditSums>>,
 }
@@ -41,9 +35,6 @@ pub fn against_detector(
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         compared.push(ComparedFrame {
             index: played.head.index,
-            state: outcome.state,
-            degraded: outcome.degraded,
-            screen: played.record.screen,
             sums: skipped.then(|| {
                 let mut sums = Box::<AuditSums>::default();
                 let found = detected.get(played.frame).map_or(&[][..], Vec::as_slice);
@@ -53,13 +44,4 @@ pub fn against_detector(
         });
     })?;
     Ok(compared)
-}
-
-/// The sums of all compared frames.
-pub fn total(frames: &[ComparedFrame]) -> AuditSums {
-    let mut total = AuditSums::default();
-    for sums in frames.iter().filter_map(|frame| frame.sums.as_deref()) {
-        total.merge(sums);
-    }
-    total
 }

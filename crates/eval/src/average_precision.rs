@@ -13,8 +13,8 @@
 //! Cost: one sort of the predictions, plus per frame a search among the ground-truth boxes that overlap
 //! horizontally, so 10⁶ boxes spread over frames take time near-linear in their number.
 
-use albireo_core::detection::ClassId;
-use albireo_core::geometry::Corners;
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{Corners, PictureSize};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ pub const SHOWN_CONFIDENCE: f64 = 0.3;
 /// The place of 0.75 in [`IOU_THRESHOLDS`].
 const AT_75: usize = 5;
 
-/// A box to be judged.
+/// A box with a confidence: one to be judged, or a stored detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredBox {
     /// Where, in pixels.
@@ -41,6 +41,17 @@ pub struct ScoredBox {
     pub object: Option<u64>,
 }
 
+impl ScoredBox {
+    /// The detection as policies take it.
+    pub fn normalise(self, picture: PictureSize) -> Detection {
+        Detection {
+            bounding_box: self.corners.normalise(picture),
+            class: self.class,
+            confidence: self.confidence,
+        }
+    }
+}
+
 /// A box that is known to be there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthBox {
@@ -50,6 +61,16 @@ pub struct TruthBox {
     pub class: ClassId,
     /// Which object, the same number in every frame that shows it.
     pub object: Option<u64>,
+}
+
+impl From<ScoredBox> for TruthBox {
+    fn from(found: ScoredBox) -> Self {
+        Self {
+            corners: found.corners,
+            class: found.class,
+            object: found.object,
+        }
+    }
 }
 
 /// How the area under the precision-recall curve is taken. Precision is first made monotone: at each

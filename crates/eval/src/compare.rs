@@ -15,14 +15,10 @@ mod variant;
 mod verdict;
 
 pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
-pub use files::WriteError;
 pub use files::write;
 pub use run::{Advice, Comparison, Playing, Run};
 pub use schedule::{Turn, schedule};
-pub use summary::Change;
-pub use summary::{Basis, Figure, PolicySummary};
-pub use summary::{Mean, Summary, summarise};
+pub use summary::{Basis, Change, Figure, Mean, PolicySummary, Summary, summarise};
 pub use table::render;
-pub use variant::VariantError;
 pub use variant::{Variant, variants};
 pub use verdict::{Verdict, verdicts};

@@ -11,40 +11,18 @@ pub mod classes;
 pub mod coco;
 pub mod kitti;
 pub mod mot_challenge;
-mod pictures;
 pub mod recorded;
 mod rows;
-mod screen_verdicts;
 
-use crate::average_precision::TruthBox;
-use albireo_core::detection::{ClassId, Detection};
+use crate::average_precision::{ScoredBox, TruthBox};
+use crate::files::FileError;
+use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::picture::picture_files;
 use serde::Serialize;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// A detection with its box in pixels as the file has it, so that nothing is lost by normalising.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StoredDetection {
-    /// Where, in pixels.
-    pub corners: Corners,
-    /// Its class, by COCO's number.
-    pub class: ClassId,
-    /// How sure, 0 to 1.
-    pub confidence: f64,
-}
-
-impl StoredDetection {
-    /// The detection as policies take it.
-    pub fn normalise(self, picture: PictureSize) -> Detection {
-        Detection {
-            bounding_box: self.corners.normalise(picture),
-            class: self.class,
-            confidence: self.confidence,
-        }
-    }
-}
 
 /// One clip of a data set.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,8 +37,8 @@ pub struct Clip {
     pub camera: Option<String>,
     /// Number of frames.
     pub frames: usize,
-    /// Stored detections, one entry per frame in the detector's order; `None` if none are stored.
-    pub detections: Option<Vec<Vec<StoredDetection>>>,
+    /// Stored detections as the files have them, one entry per frame in the detector's order; `None` if none are stored.
+    pub detections: Option<Vec<Vec<ScoredBox>>>,
     /// What a real empty-scene screen said of each frame, where one was asked: whether it is empty, or
     /// nothing if it could not say.
     pub screen: Option<Vec<Option<bool>>>,
@@ -74,7 +52,7 @@ pub struct Clip {
 
 impl Clip {
     /// A clip without anything but its frames.
-    pub(crate) const fn new(name: String, picture: PictureSize, frames: usize) -> Self {
+    pub const fn new(name: String, picture: PictureSize, frames: usize) -> Self {
         Self {
             name,
             picture,
@@ -162,21 +140,32 @@ impl LoadReport {
         *self.unmapped_classes.entry(class.to_owned()).or_default() += 1;
     }
 
-    /// The class of a box that is kept; a box that is not is counted under its reason.
-    pub(crate) fn keep(
+    /// The box, if it is kept; one that is not is counted under its reason.
+    pub(crate) fn keep<T: From<ScoredBox>>(
         &mut self,
         labelled: &LabelledBox<'_>,
         picture: PictureSize,
         place: impl FnOnce() -> String,
-    ) -> Option<ClassId> {
+    ) -> Option<T> {
+        let confidence = labelled.confidence;
         let reason = match labelled.class {
             Err(LeftOut::IgnoredRegion) => Some(LeftOut::IgnoredRegion),
             _ => self
                 .check(labelled.corners, picture)
-                .or(labelled.confidence.and_then(check_confidence)),
+                .or_else(|| (!confidence.is_finite()).then_some(LeftOut::NotFinite))
+                .or_else(|| {
+                    (!(0.0..=1.0).contains(&confidence)).then_some(LeftOut::ConfidenceRange)
+                }),
         };
         match (reason, labelled.class) {
-            (None, Ok(class)) => return Some(class),
+            (None, Ok(class)) => {
+                return Some(T::from(ScoredBox {
+                    corners: labelled.corners,
+                    class,
+                    confidence,
+                    object: labelled.object,
+                }));
+            }
             (None, Err(_)) => self.leave_out_class(&labelled.class_name, place),
             (Some(reason), _) => self.leave_out(reason, place),
         }
@@ -239,91 +228,10 @@ pub(crate) struct LabelledBox<'a> {
     pub class: Result<ClassId, LeftOut>,
     /// What the file calls the class.
     pub class_name: Cow<'a, str>,
-    /// 0 to 1; ground truth has none.
-    pub confidence: Option<f64>,
-}
-
-fn check_confidence(confidence: f64) -> Option<LeftOut> {
-    if !confidence.is_finite() {
-        Some(LeftOut::NotFinite)
-    } else if !(0.0..=1.0).contains(&confidence) {
-        Some(LeftOut::ConfidenceRange)
-    } else {
-        None
-    }
-}
-
-/// A data set that cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub enum DataError {
-    /// A file or folder cannot be opened or read.
-    #[error("cannot read {}: {source}; {help}", path.display())]
-    Read {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-        /// What to do about it.
-        help: String,
-    },
-    /// A file or folder cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// A line of a text file is broken.
-    #[error("{}:{line}: {what}", path.display())]
-    Line {
-        /// The broken file.
-        path: PathBuf,
-        /// Which line, from 1.
-        line: u64,
-        /// What is wrong and what was expected.
-        what: String,
-    },
-    /// A file is broken in a way no single line shows.
-    #[error("{}: {what}", path.display())]
-    File {
-        /// The broken file.
-        path: PathBuf,
-        /// What is wrong and what was expected.
-        what: String,
-    },
-}
-
-impl DataError {
-    pub(crate) fn read(path: &Path, source: std::io::Error, help: impl Into<String>) -> Self {
-        Self::Read {
-            path: path.to_owned(),
-            source,
-            help: help.into(),
-        }
-    }
-
-    pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Write {
-            path: path.to_owned(),
-            source,
-        }
-    }
-
-    pub(crate) fn line(path: &Path, line: u64, what: impl Into<String>) -> Self {
-        Self::Line {
-            path: path.to_owned(),
-            line,
-            what: what.into(),
-        }
-    }
-
-    pub(crate) fn file(path: &Path, what: impl Into<String>) -> Self {
-        Self::File {
-            path: path.to_owned(),
-            what: what.into(),
-        }
-    }
+    /// 0 to 1; that of ground truth is 1.
+    pub confidence: f64,
+    /// Which object, the same number in every frame that shows it.
+    pub object: Option<u64>,
 }
 
 impl Clips {
@@ -370,15 +278,15 @@ impl Clips {
     /// Leaves out the clips without stored detections, with a note for each.
     ///
     /// # Errors
-    /// [`DataError::File`] about `path` when none is left.
-    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, DataError> {
+    /// [`FileError::Content`] about `path` when none is left.
+    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, FileError> {
         let (with, without): (Vec<Clip>, Vec<Clip>) = self
             .clips
             .into_iter()
             .partition(|clip| clip.detections.is_some());
         self.clips = with;
         if self.clips.is_empty() {
-            return Err(DataError::file(
+            return Err(FileError::content(
                 path,
                 "there is ground truth but no stored detections: give some with --detections, or \
                  evaluate the pictures with a real detector",
@@ -394,10 +302,10 @@ impl Clips {
     }
 
     /// Fails unless there is a clip to evaluate.
-    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, DataError> {
+    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, FileError> {
         if self.clips.is_empty() {
             let said = self.report.lines().join("; ");
-            return Err(DataError::file(
+            return Err(FileError::content(
                 path,
                 format!("no clip to evaluate was found here. {said}"),
             ));
@@ -420,10 +328,17 @@ fn entries(folder: &Path, wanted: impl Fn(&Path) -> bool) -> std::io::Result<Vec
 fn has_extension(path: &Path, wanted: &[&str]) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension.is_some_and(|extension| {
-        wanted
-            .iter()
-            .any(|wanted| extension.eq_ignore_ascii_case(wanted))
+        let mut wanted = wanted.iter();
+        wanted.any(|wanted| extension.eq_ignore_ascii_case(wanted))
     })
+}
+
+/// The JPEG and PNG files of a folder in order; none if there is no such folder.
+fn pictures_in(folder: &Path) -> Vec<PathBuf> {
+    match folder.is_dir() {
+        true => picture_files(folder).unwrap_or_default(),
+        false => Vec::new(),
+    }
 }
 
 #[cfg(test)]

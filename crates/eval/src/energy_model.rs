@@ -2,13 +2,13 @@
 //!
 //! Where no meter can be read, a model replaces it: so many joules and milliseconds for each frame the
 //! detector sees, each frame it is skipped by prediction, and each call of the empty-scene screen, as
-//! fitted on published per-clip results ([`super::energy_fit`]). Everything it gives is marked
-//! `projected`.
+//! fitted on published per-clip results. Everything it gives is marked `projected`.
 
+use crate::files::{FileError, read_text};
 use crate::result::{ClipResult, Energy, FrameTime, Provenance, Spread};
 use albireo_core::policy::FrameState;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Cost of the kinds of work on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,25 +30,12 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Costs {
-    /// Cost of `detector`, `predicted` and `screen` pieces of work together.
-    pub fn total(&self, [detector, predicted, screen]: [f64; 3]) -> f64 {
-        self.detector * detector + self.predicted * predicted + self.screen * screen
-    }
-
-    fn check(&self, table: &str) -> Result<(), String> {
-        for (name, value) in [
-            ("detector", self.detector),
-            ("predicted", self.predicted),
-            ("screen", self.screen),
-            ("look", self.look),
-        ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(format!(
-                    "`{table}.{name}` is {value}; it must be a number, 0 or more"
-                ));
-            }
-        }
-        Ok(())
+    /// Cost of `detector`, `predicted`, `screen` and `look` pieces of work together.
+    fn total(&self, [detector, predicted, screen, look]: [f64; 4]) -> f64 {
+        self.detector * detector
+            + self.predicted * predicted
+            + self.screen * screen
+            + self.look * look
     }
 }
 
@@ -91,68 +78,36 @@ pub struct EnergyModel {
     pub left_out: Option<LeftOutError>,
 }
 
-/// A model file that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum EnergyModelError {
-    /// It cannot be read.
-    #[error("energy model {}: {source}", path.display())]
-    Read {
-        /// The file that `--energy-model` names.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// It is no model.
-    #[error("energy model {}: {reason}", path.display())]
-    Content {
-        /// The file that `--energy-model` names.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-}
-
 impl EnergyModel {
     /// Reads a model.
     ///
     /// # Errors
-    /// [`EnergyModelError`] for a missing file, a key that does not exist, or a cost below zero.
-    pub fn load(path: &Path) -> Result<Self, EnergyModelError> {
-        let text = std::fs::read_to_string(path).map_err(|source| EnergyModelError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let content = |reason: String| EnergyModelError::Content {
-            path: path.to_owned(),
-            reason,
-        };
-        Self::read(&text).map_err(content)
-    }
-
-    /// The model that is used where none is named: an NVIDIA Jetson AGX Thor with YOLO26x, as in `config/energy`.
-    ///
-    /// # Errors
-    /// Never, as long as that file is a model.
-    pub fn built_in() -> Result<Self, EnergyModelError> {
-        let path = "config/energy/agx-thor.toml";
-        Self::read(include_str!("../../../config/energy/agx-thor.toml")).map_err(|reason| {
-            EnergyModelError::Content {
-                path: path.into(),
-                reason,
-            }
-        })
+    /// [`FileError`] for a missing file, a key that does not exist, or a cost below zero.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let text = read_text(path, "--energy-model names a file of config/energy")?;
+        Self::read(&text).map_err(|what| FileError::content(path, what))
     }
 
     fn read(text: &str) -> Result<Self, String> {
         let model: Self = toml::from_str(text).map_err(|error| error.to_string())?;
-        model.energy_j.check("energy_j")?;
-        model.time_ms.check("time_ms")?;
-        if let Some(power) = model.idle_power_w
-            && !(power.is_finite() && power >= 0.0)
-        {
-            return Err(format!(
-                "`idle_power_w` is {power}; it must be a number, 0 or more"
-            ));
+        let costs = |table: &str, costs: Costs| {
+            [
+                (format!("{table}.detector"), costs.detector),
+                (format!("{table}.predicted"), costs.predicted),
+                (format!("{table}.screen"), costs.screen),
+                (format!("{table}.look"), costs.look),
+            ]
+        };
+        let idle = ("idle_power_w".to_owned(), model.idle_power_w.unwrap_or(0.0));
+        let numbers = (costs("energy_j", model.energy_j).into_iter())
+            .chain(costs("time_ms", model.time_ms))
+            .chain([idle]);
+        for (name, value) in numbers {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(format!(
+                    "`{name}` is {value}; it must be a number, 0 or more"
+                ));
+            }
         }
         Ok(model)
     }
@@ -166,20 +121,19 @@ impl EnergyModel {
             result.detector_frames as f64,
             result.states.p as f64,
             result.screen_frames as f64,
+            result.looked_frames as f64,
         ];
-        let looks = result.looked_frames as f64;
-        let busy_s = (self.time_ms.total(work) + self.time_ms.look * looks) / 1e3;
-        let times = result
-            .sequence
-            .iter()
-            .zip(looks_of(result))
-            .map(|(&state, look)| self.time_ms.total(work_of(state)) + self.time_ms.look * look)
+        let busy_s = self.time_ms.total(work) / 1e3;
+        // Where it is not known whether a frame was looked at, it was not.
+        let examined = (result.examined.iter().copied()).chain(std::iter::repeat(false));
+        let times = (result.sequence.iter().zip(examined))
+            .map(|(&state, examined)| self.time_ms.total(work_of(state, examined)))
             .collect();
         result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
             milliseconds,
             provenance: Provenance::Projected,
         });
-        let mut joules = self.energy_j.total(work) + self.energy_j.look * looks;
+        let mut joules = self.energy_j.total(work);
         let mut duration_s = busy_s;
         if let (Some(idle), Some(rate)) = (self.idle_power_w, result.frame_rate) {
             duration_s = busy_s.max(result.frames as f64 / rate);
@@ -189,24 +143,15 @@ impl EnergyModel {
     }
 }
 
-/// Looks at each frame of a clip; none where that is not known.
-fn looks_of(result: &ClipResult) -> impl Iterator<Item = f64> {
-    let examined = result
-        .examined
-        .iter()
-        .copied()
-        .chain(std::iter::repeat(false));
-    examined.map(|examined| f64::from(u8::from(examined)))
-}
-
-/// Pieces of work of a frame: detector, predicted, screen.
-fn work_of(state: FrameState) -> [f64; 3] {
-    match state {
-        FrameState::E => [0.0, 0.0, 1.0],
-        FrameState::P => [0.0, 1.0, 0.0],
-        FrameState::EI => [1.0, 0.0, 1.0],
-        FrameState::I | FrameState::AI => [1.0, 0.0, 0.0],
-    }
+/// Pieces of work of a frame: detector, predicted, screen, look.
+fn work_of(state: FrameState, examined: bool) -> [f64; 4] {
+    let is = |states: &[FrameState]| f64::from(u8::from(states.contains(&state)));
+    [
+        is(&[FrameState::EI, FrameState::I, FrameState::AI]),
+        is(&[FrameState::P]),
+        is(&[FrameState::E, FrameState::EI]),
+        f64::from(u8::from(examined)),
+    ]
 }
 
 #[cfg(test)]

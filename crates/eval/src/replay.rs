@@ -27,10 +27,6 @@ pub enum Scoring {
 pub struct FrameRecord {
     /// The frame's state.
     pub state: FrameState,
-    /// Largest τ before the decision.
-    pub tau_max: Option<f64>,
-    /// Active objects before the decision.
-    pub active: usize,
     /// The detector was needed and failed.
     pub degraded: bool,
     /// The detector ran.
@@ -39,10 +35,8 @@ pub struct FrameRecord {
     pub screen: bool,
     /// A grey picture was looked at.
     pub examined: bool,
-    /// Time inside the policy.
+    /// Time inside the policy, without what was spent on evidence.
     pub decision: Duration,
-    /// Time spent waiting for evidence: decoding, screen, detector. Near zero for stored detections.
-    pub evidence: Duration,
 }
 
 /// What a policy did with a clip.
@@ -230,14 +224,11 @@ fn decide_frame(
     decide_at_once(policy, head, &mut source, outcome)?;
     Ok(FrameRecord {
         state: outcome.state,
-        tau_max: outcome.tau_max,
-        active: outcome.active,
         degraded: outcome.degraded,
         detector: source.detector,
         screen: source.screen,
         examined: source.examined,
         decision: start.elapsed().saturating_sub(source.waited),
-        evidence: source.waited,
     })
 }
 

@@ -6,6 +6,7 @@ use crate::statistics::quantile;
 use crate::tracking::Tracking;
 use crate::worst::WorstFrame;
 use albireo_core::policy::FrameState;
+use albireo_wire::FrameStates;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -88,68 +89,8 @@ impl Energy {
     }
 }
 
-/// Frames by state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct StateCounts {
-    /// Screen said empty.
-    #[serde(rename = "E")]
-    pub e: usize,
-    /// Predicted.
-    #[serde(rename = "P")]
-    pub p: usize,
-    /// Screen, then detector.
-    #[serde(rename = "E+I")]
-    pub ei: usize,
-    /// Detector.
-    #[serde(rename = "I")]
-    pub i: usize,
-    /// Detector and a rescue.
-    #[serde(rename = "AI")]
-    pub ai: usize,
-}
-
-impl StateCounts {
-    /// Counts one frame.
-    pub fn count(&mut self, state: FrameState) {
-        *match state {
-            FrameState::E => &mut self.e,
-            FrameState::P => &mut self.p,
-            FrameState::EI => &mut self.ei,
-            FrameState::I => &mut self.i,
-            FrameState::AI => &mut self.ai,
-        } += 1;
-    }
-
-    /// The counts in the order E, P, E+I, I, AI.
-    pub(crate) fn in_order(self) -> [usize; 5] {
-        [self.e, self.p, self.ei, self.i, self.ai]
-    }
-
-    /// All frames.
-    pub fn total(self) -> usize {
-        self.in_order().iter().sum()
-    }
-
-    /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
-    /// detector was needed and failed.
-    pub fn skipped(self, degraded: usize) -> usize {
-        (self.e + self.p).saturating_sub(degraded)
-    }
-
-    /// Share of frames that [`skipped`](Self::skipped) the detector.
-    pub fn skip_rate(self, degraded: usize) -> f64 {
-        self.skipped(degraded) as f64 / self.total() as f64
-    }
-
-    /// Share of each state in the order E, P, E+I, I, AI.
-    pub fn shares(self) -> [f64; 5] {
-        self.in_order()
-            .map(|count| count as f64 / self.total() as f64)
-    }
-}
-
 /// What one policy did with one clip.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ClipResult {
     /// Name of the clip.
     pub clip: String,
@@ -162,7 +103,7 @@ pub struct ClipResult {
     /// Frames per second, where known.
     pub frame_rate: Option<f64>,
     /// Frames by state.
-    pub states: StateCounts,
+    pub states: FrameStates,
     /// Frames on which the detector ran.
     pub detector_frames: usize,
     /// Frames on which the empty-scene screen ran.
@@ -199,6 +140,9 @@ pub struct ClipResult {
     /// Energy, if projected.
     #[serde(rename = "projected_energy")]
     pub energy: Option<Energy>,
+    /// Mean frames by which a settled frame is held back.
+    #[serde(skip)]
+    pub delay: f64,
     /// The states frame by frame.
     #[serde(skip)]
     pub sequence: Vec<FrameState>,
@@ -213,51 +157,39 @@ pub struct ClipResult {
 impl ClipResult {
     /// Share of frames that skipped the detector, degraded ones not among them.
     pub fn skip_rate(&self) -> f64 {
-        self.states.skip_rate(self.degraded_frames)
+        self.states.skip_rate(self.degraded_frames as u64)
+    }
+
+    /// Share of each state in the order E, P, E+I, I, AI.
+    pub fn state_shares(&self) -> [f64; 5] {
+        FrameState::ALL.map(|state| self.states.get(state) as f64 / self.states.frames() as f64)
     }
 
     /// Fills in what the driver's records say; accuracy, time and energy are left open.
     pub(crate) fn from_replay(clip: &str, policy: &str, replay: &Replay) -> Self {
-        let mut states = StateCounts::default();
-        for frame in &replay.frames {
-            states.count(frame.state);
-        }
-        let count = |test: fn(&FrameRecord) -> bool| {
-            replay.frames.iter().filter(|frame| test(frame)).count()
-        };
+        let frames = &replay.frames;
+        let mut states = FrameStates::default();
+        frames.iter().for_each(|frame| states.count(frame.state));
+        let count =
+            |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
+        let decisions = frames
+            .iter()
+            .map(|frame| frame.decision.as_secs_f64() * 1e6);
         Self {
             clip: clip.to_owned(),
-            camera: None,
             policy: policy.to_owned(),
-            frames: replay.frames.len(),
-            frame_rate: None,
+            frames: frames.len(),
             states,
             detector_frames: count(|frame| frame.detector),
             screen_frames: count(|frame| frame.screen),
             looked_frames: count(|frame| frame.examined),
-            occupied_frames: 0,
-            false_empty_frames: 0,
             degraded_frames: count(|frame| frame.degraded),
             rejected_detections: replay.rejected_detections,
             boxes: replay.boxes.iter().map(Vec::len).sum(),
-            accuracy: None,
-            tracking: None,
-            accuracy_all: None,
-            tracking_all: None,
-            accuracy_last_confidence: None,
-            classes: BTreeMap::new(),
-            decision_us: Spread::of(
-                replay
-                    .frames
-                    .iter()
-                    .map(|frame| frame.decision.as_secs_f64() * 1e6)
-                    .collect(),
-            ),
-            frame_time: None,
-            energy: None,
-            sequence: replay.frames.iter().map(|frame| frame.state).collect(),
-            examined: replay.frames.iter().map(|frame| frame.examined).collect(),
-            worst: Vec::new(),
+            decision_us: Spread::of(decisions.collect()),
+            sequence: frames.iter().map(|frame| frame.state).collect(),
+            examined: frames.iter().map(|frame| frame.examined).collect(),
+            ..Self::default()
         }
     }
 }
@@ -274,14 +206,13 @@ mod tests {
 
     #[test]
     fn shares_add_up_and_skipped_are_e_and_p_but_for_degraded_frames() {
-        let mut states = StateCounts::default();
-        for state in FrameState::ALL {
-            states.count(state);
+        let mut result = ClipResult::default();
+        for state in FrameState::ALL.into_iter().chain([FrameState::P]) {
+            result.states.count(state);
         }
-        states.count(FrameState::P);
-        assert_eq!(states.total(), 6);
-        assert!((states.skip_rate(0) - 0.5).abs() < 1e-15);
-        assert!((states.skip_rate(1) - 2.0 / 6.0).abs() < 1e-15);
-        assert!((states.shares().iter().sum::<f64>() - 1.0).abs() < 1e-15);
+        assert!((result.skip_rate() - 0.5).abs() < 1e-15);
+        result.degraded_frames = 1;
+        assert!((result.skip_rate() - 2.0 / 6.0).abs() < 1e-15);
+        assert!((result.state_shares().iter().sum::<f64>() - 1.0).abs() < 1e-15);
     }
 }

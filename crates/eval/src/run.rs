@@ -5,14 +5,15 @@ use crate::average_precision::{
 };
 use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
-use crate::replay::{Replay, Scoring, replay};
-use crate::result::ClipResult;
-use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
+use crate::files::FileError;
+use crate::replay::{Scoring, replay};
+use crate::result::{ClipResult, FrameTime, Provenance, Spread};
+use crate::source::{Recording, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
-use crate::trace::{self, TraceError};
+use crate::trace;
 use crate::tracking::tracking;
 use crate::worst::worst_frames;
-use albireo_core::policy::{ExpectedLoss, MinConfidence, PolicyConfigError};
+use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy, PolicyConfigError};
 use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
@@ -93,64 +94,71 @@ pub enum RunError {
     },
     /// A trace cannot be written.
     #[error(transparent)]
-    Trace(#[from] TraceError),
+    Trace(#[from] FileError),
     /// The threads cannot be started.
     #[error("the threads of the evaluation cannot be started: {0}; try fewer with --threads")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Runs `policies` over the stored detections of `clips`. The results are in order of policies, then
-/// clips. `done` is called after each of the `policies × clips` steps, from any thread.
+/// Runs `policies` over `recordings`. The results are in order of policies, then recordings. `done` is called after each of
+/// these steps, from any thread.
 ///
 /// # Errors
 /// The first [`RunError`] met; the other threads stop at their next step.
-pub fn run_stored(
-    clips: &[Clip],
+pub fn run<'a, R: Into<Recording<'a>>>(
+    recordings: impl IntoIterator<Item = R>,
     policies: &[PolicySpec],
     settings: &Settings,
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<ClipResult>, RunError> {
-    // The longest clips first, so that no thread is left alone with one at the end.
-    let mut steps: Vec<(usize, usize)> = (0..policies.len())
-        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
-        .collect();
-    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
-    in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
-        let (clip, policy) = (&clips[clip], &policies[policy]);
-        let mut source = StoredEvidence::new(clip, settings)
-            .map_err(|source| no_evidence(clip, policy, source))?;
-        run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
-    })
+    in_parallel(recordings, policies, settings, done, &run_policy)
 }
 
-/// Does `work` for every step on `threads` threads, 0 for as many as the machine has: begun in the order given, the
-/// results sorted by step. `done` is called after each.
+/// Does `work` with every policy on every recording on as many threads as `settings` have.
 ///
 /// # Errors
 /// A [`RunError`] that was met; after one, no thread begins another step.
-pub(super) fn in_parallel<S: Copy + Ord + Send + Sync, T: Send>(
-    steps: &[S],
-    threads: usize,
+pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
+    recordings: impl IntoIterator<Item = R>,
+    policies: &[PolicySpec],
+    settings: &Settings,
     done: &(dyn Fn() + Sync),
-    work: &(dyn Fn(S) -> Result<T, RunError> + Sync),
-) -> Result<Vec<T>, RunError> {
+    work: &(dyn Fn(Recording<'a>, &PolicySpec, &Settings) -> Result<ClipResult, RunError> + Sync),
+) -> Result<Vec<ClipResult>, RunError> {
+    let recordings: Vec<Recording<'a>> = recordings.into_iter().map(Into::into).collect();
+    let mut steps: Vec<(usize, usize)> = (0..policies.len())
+        .flat_map(|policy| (0..recordings.len()).map(move |clip| (policy, clip)))
+        .collect();
+    // The longest clips first, so that no thread is left alone with one at the end.
+    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(recordings[clip].clip.frames));
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
+        .num_threads(settings.threads)
         .build()?;
-    // A bridge hands the steps out in their order, so that the longest begin first.
-    let results: Result<Vec<_>, _> = pool.install(|| {
+    // A bridge hands the steps out in their order.
+    let results: Result<Vec<_>, RunError> = pool.install(|| {
         let steps = steps.iter().par_bridge();
         steps
-            .map(|&step| {
-                let result = work(step);
+            .map(|&(policy, clip)| {
+                let result = work(recordings[clip], &policies[policy], settings);
                 done();
-                Ok::<_, RunError>((step, result?))
+                Ok(((policy, clip), result?))
             })
             .collect()
     });
     let mut results = results?;
     results.sort_by_key(|(step, _)| *step);
     Ok(results.into_iter().map(|(_, result)| result).collect())
+}
+
+/// Builds a policy.
+///
+/// # Errors
+/// [`RunError::Policy`] when that cannot be.
+pub(super) fn build(policy: &PolicySpec) -> Result<Box<dyn Policy>, RunError> {
+    policy.config.build().map_err(|source| RunError::Policy {
+        policy: policy.label.clone(),
+        source,
+    })
 }
 
 /// The error of a clip whose evidence does not suffice for a policy.
@@ -162,25 +170,23 @@ pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: SourceError)
     }
 }
 
-/// One policy over one clip, with evidence from `source`: its figures, and what it did frame by frame.
+/// The figures of one policy over one recording.
 ///
 /// # Errors
-/// [`RunError`] when the policy cannot be built, asks for what the source does not have, or the trace
-/// cannot be written.
-pub(super) fn run_policy(
-    clip: &Clip,
+/// [`RunError`] when the policy cannot be built, asks for what the recording does not have, or the trace cannot be written.
+fn run_policy(
+    recording: Recording<'_>,
     policy: &PolicySpec,
     settings: &Settings,
-    source: &mut dyn ClipEvidence,
-) -> Result<(ClipResult, Replay), RunError> {
-    let mut decider = policy.config.build().map_err(|source| RunError::Policy {
-        policy: policy.label.clone(),
-        source,
-    })?;
+) -> Result<ClipResult, RunError> {
+    let clip = recording.clip;
+    let mut decider = build(policy)?;
     let scoring = scoring_of(decider.name(), settings.scoring);
+    let mut source = StoredEvidence::new(recording, settings)
+        .map_err(|source| no_evidence(clip, policy, source))?;
     let replayed = replay(
         decider.as_mut(),
-        source,
+        &mut source,
         scoring,
         settings.min_confidence(),
         policy.decay_u,
@@ -224,10 +230,29 @@ pub(super) fn run_policy(
     if settings.keep_worst {
         result.worst = worst_frames(clip, &replayed, settings.confidence);
     }
+    if let Some(pictured) = recording.pictured {
+        let occupied = source
+            .all_detections()
+            .iter()
+            .map(|found| !found.is_empty());
+        let states = result.sequence.iter().zip(occupied);
+        let occupied = states.filter(|(_, occupied)| *occupied);
+        result.occupied_frames = occupied.clone().count();
+        result.false_empty_frames = occupied
+            .filter(|(state, _)| **state == FrameState::E)
+            .count();
+        let screened = settings.screen == ScreenRule::Recorded;
+        let times = pictured.frame_times(&replayed.frames, decider.pictures(), screened);
+        result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
+            milliseconds,
+            provenance: Provenance::Composed,
+        });
+    }
+    // A board's model projects time too: what was measured here is another machine's.
     if let Some(model) = &settings.energy_model {
         model.apply(&mut result);
     }
-    Ok((result, replayed))
+    Ok(result)
 }
 
 /// How a policy is judged in a run of that `scoring`: one that is not of the paper has no published

@@ -1,6 +1,8 @@
-//! Where the evidence that a policy asks for comes from: stored detections here, a real detector elsewhere.
+//! Gives a policy the evidence that it asks for about the frames of a clip.
 
+use crate::average_precision::ScoredBox;
 use crate::data::Clip;
+use crate::pictures::PicturedClip;
 use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
@@ -12,7 +14,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// Every question answers `Ok(None)` when the evidence of this one frame is missing (the policy learns that),
 /// and an error when the clip cannot be evaluated at all.
-pub trait ClipEvidence {
+pub(crate) trait ClipEvidence {
     /// Size of the clip's pictures.
     fn picture(&self) -> PictureSize;
 
@@ -109,10 +111,37 @@ enum Screen<'a> {
     Recorded(&'a [Option<bool>], EmptyRun),
 }
 
-/// Stored detections of a clip as evidence.
+/// What policies are replayed over: a clip with stored detections, and its pictures where a detector looked at them.
+#[derive(Clone, Copy, Debug)]
+pub struct Recording<'a> {
+    /// The clip.
+    pub clip: &'a Clip,
+    /// Its pictures.
+    pub pictured: Option<&'a PicturedClip>,
+}
+
+impl<'a> From<&'a Clip> for Recording<'a> {
+    fn from(clip: &'a Clip) -> Self {
+        Self {
+            clip,
+            pictured: None,
+        }
+    }
+}
+
+impl<'a> From<&'a PicturedClip> for Recording<'a> {
+    fn from(pictured: &'a PicturedClip) -> Self {
+        Self {
+            clip: &pictured.clip,
+            pictured: Some(pictured),
+        }
+    }
+}
+
+/// A recording as evidence.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredEvidence<'a> {
-    picture: PictureSize,
+    recording: Recording<'a>,
     detections: Vec<Vec<Detection>>,
     screen: Screen<'a>,
     /// The current frame.
@@ -120,23 +149,24 @@ pub(crate) struct StoredEvidence<'a> {
 }
 
 impl<'a> StoredEvidence<'a> {
-    /// The detections of `clip` as `settings` want them, and their screen.
+    /// The recording's detections as `settings` want them, and their screen.
     ///
     /// # Errors
     /// [`SourceError::NoDetections`] if the clip has none stored, [`SourceError::NoScreenVerdicts`] if they are
     /// asked for and the clip has none.
-    pub(crate) fn new(clip: &'a Clip, settings: &Settings) -> Result<Self, SourceError> {
+    pub(crate) fn new(
+        recording: impl Into<Recording<'a>>,
+        settings: &Settings,
+    ) -> Result<Self, SourceError> {
+        let recording = recording.into();
+        let clip = recording.clip;
         let stored = clip.detections.as_ref().ok_or(SourceError::NoDetections)?;
-        let detections = stored
-            .iter()
-            .map(|frame| {
-                frame
-                    .iter()
-                    .filter(|detection| detection.confidence >= settings.confidence)
-                    .map(|detection| detection.normalise(clip.picture))
-                    .collect()
-            })
-            .collect();
+        let normalised = |frame: &Vec<ScoredBox>| {
+            let sure = frame
+                .iter()
+                .filter(|found| found.confidence >= settings.confidence);
+            sure.map(|found| found.normalise(clip.picture)).collect()
+        };
         let screen = match settings.screen {
             ScreenRule::Nonempty => Screen::Nonempty,
             ScreenRule::Detections => Screen::Detections,
@@ -147,8 +177,8 @@ impl<'a> StoredEvidence<'a> {
             }
         };
         Ok(Self {
-            picture: clip.picture,
-            detections,
+            recording,
+            detections: stored.iter().map(normalised).collect(),
             screen,
             frame: 0,
         })
@@ -157,11 +187,6 @@ impl<'a> StoredEvidence<'a> {
     /// What the detector finds in every frame, at or above the run's confidence.
     pub(crate) fn all_detections(&self) -> &[Vec<Detection>] {
         &self.detections
-    }
-
-    /// Whether a frame has a detection at or above the run's confidence.
-    pub(crate) fn is_occupied(&self, frame: usize) -> bool {
-        !of_frame(&self.detections, frame).is_empty()
     }
 
     /// Questions come in order of frames, several of one frame perhaps.
@@ -182,7 +207,7 @@ fn of_frame(detections: &[Vec<Detection>], frame: usize) -> &[Detection] {
 
 impl ClipEvidence for StoredEvidence<'_> {
     fn picture(&self) -> PictureSize {
-        self.picture
+        self.recording.clip.picture
     }
 
     fn frames(&self) -> usize {
@@ -212,9 +237,21 @@ impl ClipEvidence for StoredEvidence<'_> {
 
     fn grey_picture(
         &mut self,
-        _frame: usize,
-        _need: Need,
+        frame: usize,
+        need: Need,
     ) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        Err(SourceError::NoPictures)
+        let pictured = self.recording.pictured.ok_or(SourceError::NoPictures)?;
+        let kept = match need {
+            Need::SmallGreyPicture { width } if pictured.small_width == Some(width) => {
+                pictured.small.get(frame)
+            }
+            Need::GreyPicture => pictured.grey.get(frame),
+            _ => None,
+        };
+        let picture = kept.ok_or(SourceError::NoPictures)?;
+        Ok(Some(GreyPicture {
+            size: picture.size,
+            pixels: &picture.pixels,
+        }))
     }
 }

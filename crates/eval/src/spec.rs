@@ -58,7 +58,7 @@ pub enum SpecError {
         /// Why not.
         source: PolicyConfigError,
     },
-    /// The sweep cannot be read or applies to nothing.
+    /// The sweep cannot be read.
     #[error("--sweep {asked}: {reason}")]
     Sweep {
         /// What was asked for.
@@ -66,6 +66,16 @@ pub enum SpecError {
         /// What was expected.
         reason: String,
     },
+    /// Values of a setting that no policy takes.
+    #[error(
+        "no policy of this run has a setting `{0}` left to try values of: add one that has, such as --policy albireo"
+    )]
+    NotSwept(String),
+    /// There is nothing to compare with.
+    #[error(
+        "only `{0}` was asked for: name a second policy, such as --policy vanilla --policy albireo"
+    )]
+    Alone(String),
 }
 
 /// Values of one setting to try one after the other: `u=3e-4,5e-4`.
@@ -127,8 +137,6 @@ pub fn resolve(
     sweeps: &[Sweep],
     common: &Common,
 ) -> Result<Vec<PolicySpec>, SpecError> {
-    let mut specs = vec![parse(BASELINE, common)?];
-    let mut applied = vec![false; sweeps.len()];
     let asked = asked.iter().flat_map(|asked| match asked.as_str() {
         "all" => ALL
             .iter()
@@ -138,65 +146,83 @@ pub fn resolve(
             .collect(),
         asked => vec![asked],
     });
-    for asked in asked {
-        let spec = parse(asked, common)?;
-        let knob = build(&spec.config, asked)?.knob();
-        let sweep = sweeps
-            .iter()
-            .position(|sweep| knob.is_some_and(|knob| knob.name == sweep.name));
-        // An argument behind the colon is the value wanted: nothing is swept then.
-        match sweep {
-            Some(index) if !asked.contains(':') => {
-                applied[index] = true;
-                for value in &sweeps[index].values {
-                    specs.push(parse(&format!("{asked}:{value:e}"), common)?);
-                }
-            }
-            _ => specs.push(spec),
-        }
-    }
-    if let Some(unused) = applied.iter().position(|applied| !applied) {
-        return Err(SpecError::Sweep {
-            asked: sweeps[unused].name.clone(),
-            reason: format!(
-                "no policy of this run has a setting `{}` left to sweep",
-                sweeps[unused].name
-            ),
-        });
-    }
+    let base = PolicyConfig {
+        profile: common.profile,
+        u: common.u,
+        ..PolicyConfig::default()
+    };
+    let asked: Vec<&str> = std::iter::once(BASELINE).chain(asked).collect();
+    let swept = swept(&asked, sweeps, &base)?.into_iter();
+    let mut specs: Vec<PolicySpec> = swept
+        .map(|(config, policy)| PolicySpec {
+            label: label(policy.as_ref(), common.screen),
+            decay_u: match takes_u(policy.as_ref()) {
+                true => config.u,
+                false => DEFAULT_DECAY_U,
+            },
+            config,
+        })
+        .collect();
     let mut seen = std::collections::BTreeSet::new();
     specs.retain(|spec| seen.insert(spec.label.clone()));
     Ok(specs)
 }
 
+/// A policy, and what it was made from.
+type Built = (PolicyConfig, Box<dyn Policy>);
+
+/// The policies `asked` for (`NAME[:ARGUMENT]` each) in order, with everything else as in `base`. One whose threshold is
+/// swept is there once for each value, unless it has an argument: that is the value wanted.
+///
+/// # Errors
+/// [`SpecError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
+/// that applies to none of them.
+pub(crate) fn swept(
+    asked: &[&str],
+    sweeps: &[Sweep],
+    base: &PolicyConfig,
+) -> Result<Vec<Built>, SpecError> {
+    let mut found = Vec::new();
+    let mut applied = vec![false; sweeps.len()];
+    for asked in asked {
+        let one = build(asked, base)?;
+        let knob = one.1.knob();
+        let sweep = sweeps
+            .iter()
+            .position(|sweep| knob.is_some_and(|knob| knob.name == sweep.name));
+        match sweep {
+            Some(index) if !asked.contains(':') => {
+                applied[index] = true;
+                for value in &sweeps[index].values {
+                    found.push(build(&format!("{asked}:{value:e}"), base)?);
+                }
+            }
+            _ => found.push(one),
+        }
+    }
+    match applied.iter().position(|applied| !applied) {
+        Some(unused) => Err(SpecError::NotSwept(sweeps[unused].name.clone())),
+        None => Ok(found),
+    }
+}
+
 /// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
-fn parse(asked: &str, common: &Common) -> Result<PolicySpec, SpecError> {
+fn build(asked: &str, base: &PolicyConfig) -> Result<Built, SpecError> {
     let refused = |source| SpecError::Config {
         asked: asked.to_owned(),
         source,
     };
-    let mut config = PolicyConfig {
-        profile: common.profile,
-        u: common.u,
-        ..PolicyConfig::default()
-    };
+    let mut config = base.clone();
     config.select(asked).map_err(refused)?;
-    let policy = build(&config, asked)?;
-    let has_u = policy
-        .knob()
-        .is_some_and(|knob| knob.name == Albireo::KNOB.name);
-    Ok(PolicySpec {
-        label: label(policy.as_ref(), common.screen),
-        decay_u: if has_u { config.u } else { DEFAULT_DECAY_U },
-        config,
-    })
+    let policy = config.build().map_err(refused)?;
+    Ok((config, policy))
 }
 
-fn build(config: &PolicyConfig, asked: &str) -> Result<Box<dyn Policy>, SpecError> {
-    config.build().map_err(|source| SpecError::Config {
-        asked: asked.to_owned(),
-        source,
-    })
+/// Whether its threshold is the paper's `u`.
+fn takes_u(policy: &dyn Policy) -> bool {
+    policy
+        .knob()
+        .is_some_and(|knob| knob.name == Albireo::KNOB.name)
 }
 
 /// The label of the published traces where they have one.
@@ -206,7 +232,7 @@ fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
         name => name,
     };
     let setting = match (policy.knob(), policy.knob_value()) {
-        (Some(knob), Some(value)) if knob.name == Albireo::KNOB.name => format!("-u{value:e}"),
+        (Some(_), Some(value)) if takes_u(policy) => format!("-u{value:e}"),
         (Some(_), Some(value)) if policy.name() == Ctd::NAME => format!("-{value:.2}"),
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),

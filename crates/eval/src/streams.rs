@@ -8,22 +8,21 @@ mod run_times;
 
 pub use run_times::RunTimes;
 
-use crate::average_precision::Accuracy;
 use crate::data::Clip;
-use crate::pictures::{PictureEvidence, PicturedClip};
 use crate::replay::{ClipFrame, drive};
-use crate::run::{RunError, Settings, in_parallel, judge, no_evidence};
+use crate::result::ClipResult;
+use crate::run::{RunError, Settings, build, in_parallel, judge, no_evidence};
 use crate::scoring::score_published;
-use crate::source::{ClipEvidence, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, Recording, SourceError, StoredEvidence};
 use crate::spec::{BASELINE, PolicySpec};
-use crate::statistics::mean;
-use crate::summary::Difference;
+use crate::summary::{Difference, PolicySummary, summarise};
+use crate::table::short;
+use crate::text::{self, Column, three};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler,
     decide_at_once,
 };
-use std::fmt::Write;
 use std::time::Duration;
 
 /// Settled frames are held back by this at most, as a node does.
@@ -44,27 +43,12 @@ pub enum Stream {
     Settled,
 }
 
-/// One policy over one clip.
-#[derive(Clone, Debug)]
-struct Judged {
-    policy: usize,
-    /// Of the published boxes.
-    accuracy: Option<Accuracy>,
-    /// Of all boxes of the policy.
-    accuracy_all: Option<Accuracy>,
-    /// Detector calls per frame.
-    calls: f64,
-    /// Mean delay of a settled frame, frames.
-    delay: f64,
-}
-
 /// All policies over all clips.
 #[derive(Clone, Debug)]
 pub struct StreamResults {
     stream: Stream,
-    policies: Vec<String>,
-    /// By policy, then clip.
-    judged: Vec<Judged>,
+    /// By clip or policy.
+    results: Vec<ClipResult>,
 }
 
 /// The boxes of a clip to be judged.
@@ -76,83 +60,44 @@ struct Published {
     delay: u64,
 }
 
-/// Runs `policies` over the stored detections of `clips` and judges `stream`.
+/// Runs `policies` over `recordings` and judges `stream`.
 ///
 /// # Errors
 /// [`RunError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
-pub fn run(
-    clips: &[Clip],
+pub fn run<'a, R: Into<Recording<'a>>>(
+    recordings: impl IntoIterator<Item = R>,
     policies: &[PolicySpec],
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, RunError> {
-    run_clips(clips.len(), policies, settings, stream, &|clip| {
-        let clip = &clips[clip];
-        let evidence = StoredEvidence::new(clip, settings);
-        (clip, evidence.map(|evidence| Box::new(evidence) as _))
-    })
-}
-
-/// The same of one clip, for policies that look at its pictures.
-///
-/// # Errors
-/// As [`run`].
-pub fn run_pictured(
-    pictured: &PicturedClip,
-    policies: &[PolicySpec],
-    settings: &Settings,
-    stream: Stream,
-) -> Result<StreamResults, RunError> {
-    run_clips(1, policies, settings, stream, &|_| {
-        let evidence = PictureEvidence::new(pictured, settings);
-        (
-            &pictured.clip,
-            evidence.map(|evidence| Box::new(evidence) as _),
-        )
-    })
-}
-
-/// A clip and the evidence that policies get of it.
-type Opened<'a> = (&'a Clip, Result<Box<dyn ClipEvidence + 'a>, SourceError>);
-
-fn run_clips<'a>(
-    clips: usize,
-    policies: &[PolicySpec],
-    settings: &Settings,
-    stream: Stream,
-    open: &(dyn Fn(usize) -> Opened<'a> + Sync),
-) -> Result<StreamResults, RunError> {
-    let steps: Vec<(usize, usize)> = (0..policies.len())
-        .flat_map(|policy| (0..clips).map(move |clip| (policy, clip)))
-        .collect();
-    let judged = in_parallel(&steps, settings.threads, &|| (), &|(index, clip)| {
-        let spec = &policies[index];
-        let (clip, evidence) = open(clip);
-        let policy = spec.config.build().map_err(|source| RunError::Policy {
-            policy: spec.label.clone(),
-            source,
-        })?;
-        let published = evidence
-            .and_then(|mut evidence| publish(clip, policy, &mut *evidence, &stream))
-            .map_err(|source| no_evidence(clip, spec, source))?;
-        let frames = clip.frames.max(1) as f64;
-        let min_confidence = settings.min_confidence();
-        let (boxes, all): (Vec<_>, Vec<_>) = (published.boxes.iter())
-            .map(|boxes| score_published(boxes, clip.picture, min_confidence))
-            .unzip();
-        Ok(Judged {
-            policy: index,
-            accuracy: judge(clip, &boxes, settings),
-            accuracy_all: judge(clip, &all, settings),
-            calls: published.calls as f64 / frames,
-            delay: published.delay as f64 / frames,
-        })
-    })?;
-    Ok(StreamResults {
-        stream,
-        policies: policies.iter().map(|policy| policy.label.clone()).collect(),
-        judged,
-    })
+    let results = in_parallel(
+        recordings,
+        policies,
+        settings,
+        &|| (),
+        &|recording, spec, settings| {
+            let clip = recording.clip;
+            let policy = build(spec)?;
+            let published = StoredEvidence::new(recording, settings)
+                .and_then(|mut evidence| publish(clip, policy, &mut evidence, &stream))
+                .map_err(|source| no_evidence(clip, spec, source))?;
+            let min_confidence = settings.min_confidence();
+            let (boxes, all): (Vec<_>, Vec<_>) = (published.boxes.iter())
+                .map(|boxes| score_published(boxes, clip.picture, min_confidence))
+                .unzip();
+            Ok(ClipResult {
+                clip: clip.name.clone(),
+                policy: spec.label.clone(),
+                frames: clip.frames,
+                accuracy: judge(clip, &boxes, settings),
+                accuracy_all: judge(clip, &all, settings),
+                detector_frames: published.calls,
+                delay: published.delay as f64 / clip.frames.max(1) as f64,
+                ..ClipResult::default()
+            })
+        },
+    )?;
+    Ok(StreamResults { stream, results })
 }
 
 fn publish(
@@ -308,16 +253,6 @@ fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
     }
 }
 
-/// One of the figures of a policy on a clip.
-type Figure = fn(&Judged) -> Option<f64>;
-
-/// A column of the table: the mean, and the difference to the baseline with its interval, in points.
-const FIGURES: [(&str, Figure); 3] = [
-    ("AP@50", |judged| Some(judged.accuracy?.ap50)),
-    ("AP@75", |judged| Some(judged.accuracy?.ap75)),
-    ("F1@50 >=.3", |judged| Some(judged.accuracy?.f1_50_shown)),
-];
-
 impl StreamResults {
     /// Name of the file for the table.
     pub fn file_name(&self) -> &'static str {
@@ -329,10 +264,10 @@ impl StreamResults {
 
     /// Takes in the results of other clips, of the same policies and stream.
     pub fn extend(&mut self, others: Self) {
-        self.judged.extend(others.judged);
+        self.results.extend(others.results);
     }
 
-    /// The table: one line per policy.
+    /// The table: one line per policy, and one for its differences to the baseline.
     pub fn table(&self) -> String {
         let title = match &self.stream {
             Stream::AtArrival { detector } => format!(
@@ -341,86 +276,56 @@ impl StreamResults {
             ),
             Stream::Settled => "Judged when settled between two detector calls".to_owned(),
         };
-        let baseline = self.policies.iter().position(|policy| policy == BASELINE);
-        let clips = baseline.map_or(0, |baseline| self.of(baseline).len());
-        // Writing to a string cannot fail.
-        let mut text = format!("{title};\nmeans over {clips} clips\n\n");
-        let _ = write!(text, "{:<22} {:>6}", "policy", "calls%");
-        for (name, _) in FIGURES {
-            let _ = write!(text, " {name:>10}");
-        }
-        let _ = writeln!(text, " {:>5} {:>5} {:>5}", "mAP", "all", "delay");
-        for (index, policy) in self.policies.iter().enumerate() {
-            let own = self.of(index);
-            let average = |figure: fn(&Judged) -> f64| {
-                mean(own.iter().map(|judged| figure(judged))).unwrap_or_default()
-            };
-            let calls = 100.0 * average(|judged| judged.calls);
-            let _ = write!(text, "{:<22} {calls:>6.1}", crate::table::short(policy));
-            for (_, figure) in FIGURES {
-                let _ = write!(text, " {:>10}", three(&own, figure));
-            }
-            let map = three(&own, |judged| Some(judged.accuracy?.map));
-            let all = three(&own, |judged| Some(judged.accuracy_all?.ap50));
-            let delay = average(|judged| judged.delay);
-            let _ = writeln!(text, " {map:>5} {all:>5} {delay:>5.1}");
-        }
-        if let Some(baseline) = baseline {
-            self.write_differences(baseline, &mut text);
-        }
-        text.push_str("\ncalls%: detector calls of 100 frames; all: AP@50 of all boxes, also those too\nfaint for a node to publish; delay: frames.\n");
-        text
-    }
-
-    /// The table of differences to the baseline: one line for each other policy.
-    fn write_differences(&self, baseline: usize, text: &mut String) {
-        text.push_str("\nDifferences to vanilla in points, with their 95 % intervals\n\n");
-        let _ = write!(text, "{:<22}", "policy");
-        for (name, _) in FIGURES {
-            let _ = write!(text, " {name:>18}");
-        }
-        text.push('\n');
-        for (index, policy) in self.policies.iter().enumerate() {
-            if index == baseline {
-                continue;
-            }
-            let _ = write!(text, "{:<22}", crate::table::short(policy));
-            for (_, figure) in FIGURES {
-                let _ = write!(text, " {:>18}", self.against(index, baseline, figure));
-            }
-            text.push('\n');
-        }
-    }
-
-    /// A policy's results on the clips with ground truth, in order of clips.
-    fn of(&self, policy: usize) -> Vec<&Judged> {
-        let own = self.judged.iter().filter(|judged| judged.policy == policy);
-        own.filter(|judged| judged.accuracy.is_some()).collect()
-    }
-
-    fn against(&self, policy: usize, baseline: usize, figure: Figure) -> String {
-        let (own, base) = (self.of(policy), self.of(baseline));
-        let differences: Vec<f64> = (own.iter().zip(&base))
-            .filter_map(|(own, base)| Some(figure(own)? - figure(base)?))
-            .collect();
-        let points = |share: f64| 100.0 * share;
-        match Difference::of(&differences) {
-            None => String::new(),
-            Some(Difference { mean, t: None, .. }) => format!("{:+.1}", points(mean)),
-            Some(Difference {
-                mean, t: Some(t), ..
-            }) => {
-                let (mean, lower, upper) = (points(mean), points(t.lower), points(t.upper));
-                format!("{mean:+.1} [{lower:.1}, {upper:.1}]")
-            }
-        }
+        let mut summaries = summarise(&self.results);
+        let clips = summaries.first().map_or(0, |first| first.clips);
+        type Cell = fn(&PolicySummary) -> String;
+        let table = |summaries: &[PolicySummary], columns: &[(&str, Cell)]| {
+            let columns: Vec<_> = (columns.iter())
+                .map(|(head, cell)| Column::new([head, ""], summaries.iter().map(cell).collect()))
+                .collect();
+            text::table(columns.iter(), "  ")
+        };
+        let figures = table(
+            &summaries,
+            &[
+                ("policy", |s| short(&s.policy).to_owned()),
+                ("calls%", |s| format!("{:.1}", 100.0 * s.calls)),
+                ("AP@50", |s| three(s.ap50)),
+                ("AP@75", |s| three(s.ap75)),
+                ("F1@50 >=.3", |s| three(s.f1_50_shown)),
+                ("mAP", |s| three(s.map)),
+                ("all", |s| three(s.ap50_all)),
+                ("delay", |s| format!("{:.1}", s.delay)),
+            ],
+        );
+        summaries.retain(|summary| summary.policy != BASELINE);
+        let differences = table(
+            &summaries,
+            &[
+                ("policy", |s| short(&s.policy).to_owned()),
+                ("AP@50", |s| points(s.ap50_change)),
+                ("AP@75", |s| points(s.ap75_change)),
+                ("F1@50 >=.3", |s| points(s.f1_50_shown_change)),
+            ],
+        );
+        format!(
+            "{title};\nmeans over {clips} clips\n\n{figures}\nDifferences to vanilla in points, with their 95 % intervals\n\n\
+             {differences}\ncalls%: detector calls of 100 frames; all: AP@50 of all boxes, also those too\n\
+             faint for a node to publish; delay: frames.\n"
+        )
     }
 }
 
-/// The mean of a figure with three decimals.
-fn three(judged: &[&Judged], figure: Figure) -> String {
-    let values = judged.iter().filter_map(|judged| figure(judged));
-    mean(values).map_or("    -".to_owned(), |value| format!("{value:.3}"))
+/// `+24.1 [18.2, 30.1]`, in points.
+fn points(difference: Option<Difference>) -> String {
+    let text = difference.map(|difference| match difference.t {
+        None => format!("{:+.1}", 100.0 * difference.mean),
+        Some(t) => {
+            let [mean, lower, upper] = [difference.mean, t.lower, t.upper].map(|s| 100.0 * s);
+            format!("{mean:+.1} [{lower:.1}, {upper:.1}]")
+        }
+    });
+    text.unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! One line per policy: means over the clips, differences to the baseline clip by clip, tests, frontiers.
 
 use crate::average_precision::Accuracy;
-use crate::pareto::{Choice, frontier};
 use crate::result::{ClipResult, Provenance};
 use crate::spec::BASELINE;
 use crate::statistics::{PairedT, mean, paired_t};
@@ -57,6 +56,11 @@ pub struct PolicySummary {
     pub states: [f64; 5],
     /// Mean detector calls per clip.
     pub detector_frames: f64,
+    /// Mean detector calls per frame.
+    pub calls: f64,
+    /// Mean delay of settled frames, frames.
+    #[serde(skip)]
+    pub delay: f64,
     /// Mean AP@50 of the boxes that a node publishes.
     pub ap50: Option<f64>,
     /// Mean AP@50 of all boxes of the policy.
@@ -82,6 +86,10 @@ pub struct PolicySummary {
     pub energy: Option<EnergySummary>,
     /// AP@50 minus the baseline's; `None` for the baseline itself.
     pub ap50_change: Option<Difference>,
+    /// AP@75 minus the baseline's.
+    pub ap75_change: Option<Difference>,
+    /// F1 of the shown boxes minus the baseline's.
+    pub f1_50_shown_change: Option<Difference>,
     /// mAP@50:95 minus the baseline's.
     pub map_change: Option<Difference>,
     /// Whether no other policy has as many skips and as much AP@50 and more of one.
@@ -156,8 +164,10 @@ fn summarise_policy(
         clips_without_truth,
         frames,
         skip_rate: all(&|result| result.skip_rate()),
-        states: std::array::from_fn(|state| all(&|result| result.states.shares()[state])),
+        states: std::array::from_fn(|state| all(&|result| result.state_shares()[state])),
         detector_frames: all(&|result| result.detector_frames as f64),
+        calls: all(&|result| result.detector_frames as f64 / result.frames.max(1) as f64),
+        delay: all(&|result| result.delay),
         ap50: over(&|result| result.accuracy.map(|accuracy| accuracy.ap50)),
         ap50_all: over(&|result| result.accuracy_all.map(|accuracy| accuracy.ap50)),
         map: over(&|result| result.accuracy.map(|accuracy| accuracy.map)),
@@ -181,21 +191,25 @@ fn summarise_policy(
             .zip(over(&|result| Some(result.energy?.edp)))
             .map(|(joules, edp)| EnergySummary { joules, edp }),
         ap50_change: change(|accuracy| accuracy.ap50),
+        ap75_change: change(|accuracy| accuracy.ap75),
+        f1_50_shown_change: change(|accuracy| accuracy.f1_50_shown),
         map_change: change(|accuracy| accuracy.map),
         on_skip_frontier: false,
     }
 }
 
+/// Marks the policies that no other beats: none has at least the skips and the AP@50, and more of one of the two.
 fn mark_frontier(summaries: &mut [PolicySummary]) {
-    let choices: Vec<Choice> = summaries
-        .iter()
-        .map(|summary| Choice {
-            cost: -summary.skip_rate,
-            value: summary.ap50.unwrap_or(f64::NAN),
-        })
-        .collect();
-    for index in frontier(&choices) {
-        summaries[index].on_skip_frontier = true;
+    let figures = |summary: &PolicySummary| (summary.skip_rate, summary.ap50);
+    let all: Vec<_> = summaries.iter().map(figures).collect();
+    for summary in summaries {
+        let (skip_rate, ap50) = figures(summary);
+        let beats = |&(other_skip_rate, other_ap50): &(f64, Option<f64>)| {
+            other_skip_rate >= skip_rate
+                && other_ap50 >= ap50
+                && (other_skip_rate > skip_rate || other_ap50 > ap50)
+        };
+        summary.on_skip_frontier = ap50.is_some() && !all.iter().any(beats);
     }
 }
 

@@ -2,48 +2,24 @@
 
 use crate::result::Provenance;
 use crate::summary::{Difference, PolicySummary};
-use crate::text::wrapped;
-use std::fmt::Write;
+use crate::text::{self, Column, or_dash, three, wrapped};
+use albireo_core::policy::FrameState;
 
 /// Columns a table may take.
 pub(crate) const WIDTH: usize = 100;
 
-/// A column: its two header lines and its cells. Columns with a high rank give way when the table would be
-/// too wide.
-pub(crate) struct Column {
-    pub heads: [&'static str; 2],
-    pub cells: Vec<String>,
-    rank: u8,
-}
-
-impl Column {
-    fn width(&self) -> usize {
-        let heads = self.heads.iter().map(|head| head.chars().count());
-        let cells = self.cells.iter().map(|cell| cell.chars().count());
-        heads.chain(cells).max().unwrap_or(0)
-    }
-}
-
 /// The table: one line per policy.
 pub fn render(summaries: &[PolicySummary]) -> String {
-    let mut columns = columns(summaries);
+    let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
-    while width(&columns) > WIDTH {
-        let Some(index) = (1..columns.len()).max_by_key(|&index| (columns[index].rank, index))
-        else {
+    let width = |(_, column): &(u8, Column)| column.width() + 1;
+    while columns.iter().map(width).sum::<usize>() > WIDTH + 1 {
+        let Some(index) = (1..columns.len()).max_by_key(|&index| (columns[index].0, index)) else {
             break;
         };
-        left_out.push(columns.remove(index).heads.join(" "));
+        left_out.push(columns.remove(index).1.heads.join(" "));
     }
-    let mut text = String::new();
-    for line in 0..2 {
-        let cells = columns.iter().map(|column| column.heads[line]);
-        write_line(&mut text, &columns, cells);
-    }
-    for row in 0..summaries.len() {
-        let cells = columns.iter().map(|column| column.cells[row].as_str());
-        write_line(&mut text, &columns, cells);
-    }
+    let mut text = text::table(columns.iter().map(|(_, column)| column), " ");
     let mut notes = notes(summaries);
     if !left_out.is_empty() {
         let names: Vec<_> = left_out.iter().map(|name| name.trim()).collect();
@@ -59,36 +35,18 @@ pub fn render(summaries: &[PolicySummary]) -> String {
     text
 }
 
-fn width(columns: &[Column]) -> usize {
-    columns
-        .iter()
-        .map(|column| column.width() + 1)
-        .sum::<usize>()
-        - 1
-}
-
-fn write_line<'a>(text: &mut String, columns: &[Column], cells: impl Iterator<Item = &'a str>) {
-    let mut line = String::new();
-    for (index, (column, cell)) in columns.iter().zip(cells).enumerate() {
-        let width = column.width();
-        // Writing to a string cannot fail.
-        let _ = if index == 0 {
-            write!(line, "{cell:<width$}")
-        } else {
-            write!(line, " {cell:>width$}")
-        };
-    }
-    text.push_str(line.trim_end());
-    text.push('\n');
-}
-
 /// The columns that at least one policy has a figure for; the first holds the policies, `*` for those on the frontier of
 /// AP@50 and skip rate.
 pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
-    let column = |heads, rank, cell: &dyn Fn(&PolicySummary) -> String| Column {
-        heads,
-        cells: summaries.iter().map(cell).collect(),
-        rank,
+    let ranked = ranked(summaries).into_iter();
+    ranked.map(|(_, column)| column).collect()
+}
+
+/// The same with their ranks: those with a high one give way when the table would be too wide.
+fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
+    let column = |heads: [&str; 2], rank: u8, cell: &dyn Fn(&PolicySummary) -> String| {
+        let cells = summaries.iter().map(cell).collect();
+        (rank, Column::new(heads, cells))
     };
     let change = |difference: Option<Difference>| {
         or_dash(difference.map(|found| format!("{:+.1}", found.mean * 100.0)))
@@ -104,15 +62,8 @@ pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
         }),
         column(["skip", "%"], 0, &|s| percent(s.skip_rate)),
     ];
-    let names = [
-        ["E", "%"],
-        ["P", "%"],
-        ["E+I", "%"],
-        ["I", "%"],
-        ["AI", "%"],
-    ];
-    for (state, heads) in names.into_iter().enumerate() {
-        columns.push(column(heads, 0, &|s| percent(s.states[state])));
+    for (at, state) in FrameState::ALL.into_iter().enumerate() {
+        columns.push(column([state.as_str(), "%"], 0, &|s| percent(s.states[at])));
     }
     columns.extend([
         column(["AP@50", ""], 0, &|s| three(s.ap50)),
@@ -141,12 +92,8 @@ pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
             or_dash(s.energy.map(|energy| format!("{:.0}p", energy.edp)))
         }),
     ]);
-    columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
+    columns.retain(|(_, column)| column.cells.iter().any(|cell| cell != "-"));
     columns
-}
-
-fn or_dash(cell: Option<String>) -> String {
-    cell.unwrap_or_else(|| "-".to_owned())
 }
 
 /// The label without the part that all policies of a run share.
@@ -156,10 +103,6 @@ pub(super) fn short(label: &str) -> &str {
 
 fn percent(share: f64) -> String {
     format!("{:.1}", share * 100.0)
-}
-
-fn three(value: Option<f64>) -> String {
-    or_dash(value.map(|value| format!("{value:.3}")))
 }
 
 /// How to read the table.

@@ -1,4 +1,6 @@
-//! Text for a terminal, and tables as files.
+//! Text and tables for a terminal.
+
+use std::fmt::Write;
 
 /// `text` broken at blanks into lines of at most `width` columns; a longer word has a line of its own.
 pub fn wrapped(text: &str, width: usize) -> String {
@@ -19,16 +21,61 @@ pub fn wrapped(text: &str, width: usize) -> String {
     lines
 }
 
-/// Rows of named cells as CSV; the names of the first are the header.
-pub(crate) fn csv(rows: &[Vec<(&'static str, String)>]) -> Result<Vec<u8>, csv::Error> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for (number, row) in rows.iter().enumerate() {
-        if number == 0 {
-            writer.write_record(row.iter().map(|(name, _)| name))?;
+/// A column: its two header lines and its cells.
+pub(crate) struct Column {
+    pub heads: [String; 2],
+    pub cells: Vec<String>,
+}
+
+impl Column {
+    pub(crate) fn new(heads: [&str; 2], cells: Vec<String>) -> Self {
+        Self {
+            heads: heads.map(str::to_owned),
+            cells,
         }
-        writer.write_record(row.iter().map(|(_, cell)| cell))?;
     }
-    writer
-        .into_inner()
-        .map_err(|error| csv::Error::from(std::io::Error::other(error.to_string())))
+
+    /// Its widest head or cell.
+    pub(crate) fn width(&self) -> usize {
+        let texts = self.heads.iter().chain(&self.cells);
+        texts.map(|text| text.chars().count()).max().unwrap_or(0)
+    }
+}
+
+/// A table of `columns` with `gap` between them, the first to the left and the others to the right. A header line without a
+/// word is left out.
+pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: &str) -> String {
+    let mut text = String::new();
+    let mut line = |cell: &dyn Fn(&'a Column) -> &'a str| {
+        let mut line = String::new();
+        for (index, column) in columns.clone().enumerate() {
+            let (cell, width) = (cell(column), column.width());
+            // Writing to a string cannot fail.
+            let _ = match index {
+                0 => write!(line, "{cell:<width$}"),
+                _ => write!(line, "{gap}{cell:>width$}"),
+            };
+        }
+        if !line.trim().is_empty() {
+            text.push_str(line.trim_end());
+            text.push('\n');
+        }
+    };
+    for head in 0..2 {
+        line(&|column| &column.heads[head]);
+    }
+    let rows = columns.clone().next().map_or(0, |first| first.cells.len());
+    for row in 0..rows {
+        line(&|column| &column.cells[row]);
+    }
+    text
+}
+
+/// A figure with three decimals, `-` where there is none.
+pub(crate) fn three(value: Option<f64>) -> String {
+    or_dash(value.map(|value| format!("{value:.3}")))
+}
+
+pub(crate) fn or_dash(cell: Option<String>) -> String {
+    cell.unwrap_or_else(|| "-".to_owned())
 }

@@ -4,10 +4,11 @@
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
 //! can be compared line by line.
 
+use crate::files::FileError;
 use albireo_core::policy::{FrameState, ObjectRecord};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One frame of a trace.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,34 +74,11 @@ impl From<&ObjectRecord> for TraceObject {
     }
 }
 
-/// A trace file that cannot be read or written.
-#[derive(Debug, thiserror::Error)]
-pub enum TraceError {
-    /// The file system said no.
-    #[error("trace {}: {source}", path.display())]
-    File {
-        /// The trace file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// A line is not a trace frame.
-    #[error("trace {}:{line}: {source}", path.display())]
-    Line {
-        /// The trace file.
-        path: PathBuf,
-        /// Which line, from 1.
-        line: usize,
-        /// What is wrong with it.
-        source: serde_json::Error,
-    },
-}
-
 /// Writes `frames` to `path`, making its folder.
 ///
 /// # Errors
-/// [`TraceError::File`] when the folder or file cannot be written.
-pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), TraceError> {
+/// [`FileError::Write`] when the folder or file cannot be written.
+pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), FileError> {
     let attempt = || -> std::io::Result<()> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
@@ -116,33 +94,21 @@ pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), TraceError> {
         }
         out.into_inner()?.finish()?.sync_data()
     };
-    attempt().map_err(|source| TraceError::File {
-        path: path.to_owned(),
-        source,
-    })
+    attempt().map_err(|source| FileError::write(path, source))
 }
 
 /// Reads a trace.
 ///
 /// # Errors
-/// [`TraceError`] naming the file, and the line if one is broken.
-pub fn read(path: &Path) -> Result<Vec<TraceFrame>, TraceError> {
-    let failed = |source| TraceError::File {
-        path: path.to_owned(),
-        source,
-    };
+/// [`FileError`] naming the file, and the line if one is broken.
+pub fn read(path: &Path) -> Result<Vec<TraceFrame>, FileError> {
+    let failed = |error| FileError::read(path, error, "a trace is a gzipped file");
     let file = std::fs::File::open(path).map_err(failed)?;
     let reader = BufReader::new(flate2::read::GzDecoder::new(file));
     let mut frames = Vec::new();
     for (number, line) in (1..).zip(reader.lines()) {
-        let line = line.map_err(failed)?;
-        frames.push(
-            serde_json::from_str(&line).map_err(|source| TraceError::Line {
-                path: path.to_owned(),
-                line: number,
-                source,
-            })?,
-        );
+        let frame = serde_json::from_str(&line.map_err(failed)?);
+        frames.push(frame.map_err(|error| FileError::line(path, number, error.to_string()))?);
     }
     Ok(frames)
 }

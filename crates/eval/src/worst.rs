@@ -97,12 +97,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             .into_iter()
             .flatten()
             .filter(|detection| detection.confidence >= confidence)
-            .map(|detection| ScoredBox {
-                corners: detection.corners,
-                class: detection.class,
-                confidence: detection.confidence,
-                object: None,
-            })
+            .copied()
             .collect();
         let missed = hits(&detected, truth).saturating_sub(hits(found, truth));
         if missed > 0 {

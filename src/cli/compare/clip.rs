@@ -16,6 +16,7 @@ pub(super) struct LoadedClip {
     rate: f64,
     size: PictureSize,
     pictures: Arc<[EncodedPicture]>,
+    next: usize,
 }
 
 impl LoadedClip {
@@ -56,55 +57,35 @@ impl LoadedClip {
             rate: source.rate(),
             size: first.size,
             pictures: pictures.into(),
+            next: 0,
         })
-    }
-
-    pub(super) fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Its own frames per second.
-    pub(super) fn rate(&self) -> f64 {
-        self.rate
     }
 
     pub(super) fn size(&self) -> PictureSize {
         self.size
     }
 
-    pub(super) fn frames(&self) -> usize {
+    /// Its number of frames.
+    pub(super) fn len(&self) -> usize {
         self.pictures.len()
     }
-
-    /// The clip as footage.
-    pub(super) fn source(&self) -> Box<dyn FrameSource> {
-        Box::new(InMemory {
-            clip: self.clone(),
-            next: 0,
-        })
-    }
 }
 
-struct InMemory {
-    clip: LoadedClip,
-    next: usize,
-}
-
-impl FrameSource for InMemory {
+impl FrameSource for LoadedClip {
     fn name(&self) -> &str {
-        &self.clip.name
+        &self.name
     }
 
     fn rate(&self) -> f64 {
-        self.clip.rate
+        self.rate
     }
 
     fn frames(&self) -> Option<u64> {
-        Some(self.clip.pictures.len() as u64)
+        Some(self.len() as u64)
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
-        let picture = self.clip.pictures.get(self.next).cloned();
+        let picture = self.pictures.get(self.next).cloned();
         self.next += 1;
         Ok(picture)
     }
@@ -125,8 +106,8 @@ mod tests {
     async fn a_clip_is_as_long_as_asked_for_and_plays_again_from_its_start() {
         let source = PictureArchive::open(Path::new("demo/road.tar"), 10.0).unwrap();
         let clip = LoadedClip::read(Box::new(source), 0.3).await.unwrap();
-        assert_eq!(clip.frames(), 3);
-        let mut played = clip.source();
+        assert_eq!((clip.len(), clip.frames()), (3, Some(3)));
+        let mut played = clip.clone();
         let first = played.next().unwrap();
         played.next().unwrap();
         played.next().unwrap();

@@ -3,10 +3,11 @@
 use super::PATIENCE;
 use super::clip::LoadedClip;
 use crate::cli::replay::{
-    ClipIds, FrameSender, Pacing, PublishOptions, Rate, flush, open_session, publish,
+    ClipIds, FrameSender, Pacing, PublishOptions, Rate, close, flush, open_session, publish,
 };
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
+use albireo_eval::footage::FrameSource;
 use albireo_node::PreparedNode;
 use albireo_node::camera::{AnswerTime, SettleConfig};
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -95,7 +96,7 @@ impl Played {
 impl Player {
     /// Frames that a run sends, warm-up included.
     pub(super) fn frames_of_a_run(&self) -> u64 {
-        self.warm_up_frames() + self.clip.frames() as u64
+        self.warm_up_frames() + self.clip.len() as u64
     }
 
     fn warm_up_frames(&self) -> u64 {
@@ -205,10 +206,7 @@ impl Player {
         let cpu = process_cpu().saturating_sub(before);
         // What the node has published travels before the end of this query.
         flush(&session, &keys.frame(), PATIENCE).await?;
-        session
-            .close()
-            .await
-            .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+        close(session).await?;
         let answers = std::mem::take(&mut *answers.lock());
         Ok(Measured {
             cpu,
@@ -232,9 +230,9 @@ impl Player {
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
         let progress = |sent: &crate::cli::replay::Sent| sent_progress(sent.frames);
-        publish(self.clip.source(), sender, options, progress, shutdown)
-            .await
-            .map(drop)
+        let clip = Box::new(self.clip.clone());
+        publish(clip, sender, options, progress, shutdown).await?;
+        Ok(())
     }
 
     /// Waits until the node has answered or counted `frames` frames.

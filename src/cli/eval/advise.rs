@@ -3,9 +3,10 @@
 use super::video::{PassArguments, look_at};
 use super::{JUDGED, WRITTEN};
 use crate::cli::rate::parse_rate;
-use albireo_eval::advise::{Settings, Target, advise, render};
+use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::footage::SourceName;
+use albireo_eval::run::Settings;
 use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
@@ -59,6 +60,7 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
     let settings = Settings {
         confidence: arguments.confidence,
         longest_empty_run: arguments.longest_empty_run,
+        ..Settings::default()
     };
     let clips = read(arguments)?;
     eprintln!("Trying {} on {} clips", arguments.policy, clips.len());

@@ -1,31 +1,28 @@
 //! `albireo eval video`: a real detector's one pass over videos or pictures, then every policy on what it found.
 
-use super::{
-    LOOKED, RunArguments, listed, policies, print_conclusion, print_streams, settings,
-    streams_asked, write_streams,
-};
+use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
+use crate::cli::progress;
 use crate::cli::rate::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{FrameSource, PictureFolder, SourceName, Thinned, VideoEncoding};
 use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsRequested,
-    StepTimes, TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
+    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, TruthFormat,
+    against_vanilla, collect, looks_at_pixels,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
-use albireo_eval::run::Settings;
+use albireo_eval::run::{self, Settings};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::PolicySpec;
 use albireo_eval::streams::{self, StreamResults};
+use albireo_eval::summary;
 use albireo_eval::worst::attach_pictures;
-use albireo_eval::{summary, table};
 use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 
 /// A run that takes this long has failed; no camera waits for it.
@@ -139,7 +136,7 @@ struct Evaluation<'a> {
     /// Number of clips of the run that ground truth may be for.
     clips: usize,
     observer: Observer,
-    keep: PixelsRequested,
+    keep: PassSettings,
     report: LoadReport,
     results: Vec<ClipResult>,
     /// Of all clips, one for each stream that was asked for.
@@ -186,7 +183,10 @@ impl<'a> Evaluation<'a> {
         let observer = start_observer(pass)?;
         Ok(Self {
             pass,
-            keep: looks_at_pixels(&policies)?,
+            keep: PassSettings {
+                most_frames: most_frames(pass),
+                ..looks_at_pixels(&policies)?
+            },
             arguments,
             settings,
             policies,
@@ -205,7 +205,7 @@ impl<'a> Evaluation<'a> {
     /// none was given, against Vanilla. The frames that lost most get their pictures from `source` once more: keeping all
     /// pictures until these frames are known takes memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
-        let mut pictured = self.pass(source)?;
+        let mut pictured = pass_over(source, &mut self.observer, &self.keep, &mut self.report)?;
         self.times.extend_from_slice(&pictured.times);
         let clip = &mut pictured.clip;
         if let Some(truth) = &mut self.truth {
@@ -224,7 +224,7 @@ impl<'a> Evaluation<'a> {
             self.report.notes.push(note);
             return Ok(());
         }
-        let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
+        let mut results = run::run([&pictured], &self.policies, &self.settings, &|| ())?;
         if let Err(error) = attach_pictures(source, &mut results) {
             let name = &pictured.clip.name;
             let note = format!("{name}: no pictures of the frames that lost most: {error}");
@@ -232,23 +232,13 @@ impl<'a> Evaluation<'a> {
         }
         self.results.extend(results);
         for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let results = streams::run_pictured(&pictured, &self.policies, &self.settings, stream)?;
+            let results = streams::run([&pictured], &self.policies, &self.settings, stream)?;
             match self.streams.get_mut(at) {
                 Some(clips_before) => clips_before.extend(results),
                 None => self.streams.push(results),
             }
         }
         Ok(())
-    }
-
-    /// The detector's pass over a clip.
-    fn pass(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<PicturedClip> {
-        let settings = PassSettings {
-            keep_grey: self.keep.half,
-            keep_small: self.keep.small,
-            most_frames: most_frames(self.pass),
-        };
-        pass_over(source, &mut self.observer, &settings, &mut self.report)
     }
 
     /// Saves, prints and reports.
@@ -286,16 +276,9 @@ impl<'a> Evaluation<'a> {
             clips: self.results,
         };
         println!("Judged {basis}");
-        println!("{}", table::render(&report.policies));
-        print_conclusion(&report.policies);
-        print_streams(&self.streams);
+        conclude(&report, &self.streams, &self.arguments)?;
         for line in screen_lines(&report.clips) {
             println!("{line}");
-        }
-        if let Some(out) = &self.arguments.out {
-            report.write(out)?;
-            write_streams(&self.streams, out)?;
-            eprintln!("Written to {}", out.display());
         }
         let times = report
             .settings
@@ -313,9 +296,9 @@ impl<'a> Evaluation<'a> {
         let mut rows = vec![(
             "Detector".to_owned(),
             format!(
-                "{} ({}), run by {provider}",
+                "{} (head {}), run by {provider}",
                 self.pass.detector.display(),
-                name_of(self.pass.head)
+                self.pass.head.as_str()
             ),
         )];
         if let Some(screen) = &self.pass.screen_model {
@@ -327,12 +310,12 @@ impl<'a> Evaluation<'a> {
                 times.screen
             }),
             ("Time of decoding", true, |times| times.decode),
-            ("Time of decoding to grey", self.keep.half, |times| {
+            ("Time of decoding to grey", self.keep.keep_grey, |times| {
                 times.grey
             }),
             (
                 "Time of decoding to a small grey picture",
-                self.keep.small.is_some(),
+                self.keep.keep_small.is_some(),
                 |times| times.small,
             ),
         ];
@@ -396,18 +379,7 @@ fn pass_over(
         (Some(known), Some(most)) => Some(known.min(most)),
         (known, most) => known.or(most),
     };
-    let (bar, style) = match total {
-        Some(total) => (
-            ProgressBar::new(total),
-            "{msg}: {bar:30} {pos}/{len} frames, {per_sec}, {eta} left",
-        ),
-        None => (
-            ProgressBar::new_spinner(),
-            "{msg}: {spinner} {pos} frames, {per_sec}, {elapsed}",
-        ),
-    };
-    bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
-    bar.set_message(source.name().to_owned());
+    let bar = progress::bar(total, "frames").with_prefix(format!("{}: ", source.name()));
     if bar.is_hidden() {
         eprintln!(
             "{}: looking at {} frames",
@@ -452,10 +424,6 @@ pub(super) fn look_at(
         eprintln!("Detections written to {}", folder.display());
     }
     Ok(pictured)
-}
-
-fn name_of(head: HeadName) -> String {
-    format!("head {}", head.as_str())
 }
 
 /// What the empty-scene screen spared and what it missed, a line for each policy that asked it.

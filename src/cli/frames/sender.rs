@@ -85,34 +85,34 @@ impl FrameSender {
                 std::mem::replace(known, now) != now
             });
         };
-        // Listening comes before looking, so that none is missed in between. What was found by looking is older than what was
-        // heard by then.
-        let (mode, matching) = if pacing == Pacing::WaitForNode {
+        let mode = if pacing == Pacing::WaitForNode {
             let querier = session
                 .declare_querier(key.to_owned())
                 .congestion_control(CongestionControl::Block)
-                .timeout(TURN)
-                .await
-                .map_err(refused)?;
-            let listener = querier.matching_listener().callback(note);
-            listener.background().await.map_err(refused)?;
-            let matching = querier.matching_status().await.map_err(refused)?;
-            (SendMode::Ask(Arc::new(querier)), matching)
+                .timeout(TURN);
+            SendMode::Ask(Arc::new(querier.await.map_err(refused)?))
         } else {
             let congestion = match pacing {
                 Pacing::Drop => CongestionControl::Drop,
                 _ => CongestionControl::Block,
             };
-            let publisher = session
-                .declare_publisher(key.to_owned())
-                .congestion_control(congestion)
-                .await
-                .map_err(refused)?;
-            let listener = publisher.matching_listener().callback(note.clone());
-            listener.background().await.map_err(refused)?;
-            let matching = publisher.matching_status().await.map_err(refused)?;
-            (SendMode::Put(Arc::new(publisher)), matching)
+            let publisher = session.declare_publisher(key.to_owned());
+            let publisher = publisher.congestion_control(congestion).await;
+            SendMode::Put(Arc::new(publisher.map_err(refused)?))
         };
+        // Listening comes before looking, so that none is missed in between. What was found by looking is older than what was
+        // heard by then.
+        let listener = match &mode {
+            SendMode::Put(publisher) => publisher.matching_listener(),
+            SendMode::Ask(querier) => querier.matching_listener(),
+        };
+        let listening = listener.callback(note).background();
+        listening.await.map_err(refused)?;
+        let matching = match &mode {
+            SendMode::Put(publisher) => publisher.matching_status().await,
+            SendMode::Ask(querier) => querier.matching_status().await,
+        };
+        let matching = matching.map_err(refused)?;
         first.send_if_modified(|known| {
             let found = known.is_none() && matching.matching();
             if found {

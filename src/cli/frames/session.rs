@@ -97,3 +97,11 @@ pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::
         )
     })?
 }
+
+/// Closes a session.
+///
+/// # Errors
+/// When Zenoh cannot.
+pub(crate) async fn close(session: Session) -> anyhow::Result<()> {
+    (session.close().await).map_err(|error| anyhow!("closing the Zenoh session: {error}"))
+}

@@ -2,17 +2,16 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::{AdviceError, Screen, Settings, Trial, try_out};
+use super::trial::{AdviceError, Screen, Trial, try_out};
+use crate::average_precision::ScoredBox;
 use crate::data::Clip;
+use crate::run::Settings;
 use albireo_core::policy::{ExpectedLoss, Knob, PolicyConfig, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
 
 /// Values of the threshold that are tried, over its useful range.
-const GRID: usize = 16;
-
-/// Values that are tried between the last that meets the target and the first that does not.
-const REFINEMENTS: usize = 6;
+const VALUES: usize = 64;
 
 /// What a node would do with one value and one screen.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -82,16 +81,9 @@ pub fn advise(
     policy: &str,
     settings: &Settings,
 ) -> Result<Advice, AdviceError> {
-    let detections = clips
-        .iter()
-        .flat_map(|clip| clip.detections.iter().flatten());
-    let sure = |frame: &Vec<crate::data::StoredDetection>| {
-        let boxes = frame.iter();
-        boxes
-            .filter(|found| found.confidence >= settings.confidence)
-            .count()
-    };
-    let boxes = detections.map(sure).sum();
+    let detections = clips.iter().flat_map(|clip| &clip.detections).flatten();
+    let sure = |found: &&ScoredBox| found.confidence >= settings.confidence;
+    let boxes = detections.flatten().filter(sure).count();
     if boxes == 0 {
         return Err(AdviceError::Nothing);
     }
@@ -143,13 +135,17 @@ pub fn advise(
     })
 }
 
-/// With three digits, enough for a configuration.
-fn three_digits(value: f64) -> f64 {
-    format!("{value:.2e}").parse().unwrap_or(value)
-}
-
-fn between(low: f64, high: f64, share: f64) -> f64 {
-    three_digits(low * (high / low).powf(share))
+/// Values of two digits over the useful range, evenly spaced in the logarithm, rising.
+fn values(knob: &Knob) -> Vec<f64> {
+    let (low, high) = (knob.useful_minimum, knob.useful_maximum);
+    let value = |step: usize| {
+        let value = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
+        let rounded = format!("{value:.1e}").parse().unwrap_or(value);
+        rounded.clamp(knob.minimum, knob.maximum)
+    };
+    let mut values: Vec<f64> = (0..VALUES).map(value).collect();
+    values.dedup();
+    values
 }
 
 struct Search<'a> {
@@ -161,72 +157,40 @@ struct Search<'a> {
     target: Target,
 }
 
-/// Where the target ends to be met: the trial that meets it, and the one beyond that does not, if there is one.
-struct Edge {
-    meets: Option<usize>,
-    fails: Option<usize>,
-}
-
 impl Search<'_> {
-    fn try_out(&self, value: f64) -> Result<Trial, AdviceError> {
-        try_out(self.clips, self.config, value, self.screen, self.settings)
-    }
-
-    /// Among `trials`, by rising threshold. A recall is met as far as none before falls below it: a single lucky value
-    /// behind bad ones is no reason. (Where little is skipped its interval is wide for want of frames, and only later says
-    /// something.) A skip rate is met from the first value that meets it.
-    fn edge(&self, trials: &[Trial]) -> Edge {
+    /// Which of `trials`, by rising threshold, meets the target and saves most. A recall is met as far as none before falls
+    /// below it: a single lucky value behind bad ones is no reason. (Where little is skipped its interval is wide for want
+    /// of frames, and only later says something.) A skip rate is met from the first value that meets it.
+    fn edge(&self, trials: &[Trial]) -> Option<usize> {
         let meets = |trial: &Trial| trial.meets(self.target);
         match self.target {
-            Target::SkipRate(_) => {
-                let first = trials.iter().position(meets);
-                Edge {
-                    meets: first,
-                    fails: first.and_then(|first| first.checked_sub(1)),
-                }
-            }
+            Target::SkipRate(_) => trials.iter().position(meets),
             Target::Recall(least) => {
                 let reaches =
                     |trial: &&Trial| trial.recall().is_none_or(|recall| recall.value >= least);
                 let run = trials.iter().take_while(reaches).count();
-                let meets = trials[..run].iter().rposition(meets);
-                let next = meets.map(|meets| meets + 1);
-                Edge {
-                    meets,
-                    fails: next.filter(|next| *next < trials.len()),
-                }
+                trials[..run].iter().rposition(meets)
             }
         }
     }
 
     fn propose(&self) -> Result<Proposal, AdviceError> {
-        // Evenly spaced in the logarithm over the useful range.
-        let trials = (0..GRID)
-            .into_par_iter()
-            .map(|step| {
-                let share = step as f64 / (GRID - 1) as f64;
-                let (low, high) = (self.knob.useful_minimum, self.knob.useful_maximum);
-                self.try_out(between(low, high, share))
-            })
+        let trials = (values(&self.knob).into_par_iter())
+            .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
         let edge = self.edge(&trials);
-        let chosen = match (edge.meets, edge.fails) {
-            (Some(meets), Some(fails)) => {
-                self.refine(trials[meets].clone(), trials[fails].value)?
-            }
-            (Some(meets), None) => trials[meets].clone(),
-            // The end of the range that comes nearest.
-            (None, _) => match self.target {
-                Target::Recall(_) => trials[0].clone(),
-                Target::SkipRate(_) => trials[GRID - 1].clone(),
-            },
+        // Where none meets it, the end of the range that comes nearest.
+        let nearest = match self.target {
+            Target::Recall(_) => 0,
+            Target::SkipRate(_) => trials.len() - 1,
         };
+        let chosen = &trials[edge.unwrap_or(nearest)];
         Ok(Proposal {
             policy: self.config.name.clone(),
             knob: self.knob.name,
             value: chosen.value,
             screen: self.screen,
-            meets_target: edge.meets.is_some(),
+            meets_target: edge.is_some(),
             skip_rate: chosen.skip_rate(),
             recall: chosen.recall(),
             precision: chosen.precision(),
@@ -235,32 +199,12 @@ impl Search<'_> {
         })
     }
 
-    /// The value nearest to the target's edge, of two digits, and on the side that meets it.
-    fn refine(&self, mut meets: Trial, mut fails: f64) -> Result<Trial, AdviceError> {
-        for _ in 0..REFINEMENTS {
-            let trial = self.try_out(between(meets.value, fails, 0.5))?;
-            if trial.meets(self.target) {
-                meets = trial;
-            } else {
-                fails = trial.value;
-            }
-        }
-        let up = matches!(self.target, Target::SkipRate(_));
-        let value = two_digits(meets.value, up).clamp(self.knob.minimum, self.knob.maximum);
-        let rounded = self.try_out(value)?;
-        Ok(if rounded.meets(self.target) {
-            rounded
-        } else {
-            meets
-        })
-    }
-
     /// The search on one half of the blocks, tried on the other, both ways.
     fn held_out(&self, trials: &[Trial]) -> Option<HeldOut> {
         let mut joined: Option<Trial> = None;
         for parity in [0, 1] {
             let seen: Vec<_> = trials.iter().map(|trial| trial.half(parity)).collect();
-            let chosen = self.edge(&seen).meets?;
+            let chosen = self.edge(&seen)?;
             let unseen = trials[chosen].half(1 - parity);
             match &mut joined {
                 Some(joined) => joined.blocks.extend(unseen.blocks),
@@ -296,25 +240,6 @@ impl Search<'_> {
         }
         text
     }
-}
-
-/// `value` with two digits, rounded up or down.
-fn two_digits(value: f64, up: bool) -> f64 {
-    if value <= 0.0 || !value.is_finite() {
-        return value;
-    }
-    let exponent = value.log10().floor() as i32 - 1;
-    let steps = value / 10f64.powi(exponent);
-    // What is two digits already stays, whatever its last bit.
-    let steps = if (steps - steps.round()).abs() < 1e-9 {
-        steps.round()
-    } else if up {
-        steps.ceil()
-    } else {
-        steps.floor()
-    };
-    // By way of text, so that 3 · 1e-5 is 3e-5 and not its neighbour.
-    format!("{steps}e{exponent}").parse().unwrap_or(value)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
 use super::target::Target;
 use super::trial::Screen;
-use crate::text::wrapped;
+use crate::text::{Column, or_dash, table, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
 
@@ -29,35 +29,31 @@ pub fn render(advice: &Advice) -> String {
         advice.confidence
     );
     let _ = writeln!(text, "Target: {}.\n", advice.target);
-    let _ = writeln!(
-        text,
-        "  {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",
-        "policy", "knob", "screen", "skipped", "recall", "precision"
-    );
-    for (index, proposal) in advice.proposals.iter().enumerate() {
-        let mark = match (index, proposal.meets_target) {
-            (0, true) => '*',
-            (_, true) => ' ',
-            (_, false) => '-',
-        };
-        let _ = writeln!(
-            text,
-            "{mark} {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",
-            proposal.policy,
-            format!("{} = {}", proposal.knob, digits(proposal.value)),
-            proposal.screen.as_str(),
-            percent(proposal.skip_rate),
-            share(proposal.recall),
-            share(proposal.precision),
-        );
-    }
-    if advice
-        .proposals
-        .iter()
-        .any(|proposal| !proposal.meets_target)
-    {
+    let cells = |cell: &dyn Fn(&Proposal) -> String| advice.proposals.iter().map(cell).collect();
+    let policies = advice.proposals.iter().enumerate();
+    let policies = policies.map(|(index, proposal)| match (index, proposal.meets_target) {
+        (0, true) => format!("* {}", proposal.policy),
+        (_, true) => format!("  {}", proposal.policy),
+        (_, false) => format!("- {}", proposal.policy),
+    });
+    let columns = [
+        Column::new(["  policy", ""], policies.collect()),
+        Column::new(
+            ["threshold", ""],
+            cells(&|found| format!("{} = {}", found.knob, digits(found.value))),
+        ),
+        Column::new(
+            ["screen", ""],
+            cells(&|found| found.screen.as_str().to_owned()),
+        ),
+        Column::new(["skipped", ""], cells(&|found| percent(found.skip_rate))),
+        Column::new(["recall", ""], cells(&|found| share(found.recall))),
+        Column::new(["precision", ""], cells(&|found| share(found.precision))),
+    ];
+    text.push_str(&table(columns.iter(), "  "));
+    if advice.proposals.iter().any(|found| !found.meets_target) {
         text.push_str(
-            "  -: cannot meet the target inside its knob's useful range; the nearest end of it\n",
+            "-: cannot meet the target inside its threshold's useful range; the nearest end of it\n",
         );
     }
     text.push('\n');
@@ -142,17 +138,10 @@ fn digits(value: f64) -> String {
 
 /// `24 % [21, 27]`.
 fn percent(estimate: Option<Estimate>) -> String {
-    estimate.map_or_else(
-        || "-".to_owned(),
-        |Estimate { value, low, high }| {
-            format!(
-                "{:.0} % [{:.0}, {:.0}]",
-                value * 100.0,
-                low * 100.0,
-                high * 100.0
-            )
-        },
-    )
+    or_dash(estimate.map(|estimate| {
+        let [value, low, high] = [estimate.value, estimate.low, estimate.high].map(|s| s * 100.0);
+        format!("{value:.0} % [{low:.0}, {high:.0}]")
+    }))
 }
 
 /// `.953 [.941, .965]`.
@@ -165,8 +154,7 @@ fn share(estimate: Option<Estimate>) -> String {
             .strip_prefix("0.")
             .map_or_else(|| short.to_owned(), |rest| format!(".{rest}"))
     };
-    estimate.map_or_else(
-        || "-".to_owned(),
-        |Estimate { value, low, high }| format!("{} [{}, {}]", bare(value), bare(low), bare(high)),
-    )
+    or_dash(estimate.map(|Estimate { value, low, high }| {
+        format!("{} [{}, {}]", bare(value), bare(low), bare(high))
+    }))
 }

@@ -4,7 +4,7 @@ use super::estimate::Estimate;
 use super::target::Target;
 use crate::against_detector::{ComparedFrame, against_detector};
 use crate::data::Clip;
-use crate::run;
+use crate::run::Settings;
 use crate::source::{ScreenRule, SourceError};
 use albireo_core::policy::{PolicyConfig, PolicyConfigError};
 use serde::Serialize;
@@ -14,15 +14,6 @@ const BLOCKS: usize = 40;
 
 /// Frames of a block at least: one that ends with an object's visit says nothing of the next.
 const LEAST_FRAMES: usize = 20;
-
-/// How the advice is found.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Detections below this are not used.
-    pub confidence: f64,
-    /// Frames in a row that a screen may call empty before the detector runs anyway; 0 for any number.
-    pub longest_empty_run: u32,
-}
 
 /// Why there is no advice.
 #[derive(Debug, thiserror::Error)]
@@ -154,14 +145,12 @@ pub(super) fn try_out(
     let mut turned = config.clone();
     turned.set_argument(&format!("{value:e}"))?;
     let mut policy = turned.build()?;
-    let settings = run::Settings {
-        confidence: settings.confidence,
-        longest_empty_run: settings.longest_empty_run,
+    let settings = Settings {
         screen: match screen {
             Screen::None => ScreenRule::Nonempty,
             Screen::Model => ScreenRule::Recorded,
         },
-        ..run::Settings::default()
+        ..settings.clone()
     };
     let frames: usize = clips.iter().map(|clip| clip.frames).sum();
     let length = (frames / BLOCKS).max(LEAST_FRAMES);

@@ -55,24 +55,12 @@ impl ClassNumbers {
 /// Judges `boxes` against `reference`, over the frames that are in both. `None` when the reference has no
 /// box in any of them: then nothing can be said.
 pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
-    let both: Vec<_> = boxes
+    let both = boxes
         .iter()
-        .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)))
-        .collect();
-    let truth: Vec<Vec<TruthBox>> = both
-        .iter()
-        .map(|(_, expected)| {
-            expected
-                .iter()
-                .map(|expected| TruthBox {
-                    corners: expected.corners,
-                    class: expected.class,
-                    object: None,
-                })
-                .collect()
-        })
-        .collect();
-    let found: Vec<_> = both.into_iter().map(|(found, _)| found).collect();
+        .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)));
+    let (found, truth): (Vec<_>, Vec<Vec<TruthBox>>) = both
+        .map(|(found, expected)| (found, expected.iter().map(|b| TruthBox::from(*b)).collect()))
+        .unzip();
     let judged = accuracy(&found, &truth, Classes::Pooled, Interpolation::AllPoints)?;
     Some(Agreement {
         ap50: judged.ap50,

@@ -3,56 +3,29 @@
 use super::run::{Comparison, Run};
 use super::summary::{Figure, Summary};
 use super::verdict::verdicts;
-use crate::text::csv;
-use std::path::{Path, PathBuf};
-
-/// A file that cannot be written.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot write {}: {reason}", path.display())]
-pub struct WriteError {
-    /// The file.
-    pub path: PathBuf,
-    /// Why not.
-    pub reason: String,
-}
+use crate::files::{self, FileError};
+use std::path::Path;
 
 /// Writes everything into `folder`, which is made if it is not there: `compare.json` with every run's clip
 /// report and the summary, `runs.csv` with a row per run, and `compare.txt` with what was printed.
 ///
 /// # Errors
-/// [`WriteError`] with the first file that cannot be written.
+/// [`FileError`] with the first file that cannot be written.
 pub fn write(
     folder: &Path,
     comparison: &Comparison,
     summary: &Summary,
     text: &str,
-) -> Result<(), WriteError> {
-    let failed = |path: &Path, reason: String| WriteError {
-        path: path.to_owned(),
-        reason,
-    };
-    std::fs::create_dir_all(folder).map_err(|error| failed(folder, error.to_string()))?;
-    let path = folder.join("compare.json");
+) -> Result<(), FileError> {
     let verdicts = verdicts(comparison, summary);
     let json = serde_json::json!({
         "v": 1, "comparison": comparison, "summary": summary, "verdicts": verdicts
     });
-    let json =
-        serde_json::to_vec_pretty(&json).map_err(|error| failed(&path, error.to_string()))?;
-    let csv_path = folder.join("runs.csv");
-    let rows: Vec<_> = (comparison.runs.iter())
-        .map(|run| row(comparison, run))
-        .collect();
-    let csv = csv(&rows).map_err(|error| failed(&csv_path, error.to_string()))?;
-    let files = [
-        (path, json),
-        (csv_path, csv),
-        (folder.join("compare.txt"), text.as_bytes().to_vec()),
-    ];
-    for (path, bytes) in files {
-        std::fs::write(&path, bytes).map_err(|error| failed(&path, error.to_string()))?;
-    }
-    Ok(())
+    files::write_json(&folder.join("compare.json"), &json)?;
+    let runs = comparison.runs.iter();
+    let rows: Vec<_> = runs.map(|run| row(comparison, run)).collect();
+    files::write_csv(&folder.join("runs.csv"), &rows)?;
+    files::write(&folder.join("compare.txt"), text)
 }
 
 /// Names and cells of a run; a figure that does not exist is an empty cell, never a zero.

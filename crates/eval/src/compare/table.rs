@@ -4,14 +4,11 @@ use super::run::Comparison;
 use super::schedule::schedule;
 use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
 use super::verdict::verdicts;
-use crate::text::wrapped;
+use crate::text::{self, Column, or_dash, wrapped};
 use std::fmt::Write;
 
 /// Widest label; what is longer is cut.
 const LABEL: usize = 24;
-
-/// Width of a column, with the space before it.
-const COLUMN: usize = 15;
 
 /// Widest line of text.
 const LINE: usize = 100;
@@ -53,14 +50,10 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let first = summary.policies.first().map_or("", |first| &first.policy);
     let title = format!("Change against {first}: mean of the differences within a round");
     let changes = |policy: &PolicySummary, figure| policy.change(figure).map(change);
-    for (_, unit) in &mut columns {
-        *unit = match *unit {
-            ["energy J", unit] => ["energy", unit],
-            ["EDP J·ms/frame", unit] => ["EDP", unit],
-            ["CPU time s", unit] => ["CPU time", unit],
-            ["frame time ms", unit] => ["frame time", unit],
-            other => other,
-        };
+    for (_, [name, _]) in &mut columns {
+        let units = [" J", " J·ms/frame", " s", " ms"];
+        let mut bare = units.iter().filter_map(|unit| name.strip_suffix(unit));
+        *name = bare.next().unwrap_or(name);
     }
     let others = summary.policies.get(1..).unwrap_or_default();
     table(&mut text, &title, others, &columns, changes);
@@ -174,42 +167,24 @@ fn table(
     if policies.is_empty() {
         return;
     }
+    let names = policies.iter().map(|policy| cut(&policy.policy)).collect();
+    let mut table = vec![Column::new(["policy", ""], names)];
+    table.extend(columns.iter().map(|(figure, heads)| {
+        let cells = (policies.iter()).map(|policy| or_dash(cell(policy, *figure)));
+        Column::new(*heads, cells.collect())
+    }));
     wrap(text, title);
     text.pop();
-    let label = policies
-        .iter()
-        .map(|policy| policy.policy.chars().count())
-        .max()
-        .unwrap_or(0)
-        .clamp(6, LABEL);
-    for line in 0..2 {
-        let cells = columns.iter().map(|(_, heading)| heading[line].to_owned());
-        let first = if line == 0 { "policy" } else { "" };
-        if line == 0 || columns.iter().any(|(_, heading)| !heading[1].is_empty()) {
-            row(text, label, first, cells);
-        }
-    }
-    for policy in policies {
-        let cells = columns
-            .iter()
-            .map(|(figure, _)| cell(policy, *figure).unwrap_or_else(|| "-".to_owned()));
-        row(text, label, &policy.policy, cells);
-    }
+    text.push_str(&text::table(table.iter(), "  "));
     text.push('\n');
 }
 
-fn row(text: &mut String, width: usize, label: &str, cells: impl Iterator<Item = String>) {
-    let label: String = if label.chars().count() > width {
-        label.chars().take(width - 1).chain(['…']).collect()
-    } else {
-        label.to_owned()
-    };
-    let mut line = format!("{label:width$}");
-    for cell in cells {
-        let _ = write!(line, "{cell:>COLUMN$}");
+/// A label that leaves room for the columns.
+fn cut(label: &str) -> String {
+    match label.chars().count() > LABEL {
+        true => label.chars().take(LABEL - 1).chain(['…']).collect(),
+        false => label.to_owned(),
     }
-    text.push_str(line.trim_end());
-    text.push('\n');
 }
 
 /// Whether a figure lies between 0 and 1, and is shown in percent.

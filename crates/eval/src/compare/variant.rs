@@ -1,6 +1,7 @@
 //! The variants of a comparison: policies with the values of their knobs.
 
-use albireo_core::policy::{Albireo, Policy, PolicyConfig, PolicyConfigError};
+use crate::spec::{SpecError, Sweep, swept};
+use albireo_core::policy::{Albireo, Policy, PolicyConfig};
 use std::collections::BTreeSet;
 
 /// One policy with its settings.
@@ -12,89 +13,36 @@ pub struct Variant {
     pub config: PolicyConfig,
 }
 
-/// Policies that cannot be compared.
-#[derive(Debug, thiserror::Error)]
-pub enum VariantError {
-    /// The policy room refuses one.
-    #[error("--policy {asked}: {source}")]
-    Policy {
-        /// What was asked for.
-        asked: String,
-        /// Why not.
-        source: PolicyConfigError,
-    },
-    /// Values of `u` for policies that do not take it.
-    #[error(
-        "--u: none of the policies asked for has a threshold `u` left to set; add --policy albireo"
-    )]
-    NoThreshold,
-    /// There is nothing to compare with.
-    #[error(
-        "only `{0}` was asked for: name a second policy, such as --policy vanilla --policy albireo"
-    )]
-    Alone(String),
-}
-
 /// The variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
 /// `u` and without an argument of its own is there once for each value of `thresholds`; everything else is
 /// as in `base`.
 ///
 /// # Errors
-/// [`VariantError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
+/// [`SpecError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
 /// fewer than two variants.
 pub fn variants(
     asked: &[String],
     thresholds: &[f64],
     base: &PolicyConfig,
-) -> Result<Vec<Variant>, VariantError> {
-    let mut found = Vec::new();
-    let mut taken = thresholds.is_empty();
-    for asked in asked {
-        let first = variant(asked, base)?;
-        let swept = first.threshold && !asked.contains(':') && !thresholds.is_empty();
-        if !swept {
-            found.push(first.variant);
-            continue;
-        }
-        taken = true;
-        for u in thresholds {
-            found.push(variant(&format!("{asked}:{u:e}"), base)?.variant);
-        }
-    }
-    if !taken {
-        return Err(VariantError::NoThreshold);
-    }
+) -> Result<Vec<Variant>, SpecError> {
+    let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
+    let sweep = (!thresholds.is_empty()).then(|| Sweep {
+        name: Albireo::KNOB.name.to_owned(),
+        values: thresholds.to_vec(),
+    });
+    let swept = swept(&asked, sweep.as_slice(), base)?.into_iter();
+    let mut found: Vec<Variant> = swept
+        .map(|(config, policy)| Variant {
+            label: label(policy.as_ref()),
+            config,
+        })
+        .collect();
     let mut labels = BTreeSet::new();
     found.retain(|variant| labels.insert(variant.label.clone()));
     match found.as_slice() {
-        [alone] => Err(VariantError::Alone(alone.label.clone())),
+        [alone] => Err(SpecError::Alone(alone.label.clone())),
         _ => Ok(found),
     }
-}
-
-struct Parsed {
-    variant: Variant,
-    /// Whether its knob is `u`.
-    threshold: bool,
-}
-
-fn variant(asked: &str, base: &PolicyConfig) -> Result<Parsed, VariantError> {
-    let refused = |source| VariantError::Policy {
-        asked: asked.to_owned(),
-        source,
-    };
-    let mut config = base.clone();
-    config.select(asked).map_err(refused)?;
-    let policy = config.build().map_err(refused)?;
-    Ok(Parsed {
-        threshold: policy
-            .knob()
-            .is_some_and(|knob| knob.name == Albireo::KNOB.name),
-        variant: Variant {
-            label: label(policy.as_ref()),
-            config,
-        },
-    })
 }
 
 fn label(policy: &dyn Policy) -> String {
@@ -143,7 +91,7 @@ mod tests {
         let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
         assert!(refused(&["vanila", "albireo"], &[]).contains("`vanilla`"));
         assert!(refused(&["nobody", "albireo"], &[]).contains("the policies are `albireo`"));
-        assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("add --policy albireo"));
+        assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("--policy albireo"));
         assert!(refused(&["albireo"], &[]).contains("name a second policy"));
         assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));
     }

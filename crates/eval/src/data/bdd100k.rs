@@ -6,12 +6,10 @@
 //! other: neither the paper nor its published evaluator makes an exception for them.
 
 use super::classes::from_name;
-use super::rows::read_text;
-use super::{
-    Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection, entries, has_extension,
-};
-use crate::average_precision::TruthBox;
-use albireo_core::detection::ClassId;
+use super::rows::MOST_FRAMES;
+use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension};
+use crate::average_precision::ScoredBox;
+use crate::files::{FileError, read_text};
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, btree_map};
@@ -21,8 +19,6 @@ use std::path::{Path, PathBuf};
 pub(crate) const BDD100K_SIZE: PictureSize = PictureSize::new(1280, 720);
 /// The tracking set is annotated at this rate.
 pub const BDD100K_FRAME_RATE: f64 = 5.0;
-/// A frame index above this is taken for a broken file.
-const MOST_FRAMES: usize = 1_000_000;
 
 /// The form with the frames inside an object.
 #[derive(Deserialize)]
@@ -80,33 +76,17 @@ type Videos<T> = BTreeMap<String, BTreeMap<usize, Vec<T>>>;
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
 /// # Errors
-/// [`DataError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
-pub fn read(source: &Source<'_>) -> Result<Clips, DataError> {
+/// [`FileError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
+pub fn read(source: &Source<'_>) -> Result<Clips, FileError> {
     let mut clips = Clips::default();
     let (picture, report) = (source.picture, &mut clips.report);
-    let truth_box = |label: &Label, corners, class| {
-        let object = label.id.as_ref().and_then(number_of);
-        Ok(TruthBox {
-            corners,
-            class,
-            object,
-        })
-    };
-    let detection = |label: &Label, corners, class| {
-        let confidence = label.score.ok_or("has no `score`: is this ground truth?")?;
-        Ok(StoredDetection {
-            corners,
-            class,
-            confidence,
-        })
-    };
     let mut truths = source
         .truth
-        .map(|path| read_videos(path, picture, truth_box, report))
+        .map(|path| read_videos(path, picture, false, report))
         .transpose()?;
     let mut found = source
         .detections
-        .map(|path| read_videos(path, picture, detection, report))
+        .map(|path| read_videos(path, picture, true, report))
         .transpose()?;
     let names: BTreeSet<String> = truths
         .iter()
@@ -144,12 +124,12 @@ fn spread<T: Clone>(by_index: BTreeMap<usize, Vec<T>>, frames: usize) -> Vec<Vec
     spread
 }
 
-fn read_videos<T>(
+fn read_videos<T: From<ScoredBox>>(
     path: &Path,
     picture: PictureSize,
-    make: impl Fn(&Label, Corners, ClassId) -> Result<T, &'static str>,
+    scored: bool,
     report: &mut LoadReport,
-) -> Result<Videos<T>, DataError> {
+) -> Result<Videos<T>, FileError> {
     let mut videos = Videos::new();
     for file in json_files(path)? {
         let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
@@ -160,7 +140,7 @@ fn read_videos<T>(
         };
         let frames: Vec<Frame> = frames.map_err(|error| {
             let what = format!("it is no list of frames in the Scalabel form: {error}");
-            DataError::line(&file, error.line() as u64, what)
+            FileError::line(&file, error.line() as u64, what)
         })?;
         let stem = file
             .file_stem()
@@ -178,56 +158,62 @@ fn read_videos<T>(
                     "frame {} comes twice: its video already has the index {index}",
                     frame.name
                 );
-                return Err(DataError::file(&file, what));
+                return Err(FileError::content(&file, what));
             };
             if index >= MOST_FRAMES {
                 let what = format!(
                     "frame {} has the index {index}, which is no frame of a clip",
                     frame.name
                 );
-                return Err(DataError::file(&file, what));
+                return Err(FileError::content(&file, what));
             }
-            place.insert(boxes(&file, &frame, picture, &make, report)?);
+            place.insert(boxes(&file, &frame, picture, scored, report)?);
         }
     }
     Ok(videos)
 }
 
 /// The file itself, or the JSON files of a folder, sorted.
-fn json_files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
+fn json_files(path: &Path) -> Result<Vec<PathBuf>, FileError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     entries(path, |path| has_extension(path, &["json"]))
-        .map_err(|error| DataError::read(path, error, "is the folder readable?"))
+        .map_err(|error| FileError::read(path, error, "is the folder readable?"))
 }
 
 /// The boxes of a frame that are kept.
-fn boxes<T>(
+fn boxes<T: From<ScoredBox>>(
     file: &Path,
     frame: &Frame,
     picture: PictureSize,
-    make: impl Fn(&Label, Corners, ClassId) -> Result<T, &'static str>,
+    scored: bool,
     report: &mut LoadReport,
-) -> Result<Vec<T>, DataError> {
+) -> Result<Vec<T>, FileError> {
     let mut boxes = Vec::new();
     for (number, label) in frame.labels.iter().flatten().enumerate() {
         let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
             continue;
         };
-        let corners = Corners { x1, y1, x2, y2 };
+        let confidence = match label.score.filter(|_| scored) {
+            None if scored => {
+                let what = format!(
+                    "frame {}, label {number} has no `score`: is this ground truth?",
+                    frame.name
+                );
+                return Err(FileError::content(file, what));
+            }
+            score => score.unwrap_or(1.0),
+        };
         let labelled = LabelledBox {
-            corners,
+            corners: Corners { x1, y1, x2, y2 },
             class: from_name(&label.category),
             class_name: label.category.as_str().into(),
-            confidence: label.score,
+            confidence,
+            object: label.id.as_ref().and_then(number_of),
         };
         let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
-        if let Some(class) = report.keep(&labelled, picture, place) {
-            boxes.push(make(label, corners, class).map_err(|what| {
-                DataError::file(file, format!("frame {}, label {number} {what}", frame.name))
-            })?);
-        }
+        boxes.extend(report.keep::<T>(&labelled, picture, place));
     }
     Ok(boxes)
 }

@@ -5,8 +5,9 @@
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 
 use super::classes::from_name;
-use super::{Clip, Clips, DataError, LabelledBox, LeftOut, StoredDetection};
-use crate::average_precision::TruthBox;
+use super::{Clip, Clips, LabelledBox, LeftOut};
+use crate::average_precision::{ScoredBox, TruthBox};
+use crate::files::FileError;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -65,9 +66,9 @@ struct Video {
 /// Reads a data set and, if given, a list of results on its images.
 ///
 /// # Errors
-/// [`DataError`] for a missing or broken file, a box on an image that is not there, or pictures of
+/// [`FileError`] for a missing or broken file, a box on an image that is not there, or pictures of
 /// different sizes within a clip.
-pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> {
+pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, FileError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let names: HashMap<u64, &str> = set
         .categories
@@ -78,7 +79,7 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
     let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
     let mut clips = Clips::default();
     let report = &mut clips.report;
-    let labelled = |annotation: &Annotation| {
+    let labelled = |annotation: &Annotation, confidence| {
         let name = names.get(&annotation.category_id).copied();
         let known = name.map_or(Err(LeftOut::UnmappedClass), from_name);
         let is_crowd = annotation.iscrowd != 0;
@@ -93,25 +94,17 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
                 || format!("category {}", annotation.category_id).into(),
                 Into::into,
             ),
-            confidence: annotation.score,
+            confidence,
+            object: annotation.track_id,
         }
     };
     for (number, annotation) in set.annotations.iter().flatten().enumerate() {
         let spot = || format!("{}, annotation {number}", dataset.display());
         let (clip, frame) = place(dataset, &places, annotation, number)?;
         let clip = &mut drafts[clip];
-        let labelled = LabelledBox {
-            confidence: None,
-            ..labelled(annotation)
-        };
-        if let (Some(class), Some(truth)) =
-            (report.keep(&labelled, clip.picture, spot), &mut clip.truth)
-        {
-            truth[frame].push(TruthBox {
-                corners: labelled.corners,
-                class,
-                object: annotation.track_id,
-            });
+        let kept = report.keep::<TruthBox>(&labelled(annotation, 1.0), clip.picture, spot);
+        if let Some(truth) = &mut clip.truth {
+            truth[frame].extend(kept);
         }
     }
     if let Some(path) = results {
@@ -120,19 +113,12 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
             let spot = || format!("{}, result {number}", path.display());
             let (clip, frame) = place(path, &places, result, number)?;
             let clip = &mut drafts[clip];
-            let confidence = result
-                .score
-                .ok_or_else(|| DataError::file(path, format!("result {number} has no `score`")))?;
-            let labelled = labelled(result);
-            if let (Some(class), Some(detections)) = (
-                report.keep(&labelled, clip.picture, spot),
-                &mut clip.detections,
-            ) {
-                detections[frame].push(StoredDetection {
-                    corners: labelled.corners,
-                    class,
-                    confidence,
-                });
+            let confidence = result.score.ok_or_else(|| {
+                FileError::content(path, format!("result {number} has no `score`"))
+            })?;
+            let kept = report.keep::<ScoredBox>(&labelled(result, confidence), clip.picture, spot);
+            if let Some(detections) = &mut clip.detections {
+                detections[frame].extend(kept);
             }
         }
     }
@@ -142,10 +128,10 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> 
     clips.nonempty(dataset)
 }
 
-fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, DataError> {
-    let file = std::fs::File::open(path).map_err(|error| DataError::read(path, error, help))?;
+fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, FileError> {
+    let file = std::fs::File::open(path).map_err(|error| FileError::read(path, error, help))?;
     serde_json::from_reader(std::io::BufReader::new(file))
-        .map_err(|error| DataError::line(path, error.line() as u64, error.to_string()))
+        .map_err(|error| FileError::json(path, &error))
 }
 
 fn corners([x, y, width, height]: [f64; 4]) -> Corners {
@@ -165,9 +151,9 @@ fn place(
     places: &Places,
     annotation: &Annotation,
     number: usize,
-) -> Result<(usize, usize), DataError> {
+) -> Result<(usize, usize), FileError> {
     places.get(&annotation.image_id).copied().ok_or_else(|| {
-        DataError::file(
+        FileError::content(
             path,
             format!(
                 "entry {number} is on image {}, which is not listed",
@@ -183,7 +169,7 @@ fn frames(
     set: &Dataset,
     has_truth: bool,
     has_detections: bool,
-) -> Result<(Vec<Clip>, Places), DataError> {
+) -> Result<(Vec<Clip>, Places), FileError> {
     let videos: HashMap<u64, String> = set
         .videos
         .iter()
@@ -217,7 +203,7 @@ fn frames(
         let picture = PictureSize::new(images[0].width, images[0].height);
         for (frame, image) in images.iter().enumerate() {
             if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
-                return Err(DataError::file(
+                return Err(FileError::content(
                     path,
                     format!(
                         "image {} of clip `{name}` is {}x{}, the clip's first {picture}: a clip has \

@@ -5,31 +5,29 @@
 //! frames and pixels from 0. Source: KITTI tracking development kit, readme.
 
 use super::classes::from_kitti;
-use super::pictures::{pictures_in, png_size};
-use super::rows::{Row, read_text, space_separated};
-use super::{
-    Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection, entries, has_extension,
-};
+use super::rows::{Row, Table};
+use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension, pictures_in};
 use crate::average_precision::TruthBox;
-use albireo_core::detection::ClassId;
+use crate::files::FileError;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::picture::read_picture_file;
 use std::path::Path;
 
 /// Pictures of most sequences, used where no picture says otherwise.
 const USUAL_SIZE: PictureSize = PictureSize::new(1242, 375);
 /// All sequences were recorded at this rate.
 const FRAME_RATE: f64 = 10.0;
-/// A frame number above this is taken for a broken file rather than for a clip of more than a day.
-const MOST_FRAMES: usize = 1_000_000;
+/// The files were listed before they are read.
+const GONE: &str = "it was there a moment ago";
 
 /// Reads all sequences of the folder that has `label_02`.
 ///
 /// # Errors
-/// [`DataError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, DataError> {
+/// [`FileError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, FileError> {
     let labels = folder.join("label_02");
     let files = entries(&labels, |path| has_extension(path, &["txt"])).map_err(|error| {
-        DataError::read(
+        FileError::read(
             &labels,
             error,
             "give the folder that holds label_02 with one file per sequence",
@@ -37,67 +35,52 @@ pub fn read(folder: &Path) -> Result<Clips, DataError> {
     })?;
     let mut clips = Clips::default();
     for file in files {
-        let Some(name) = file
-            .file_stem()
-            .map(|stem| stem.to_string_lossy().into_owned())
-        else {
-            continue;
-        };
-        let clip = read_sequence(folder, &file, &name, &mut clips.report)?;
+        let name = file.file_stem().unwrap_or_default().to_string_lossy();
+        let clip = read_sequence(folder, &name, &mut clips.report)?;
         clips.push(clip);
     }
     clips.nonempty(folder)
 }
 
-fn read_sequence(
-    folder: &Path,
-    labels: &Path,
-    name: &str,
-    report: &mut LoadReport,
-) -> Result<Clip, DataError> {
+fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, FileError> {
     let pictures = pictures_in(&folder.join("image_02").join(name));
-    let picture = pictures
+    let first = pictures
         .first()
-        .and_then(|first| png_size(first))
-        .unwrap_or(USUAL_SIZE);
-    let mut truth: Vec<Vec<TruthBox>> = vec![Vec::new(); pictures.len()];
-    let mut ignored = Vec::new();
-    let known = (!pictures.is_empty()).then_some(pictures.len());
-    let text = read_text(labels, "it was there a moment ago")?;
-    space_separated(labels, &text, |row| {
-        let frame = row.frame(0, 0, known.unwrap_or(MOST_FRAMES))?;
-        grow(&mut truth, frame);
-        if row.text(2, "type")? == "DontCare" {
-            ignored.resize(truth.len(), Vec::new());
-            ignored[frame].push(corners(row)?);
-        } else if let Some((corners, class)) = kept_box(row, picture, None, report)? {
-            truth[frame].push(TruthBox {
-                corners,
-                class,
-                object: u64::try_from(row.integer(1, "id")?).ok(),
-            });
+        .and_then(|first| read_picture_file(first).ok());
+    let picture = first.map_or(USUAL_SIZE, |first| first.size);
+    let table = |kind: &str| Table {
+        path: folder.join(kind).join(format!("{name}.txt")),
+        separator: None,
+        header: None,
+        first: 0,
+        frames: (!pictures.is_empty()).then_some(pictures.len()),
+    };
+    let labels = table("label_02");
+    let is_region = |row: &Row<'_>| Ok::<_, FileError>(row.text(2, "type")? == "DontCare");
+    let mut truth: Vec<Vec<TruthBox>> = labels.read(GONE, |row, boxes| {
+        if !is_region(row)? {
+            let labelled = LabelledBox {
+                object: row.object(1, "id")?,
+                ..labelled(row, 1.0)?
+            };
+            boxes.extend(report.keep::<TruthBox>(&labelled, picture, || row.place()));
         }
         Ok(())
     })?;
-    let file = folder.join("det_02").join(format!("{name}.txt"));
-    let mut detections: Option<Vec<Vec<StoredDetection>>> = None;
-    if file.exists() {
-        let found = detections.insert(vec![Vec::new(); truth.len()]);
-        let text = read_text(&file, "it was there a moment ago")?;
-        space_separated(&file, &text, |row| {
-            let frame = row.frame(0, 0, known.unwrap_or(MOST_FRAMES))?;
-            grow(found, frame);
-            let confidence = row.number(17, "score")?;
-            if let Some((corners, class)) = kept_box(row, picture, Some(confidence), report)? {
-                found[frame].push(StoredDetection {
-                    corners,
-                    class,
-                    confidence,
-                });
-            }
-            Ok(())
-        })?;
-    }
+    let ignored = labels.read(GONE, |row, regions| {
+        if is_region(row)? {
+            regions.push(labelled(row, 1.0)?.corners);
+        }
+        Ok(())
+    })?;
+    let found = table("det_02");
+    let mut detections = (found.path.exists())
+        .then(|| {
+            found.boxes(GONE, picture, report, |row| {
+                labelled(row, row.number(17, "score")?)
+            })
+        })
+        .transpose()?;
     let frames = truth.len().max(detections.as_ref().map_or(0, Vec::len));
     truth.resize(frames, Vec::new());
     if let Some(detections) = &mut detections {
@@ -113,35 +96,14 @@ fn read_sequence(
     })
 }
 
-fn grow<T: Clone>(frames: &mut Vec<Vec<T>>, frame: usize) {
-    if frames.len() <= frame {
-        frames.resize(frame + 1, Vec::new());
-    }
-}
-
-/// The row's box and class, or nothing if it was left out and counted.
-fn kept_box(
-    row: &Row<'_>,
-    picture: PictureSize,
-    confidence: Option<f64>,
-    report: &mut LoadReport,
-) -> Result<Option<(Corners, ClassId)>, DataError> {
-    let (corners, class_name) = (corners(row)?, row.text(2, "type")?);
-    let labelled = LabelledBox {
-        corners,
+fn labelled<'r>(row: &'r Row<'_>, confidence: f64) -> Result<LabelledBox<'r>, FileError> {
+    let [x1, y1, x2, y2] = row.numbers(6, ["x1", "y1", "x2", "y2"])?;
+    let class_name = row.text(2, "type")?;
+    Ok(LabelledBox {
+        corners: Corners { x1, y1, x2, y2 },
         class: from_kitti(class_name),
         class_name: class_name.into(),
         confidence,
-    };
-    let class = report.keep(&labelled, picture, || row.place());
-    Ok(class.map(|class| (corners, class)))
-}
-
-fn corners(row: &Row<'_>) -> Result<Corners, DataError> {
-    Ok(Corners {
-        x1: row.number(6, "x1")?,
-        y1: row.number(7, "y1")?,
-        x2: row.number(8, "x2")?,
-        y2: row.number(9, "y2")?,
+        object: None,
     })
 }

@@ -6,26 +6,28 @@
 //! 2015 release (ten columns) has pedestrians only. Source: MOT16 paper, arXiv 1603.00831, table 3.
 
 use super::classes::{PERSON, from_mot_challenge};
-use super::pictures::pictures_in;
-use super::rows::{Row, comma_separated, read_text};
-use super::{Clip, Clips, DataError, LabelledBox, LeftOut, LoadReport, StoredDetection, entries};
-use crate::average_precision::TruthBox;
+use super::rows::{Row, Table};
+use super::{Clip, Clips, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
+use crate::files::{FileError, read_text};
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
 use std::path::Path;
+
+/// The files were seen before they are read.
+const GONE: &str = "it was there a moment ago";
 
 /// Reads a sequence's folder, or a folder of such folders. Detections and ground truth are taken where they
 /// are there.
 ///
 /// # Errors
-/// [`DataError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, DataError> {
+/// [`FileError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, FileError> {
     let is_sequence = |folder: &Path| folder.join("seqinfo.ini").exists();
     let folders = if is_sequence(folder) {
         vec![folder.to_owned()]
     } else {
         entries(folder, is_sequence).map_err(|error| {
-            DataError::read(
+            FileError::read(
                 folder,
                 error,
                 "give a sequence's folder or a folder of them",
@@ -40,18 +42,22 @@ pub fn read(folder: &Path) -> Result<Clips, DataError> {
     clips.nonempty(folder)
 }
 
-fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, DataError> {
+fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, FileError> {
     let info = Info::read(&folder.join("seqinfo.ini"))?;
     let (picture, frames) = (info.picture, info.frames);
-    let truth_file = folder.join("gt").join("gt.txt");
-    let truth = truth_file
-        .exists()
-        .then(|| read_truth(&truth_file, picture, frames, report))
+    let table = |file: &str| Table {
+        path: folder.join(file),
+        separator: Some(','),
+        header: None,
+        first: 1,
+        frames: Some(frames),
+    };
+    let (labels, found) = (table("gt/gt.txt"), table("det/det.txt"));
+    let truth = (labels.path.exists())
+        .then(|| labels.boxes(GONE, picture, report, labelled_truth))
         .transpose()?;
-    let detection_file = folder.join("det").join("det.txt");
-    let detections = detection_file
-        .exists()
-        .then(|| read_detections(&detection_file, picture, frames, report))
+    let detections = (found.path.exists())
+        .then(|| found.boxes(GONE, picture, report, labelled_detection))
         .transpose()?;
     Ok(Clip {
         frame_rate: info.frame_rate,
@@ -71,7 +77,7 @@ struct Info {
 }
 
 impl Info {
-    fn read(path: &Path) -> Result<Self, DataError> {
+    fn read(path: &Path) -> Result<Self, FileError> {
         let text = read_text(
             path,
             "a MOTChallenge sequence is described by its seqinfo.ini",
@@ -81,17 +87,17 @@ impl Info {
             .filter_map(|line| line.split_once('='))
             .map(|(key, value)| (key.trim(), value.trim()))
             .collect();
-        let number = |key: &str| -> Result<u32, DataError> {
+        let number = |key: &str| -> Result<u32, FileError> {
             let value = values
                 .get(key)
-                .ok_or_else(|| DataError::file(path, format!("the key `{key}` is missing")))?;
+                .ok_or_else(|| FileError::content(path, format!("the key `{key}` is missing")))?;
             value.parse().map_err(|_| {
-                DataError::file(path, format!("`{key}` is `{value}`, not a whole number"))
+                FileError::content(path, format!("`{key}` is `{value}`, not a whole number"))
             })
         };
         let (width, height) = (number("imWidth")?, number("imHeight")?);
         if width == 0 || height == 0 {
-            return Err(DataError::file(path, "the pictures have no size"));
+            return Err(FileError::content(path, "the pictures have no size"));
         }
         let folder_name = path.parent().and_then(Path::file_name).map_or_else(
             || "sequence".to_owned(),
@@ -113,9 +119,8 @@ impl Info {
 }
 
 /// The box in columns 3 to 6, from pixels counted from 1 to pixels counted from 0.
-fn corners(row: &Row<'_>) -> Result<Corners, DataError> {
-    let (left, top): (f64, f64) = (row.number(2, "left")?, row.number(3, "top")?);
-    let (width, height): (f64, f64) = (row.number(4, "width")?, row.number(5, "height")?);
+fn corners(row: &Row<'_>) -> Result<Corners, FileError> {
+    let [left, top, width, height] = row.numbers(2, ["left", "top", "width", "height"])?;
     Ok(Corners {
         x1: left - 1.0,
         y1: top - 1.0,
@@ -124,67 +129,29 @@ fn corners(row: &Row<'_>) -> Result<Corners, DataError> {
     })
 }
 
-fn read_truth(
-    path: &Path,
-    picture: PictureSize,
-    frames: usize,
-    report: &mut LoadReport,
-) -> Result<Vec<Vec<TruthBox>>, DataError> {
-    let text = read_text(path, "it was there a moment ago")?;
-    let mut truth = vec![Vec::new(); frames];
-    comma_separated(path, &text, None, |row| {
-        let frame = row.frame(0, 1, frames)?;
-        let corners = corners(row)?;
-        let is_judged = row.number::<f64>(6, "whether it is judged")? != 0.0;
-        let (class, class_name) = if row.len() <= 9 {
-            let number = row.integer(7, "class")?;
-            (from_mot_challenge(number), number.to_string().into())
-        } else {
-            (Ok(PERSON), "".into())
-        };
-        let labelled = LabelledBox {
-            corners,
-            class: class.and_then(|class| is_judged.then_some(class).ok_or(LeftOut::IgnoredRegion)),
-            class_name,
-            confidence: None,
-        };
-        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
-            truth[frame].push(TruthBox {
-                corners,
-                class,
-                object: u64::try_from(row.integer(1, "id")?).ok(),
-            });
-        }
-        Ok(())
-    })?;
-    Ok(truth)
+fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, FileError> {
+    let is_judged = row.number::<f64>(6, "whether it is judged")? != 0.0;
+    let (class, class_name) = if row.len() <= 9 {
+        let number = row.integer(7, "class")?;
+        (from_mot_challenge(number), number.to_string().into())
+    } else {
+        (Ok(PERSON), "".into())
+    };
+    Ok(LabelledBox {
+        corners: corners(row)?,
+        class: class.and_then(|class| is_judged.then_some(class).ok_or(LeftOut::IgnoredRegion)),
+        class_name,
+        confidence: 1.0,
+        object: row.object(1, "id")?,
+    })
 }
 
-fn read_detections(
-    path: &Path,
-    picture: PictureSize,
-    frames: usize,
-    report: &mut LoadReport,
-) -> Result<Vec<Vec<StoredDetection>>, DataError> {
-    let text = read_text(path, "it was there a moment ago")?;
-    let mut detections = vec![Vec::new(); frames];
-    comma_separated(path, &text, None, |row| {
-        let frame = row.frame(0, 1, frames)?;
-        let (corners, confidence) = (corners(row)?, row.number(6, "score")?);
-        let labelled = LabelledBox {
-            corners,
-            class: Ok(PERSON),
-            class_name: "".into(),
-            confidence: Some(confidence),
-        };
-        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
-            detections[frame].push(StoredDetection {
-                corners,
-                class,
-                confidence,
-            });
-        }
-        Ok(())
-    })?;
-    Ok(detections)
+fn labelled_detection<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, FileError> {
+    Ok(LabelledBox {
+        corners: corners(row)?,
+        class: Ok(PERSON),
+        class_name: "".into(),
+        confidence: row.number(6, "score")?,
+        object: None,
+    })
 }

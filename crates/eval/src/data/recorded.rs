@@ -11,18 +11,18 @@
 //! Pixels, frames from 0, classes by their COCO numbers. A sequence whose entry counts ground-truth boxes
 //! (`ground_truth_boxes`) must have the file. [`write`] makes the same layout.
 
-use super::rows::{Row, comma_separated, read_text};
-use super::{Clip, Clips, DataError, LabelledBox, LoadReport, StoredDetection};
-use crate::average_precision::TruthBox;
+use super::rows::{Row, Table};
+use super::{Clip, Clips, LabelledBox, LoadReport};
+use crate::files::{self, FileError, read_text};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id";
 const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2";
+const SCREEN_HEADER: &str = "frame,empty";
 
 #[derive(Serialize, Deserialize)]
 struct Index {
@@ -46,21 +46,21 @@ struct Entry {
 /// Reads the folder.
 ///
 /// # Errors
-/// [`DataError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, DataError> {
+/// [`FileError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, FileError> {
     let path = folder.join("sequences.json");
     let text = read_text(
         &path,
         "a folder of recorded detections has a sequences.json that lists its sequences",
     )?;
-    let index: Index = serde_json::from_str(&text)
-        .map_err(|error| DataError::line(&path, error.line() as u64, error.to_string()))?;
+    let index: Index =
+        serde_json::from_str(&text).map_err(|error| FileError::json(&path, &error))?;
     let mut clips = Clips::default();
     let mut names = std::collections::BTreeSet::new();
     for entry in index.sequences {
         check(&entry, &path)?;
         if !names.insert(entry.name.clone()) {
-            return Err(DataError::file(
+            return Err(FileError::content(
                 &path,
                 format!("the sequence `{}` is listed twice", entry.name),
             ));
@@ -71,195 +71,146 @@ pub fn read(folder: &Path) -> Result<Clips, DataError> {
     clips.nonempty(folder)
 }
 
-fn check(entry: &Entry, path: &Path) -> Result<(), DataError> {
-    let plain =
-        !entry.name.is_empty() && !entry.name.starts_with('.') && !entry.name.contains(['/', '\\']);
-    if !plain {
-        return Err(DataError::file(
-            path,
-            format!(
-                "`{}` cannot be a sequence's name: it names a file",
-                entry.name
-            ),
-        ));
-    }
-    if entry.width == 0 || entry.height == 0 {
-        return Err(DataError::file(
-            path,
-            format!(
-                "the sequence `{}` has pictures of {}x{} pixels",
-                entry.name, entry.width, entry.height
-            ),
-        ));
-    }
-    if entry
-        .fps
-        .is_some_and(|rate| !(rate.is_finite() && rate > 0.0))
-    {
-        return Err(DataError::file(
-            path,
-            format!(
-                "the sequence `{}` has a frame rate that is not positive",
-                entry.name
-            ),
-        ));
-    }
-    Ok(())
+fn check(entry: &Entry, path: &Path) -> Result<(), FileError> {
+    let name = &entry.name;
+    let is_plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\']);
+    let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
+    let what = if !is_plain {
+        format!("`{name}` cannot be a sequence's name: it names a file")
+    } else if entry.width == 0 || entry.height == 0 {
+        let (width, height) = (entry.width, entry.height);
+        format!("the sequence `{name}` has pictures of {width}x{height} pixels")
+    } else if !entry.fps.is_none_or(is_rate) {
+        format!("the sequence `{name}` has a frame rate that is not positive")
+    } else {
+        return Ok(());
+    };
+    Err(FileError::content(path, what))
 }
 
-fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, DataError> {
+fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, FileError> {
     let picture = PictureSize::new(entry.width, entry.height);
-    let path = folder
-        .join("detections")
-        .join(format!("{}.csv", entry.name));
-    let text = read_text(
-        &path,
-        "every sequence in sequences.json needs its detections; a sequence without any has a file with \
-         only the header",
-    )?;
-    let mut detections = vec![Vec::new(); entry.frames];
-    comma_separated(&path, &text, Some(DETECTION_HEADER), |row| {
-        let frame = columns(row, 7)?.frame(0, 0, entry.frames)?;
-        let (corners, confidence) = (corners(row)?, row.number(5, "score")?);
-        let labelled = labelled(corners, class(row, 6)?, Some(confidence));
-        if let Some(class) = report.keep(&labelled, picture, || row.place()) {
-            detections[frame].push(StoredDetection {
-                corners,
-                class,
-                confidence,
-            });
-        }
-        Ok(())
-    })?;
-
-    let path = folder
-        .join("groundtruth")
-        .join(format!("{}.csv", entry.name));
-    let expected = entry.ground_truth_boxes.is_some_and(|boxes| boxes > 0);
-    let truth = if expected || path.exists() {
-        let text = read_text(
-            &path,
-            "sequences.json says that this sequence has ground truth",
-        )?;
-        let mut truth = vec![Vec::new(); entry.frames];
-        comma_separated(&path, &text, Some(TRUTH_HEADER), |row| {
-            let frame = columns(row, 7)?.frame(0, 0, entry.frames)?;
-            let corners = corners(row)?;
-            let object = u64::try_from(row.integer(6, "object_id")?).ok();
-            let labelled = labelled(corners, class(row, 5)?, None);
-            if let Some(class) = report.keep(&labelled, picture, || row.place()) {
-                truth[frame].push(TruthBox {
-                    corners,
-                    class,
-                    object,
-                });
-            }
-            Ok(())
-        })?;
-        Some(truth)
-    } else {
-        None
+    let table = |kind: &str, header: &'static str| Table {
+        path: place(folder, kind, &entry.name),
+        separator: Some(','),
+        header: Some(header),
+        first: 0,
+        frames: Some(entry.frames),
     };
-    let path = folder.join("ignore").join(format!("{}.csv", entry.name));
-    let mut ignored = Vec::new();
-    if path.exists() {
-        let text = read_text(&path, "it was there a moment ago")?;
-        ignored.resize(entry.frames, Vec::new());
-        comma_separated(&path, &text, Some(IGNORED_HEADER), |row| {
-            let frame = columns(row, 5)?.frame(0, 0, entry.frames)?;
-            ignored[frame].push(corners(row)?);
-            Ok(())
-        })?;
-    }
-    let screen = super::screen_verdicts::read(folder, &entry.name, entry.frames)?;
+    let detections = table("detections", DETECTION_HEADER).boxes(
+        "every sequence in sequences.json needs its detections; a sequence without any has a file with only the header",
+        picture,
+        report,
+        |row| labelled(row, 6, row.number(5, "score")?, None),
+    )?;
+    let labels = table("groundtruth", TRUTH_HEADER);
+    let expected = entry.ground_truth_boxes.is_some_and(|boxes| boxes > 0);
+    let truth = (expected || labels.path.exists())
+        .then(|| {
+            let help = "sequences.json says that this sequence has ground truth";
+            labels.boxes(help, picture, report, |row| {
+                labelled(row, 5, 1.0, row.object(6, "object_id")?)
+            })
+        })
+        .transpose()?;
+    let help = "is the file readable?";
+    let regions = table("ignore", IGNORED_HEADER);
+    let ignored = (regions.path.exists())
+        .then(|| {
+            regions.read(help, |row, regions| {
+                regions.push(corners(row)?);
+                Ok(())
+            })
+        })
+        .transpose()?;
+    let verdicts = table("screen", SCREEN_HEADER);
+    let screen = (verdicts.path.exists())
+        .then(|| verdicts.read(help, screen_verdict))
+        .transpose()?;
     Ok(Clip {
         frame_rate: entry.fps,
-        camera: entry.camera,
         detections: Some(detections),
         truth,
-        screen,
-        ignored,
+        screen: screen.map(|frames| frames.iter().map(|told| told.first().copied()).collect()),
+        ignored: ignored.unwrap_or_default(),
+        camera: entry.camera,
         ..Clip::new(entry.name, picture, entry.frames)
     })
 }
 
-fn columns<'a, 'b>(row: &'a Row<'b>, count: usize) -> Result<&'a Row<'b>, DataError> {
-    if row.len() == count {
-        Ok(row)
-    } else {
-        Err(row.broken(format!(
-            "the row has {} columns, expected {count}",
-            row.len()
-        )))
+/// The table of that kind of a sequence.
+fn place(folder: &Path, kind: &str, name: &str) -> PathBuf {
+    folder.join(kind).join(format!("{name}.csv"))
+}
+
+fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), FileError> {
+    if !frame.is_empty() {
+        return Err(row.broken("its frame comes twice"));
     }
+    frame.push(match row.text(1, "empty")? {
+        "0" => false,
+        "1" => true,
+        other => return Err(row.broken(format!("`empty` is `{other}`, expected 0 or 1"))),
+    });
+    Ok(())
 }
 
-fn corners(row: &Row<'_>) -> Result<Corners, DataError> {
-    Ok(Corners {
-        x1: row.number(1, "x1")?,
-        y1: row.number(2, "y1")?,
-        x2: row.number(3, "x2")?,
-        y2: row.number(4, "y2")?,
-    })
-}
-
-fn class(row: &Row<'_>, index: usize) -> Result<ClassId, DataError> {
-    row.number(index, "class").map(ClassId)
+fn corners(row: &Row<'_>) -> Result<Corners, FileError> {
+    let [x1, y1, x2, y2] = row.numbers(1, ["x1", "y1", "x2", "y2"])?;
+    Ok(Corners { x1, y1, x2, y2 })
 }
 
 /// A box of these files, which have numbers of classes and no names.
-fn labelled(corners: Corners, class: ClassId, confidence: Option<f64>) -> LabelledBox<'static> {
-    LabelledBox {
-        corners,
-        class: Ok(class),
+fn labelled(
+    row: &Row<'_>,
+    class: usize,
+    confidence: f64,
+    object: Option<u64>,
+) -> Result<LabelledBox<'static>, FileError> {
+    Ok(LabelledBox {
+        corners: corners(row)?,
+        class: Ok(ClassId(row.number(class, "class")?)),
         class_name: "".into(),
         confidence,
-    }
+        object,
+    })
 }
 
 /// Writes `clips` in this layout, so that they can be replayed; numbers are written so that reading gives
 /// the same doubles back. Files that are there are replaced.
 ///
 /// # Errors
-/// [`DataError::Write`] when a file cannot be written.
-pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
+/// [`FileError::Write`] when a file cannot be written.
+pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), FileError> {
     let mut index = Index {
         sequences: Vec::new(),
     };
-    // Writing to a string cannot fail.
     for clip in clips {
-        let file = format!("{}.csv", clip.name);
-        let mut text = format!("{DETECTION_HEADER}\n");
-        for (frame, boxes) in clip.detections.iter().flatten().enumerate() {
-            for found in boxes {
-                let (place, class) = (cells(found.corners), found.class.0);
-                let _ = writeln!(text, "{frame},{place},{},{class}", found.confidence);
-            }
-        }
-        put(&folder.join("detections").join(&file), Some(text))?;
-        let truth = clip.truth.as_ref().map(|truth| {
-            let mut text = format!("{TRUTH_HEADER}\n");
-            for (frame, boxes) in truth.iter().enumerate() {
-                for known in boxes {
-                    let (place, class) = (cells(known.corners), known.class.0);
-                    let object = known.object.map_or(-1, |object| object as i64);
-                    let _ = writeln!(text, "{frame},{place},{class},{object}");
-                }
-            }
-            text
+        let put = |kind: &str, text| put(&place(folder, kind, &clip.name), text);
+        let detections = clip.detections.as_deref().unwrap_or_default();
+        let detections = table(DETECTION_HEADER, detections, |found| {
+            let place = cells(found.corners);
+            format!("{place},{},{}", found.confidence, found.class.0)
         });
-        put(&folder.join("groundtruth").join(&file), truth)?;
-        let ignored = (!clip.ignored.is_empty()).then(|| {
-            let mut text = format!("{IGNORED_HEADER}\n");
-            for (frame, regions) in clip.ignored.iter().enumerate() {
-                for region in regions {
-                    let _ = writeln!(text, "{frame},{}", cells(*region));
-                }
-            }
-            text
+        put("detections", Some(detections))?;
+        let truth = clip.truth.as_deref().map(|truth| {
+            table(TRUTH_HEADER, truth, |known| {
+                let object = known.object.map_or(-1, |object| object as i64);
+                format!("{},{},{object}", cells(known.corners), known.class.0)
+            })
         });
-        put(&folder.join("ignore").join(&file), ignored)?;
-        super::screen_verdicts::write(folder, clip)?;
+        put("groundtruth", truth)?;
+        let ignored = (!clip.ignored.is_empty())
+            .then(|| table(IGNORED_HEADER, &clip.ignored, |region| cells(*region)));
+        put("ignore", ignored)?;
+        let verdicts = clip.screen.as_deref();
+        let verdicts = verdicts.map(|verdicts| {
+            table(SCREEN_HEADER, verdicts, |empty| {
+                u8::from(*empty).to_string()
+            })
+        });
+        put("screen", verdicts)?;
+        let truth = clip.truth.as_ref();
         index.sequences.push(Entry {
             name: clip.name.clone(),
             width: clip.picture.width,
@@ -267,16 +218,23 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
             fps: clip.frame_rate,
             frames: clip.frames,
             camera: clip.camera.clone(),
-            ground_truth_boxes: clip
-                .truth
-                .as_ref()
-                .map(|truth| truth.iter().map(Vec::len).sum()),
+            ground_truth_boxes: truth.map(|truth| truth.iter().map(Vec::len).sum()),
         });
     }
-    let path = folder.join("sequences.json");
-    let text = serde_json::to_string_pretty(&index)
-        .map_err(|error| DataError::file(&path, error.to_string()))?;
-    put(&path, Some(text))
+    files::write_json(&folder.join("sequences.json"), &index)
+}
+
+/// A table: for each frame's entries a row with the frame's number and what `row` makes of the entry.
+fn table<'a, T: 'a, F>(header: &str, frames: &'a [F], row: impl Fn(&T) -> String) -> String
+where
+    &'a F: IntoIterator<Item = &'a T>,
+{
+    let frames = frames.iter().enumerate();
+    let rows = frames.flat_map(|(frame, entries)| {
+        let row = &row;
+        (entries.into_iter()).map(move |entry| format!("{frame},{}\n", row(entry)))
+    });
+    std::iter::once(format!("{header}\n")).chain(rows).collect()
 }
 
 fn cells(b: Corners) -> String {
@@ -284,15 +242,14 @@ fn cells(b: Corners) -> String {
 }
 
 /// Writes a file, or removes that of an earlier run, which would be taken for this clip's.
-pub(super) fn put(path: &Path, text: Option<String>) -> Result<(), DataError> {
-    let done = match (text, path.parent()) {
-        (Some(text), Some(folder)) => {
-            std::fs::create_dir_all(folder).and_then(|()| std::fs::write(path, text))
-        }
-        _ => std::fs::remove_file(path).or_else(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => Ok(()),
-            _ => Err(error),
-        }),
+fn put(path: &Path, text: Option<String>) -> Result<(), FileError> {
+    let Some(text) = text else {
+        return match std::fs::remove_file(path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(FileError::write(path, error))
+            }
+            _ => Ok(()),
+        };
     };
-    done.map_err(|error| DataError::write(path, error))
+    files::write(path, text)
 }

@@ -1,8 +1,14 @@
-//! Reading tables of numbers row by row, with the line number in every complaint.
+//! Reads tables of numbers row by row, with the line number in every complaint.
 
-use super::DataError;
-use std::path::Path;
+use super::{LabelledBox, LoadReport};
+use crate::average_precision::ScoredBox;
+use crate::files::{FileError, read_text};
+use albireo_core::geometry::PictureSize;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+/// Frames of a clip at most; a number above is taken for a broken file.
+pub(super) const MOST_FRAMES: usize = 1_000_000;
 
 /// One row of a table.
 pub(super) struct Row<'a> {
@@ -13,26 +19,24 @@ pub(super) struct Row<'a> {
 
 impl Row<'_> {
     /// Number of fields.
-    pub(crate) fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.fields.len()
     }
 
     /// The field at `index` as text.
-    pub(crate) fn text(&self, index: usize, name: &str) -> Result<&str, DataError> {
-        self.fields
-            .get(index)
-            .map(|field| field.trim())
-            .ok_or_else(|| {
-                self.broken(format!(
-                    "the column `{name}` (number {}) is missing: the row has {} columns",
-                    index + 1,
-                    self.fields.len()
-                ))
-            })
+    pub(super) fn text(&self, index: usize, name: &str) -> Result<&str, FileError> {
+        let field = self.fields.get(index).map(|field| field.trim());
+        field.ok_or_else(|| {
+            self.broken(format!(
+                "the column `{name}` (number {}) is missing: the row has {} columns",
+                index + 1,
+                self.len()
+            ))
+        })
     }
 
     /// The field at `index` as a number.
-    pub(crate) fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, DataError> {
+    pub(super) fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, FileError> {
         let text = self.text(index, name)?;
         text.parse().map_err(|_| {
             self.broken(format!(
@@ -41,8 +45,17 @@ impl Row<'_> {
         })
     }
 
+    /// Four numbers in a row, the first of them at `index`.
+    pub(super) fn numbers(&self, index: usize, names: [&str; 4]) -> Result<[f64; 4], FileError> {
+        let mut numbers = [0.0; 4];
+        for (at, (number, name)) in numbers.iter_mut().zip(names).enumerate() {
+            *number = self.number(index + at, name)?;
+        }
+        Ok(numbers)
+    }
+
     /// A whole number, also where the file writes it with a decimal point.
-    pub(crate) fn integer(&self, index: usize, name: &str) -> Result<i64, DataError> {
+    pub(super) fn integer(&self, index: usize, name: &str) -> Result<i64, FileError> {
         let text = self.text(index, name)?;
         if let Ok(value) = text.parse() {
             return Ok(value);
@@ -53,86 +66,102 @@ impl Row<'_> {
         }
     }
 
-    /// The frame at `index`, counted from `first` in the file, as an index from 0 below `frames`.
-    pub(crate) fn frame(
-        &self,
-        index: usize,
-        first: i64,
-        frames: usize,
-    ) -> Result<usize, DataError> {
-        let number = self.integer(index, "frame")?;
-        usize::try_from(number - first)
-            .ok()
-            .filter(|&frame| frame < frames)
-            .ok_or_else(|| {
-                self.broken(format!(
-                    "frame {number} does not exist: the clip's frames are {first} to {}",
-                    first + frames as i64 - 1
-                ))
-            })
+    /// The number of an object, if it has one.
+    pub(super) fn object(&self, index: usize, name: &str) -> Result<Option<u64>, FileError> {
+        Ok(u64::try_from(self.integer(index, name)?).ok())
     }
 
     /// An error about this row.
-    pub(crate) fn broken(&self, what: impl Into<String>) -> DataError {
-        DataError::line(self.path, self.line, what)
+    pub(super) fn broken(&self, what: impl Into<String>) -> FileError {
+        FileError::line(self.path, self.line, what)
     }
 
     /// `file:line`.
-    pub(crate) fn place(&self) -> String {
+    pub(super) fn place(&self) -> String {
         format!("{}:{}", self.path.display(), self.line)
     }
 }
 
-/// The text of a file; `help` says what to do when it is missing.
-pub(super) fn read_text(path: &Path, help: &str) -> Result<String, DataError> {
-    std::fs::read_to_string(path).map_err(|error| DataError::read(path, error, help))
+/// A table whose first column is the frame.
+pub(super) struct Table<'a> {
+    pub path: PathBuf,
+    /// What separates columns; white space if nothing is named.
+    pub separator: Option<char>,
+    /// The first row, which also says how many columns the others have.
+    pub header: Option<&'a str>,
+    /// Number of the first frame.
+    pub first: i64,
+    /// How many frames there are, where that is known.
+    pub frames: Option<usize>,
 }
 
-/// Calls `visit` for each row of `text`, comma-separated. The first row must be `header` where one is
-/// given. Blank lines are passed over.
-pub(super) fn comma_separated(
-    path: &Path,
-    text: &str,
-    header: Option<&str>,
-    mut visit: impl FnMut(&Row<'_>) -> Result<(), DataError>,
-) -> Result<(), DataError> {
-    // Neither field quoting nor escapes occur in these layouts, and plain splitting keeps the line number.
-    let mut lines = (1..).zip(text.lines());
-    if let Some(header) = header {
-        let first = lines.next().map_or("", |(_, first)| first.trim());
-        if first.trim_start_matches('\u{feff}') != header {
-            return Err(DataError::line(
-                path,
-                1,
-                format!("the header is `{first}`, expected `{header}`"),
-            ));
+impl Table<'_> {
+    /// Calls `visit` for each row with the list of its frame, and returns one list per frame. Blank lines are passed over;
+    /// `help` says what to do when the file is missing.
+    pub(super) fn read<T: Clone>(
+        &self,
+        help: &str,
+        mut visit: impl FnMut(&Row<'_>, &mut Vec<T>) -> Result<(), FileError>,
+    ) -> Result<Vec<Vec<T>>, FileError> {
+        let text = read_text(&self.path, help)?;
+        let mut lists = vec![Vec::new(); self.frames.unwrap_or(0)];
+        // Neither field quoting nor escapes occur in these layouts, and plain splitting keeps the line number.
+        let mut lines = (1..).zip(text.lines());
+        if let Some(header) = self.header {
+            let first = lines.next().map_or("", |(_, first)| first.trim());
+            if first.trim_start_matches('\u{feff}') != header {
+                let what = format!("the header is `{first}`, expected `{header}`");
+                return Err(FileError::line(&self.path, 1, what));
+            }
         }
+        let columns = self.header.map(|header| header.split(',').count());
+        for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
+            let row = Row {
+                path: &self.path,
+                line,
+                fields: match self.separator {
+                    Some(separator) => text.split(separator).collect(),
+                    None => text.split_whitespace().collect(),
+                },
+            };
+            if let Some(columns) = columns.filter(|columns| *columns != row.len()) {
+                let what = format!("the row has {} columns, expected {columns}", row.len());
+                return Err(row.broken(what));
+            }
+            let frame = self.frame(&row)?;
+            if lists.len() <= frame {
+                lists.resize(frame + 1, Vec::new());
+            }
+            visit(&row, &mut lists[frame])?;
+        }
+        Ok(lists)
     }
-    for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
-        visit(&Row {
-            path,
-            line,
-            fields: text.split(',').collect(),
-        })?;
-    }
-    Ok(())
-}
 
-/// As [`comma_separated`], with columns separated by white space and no header.
-pub(super) fn space_separated(
-    path: &Path,
-    text: &str,
-    mut visit: impl FnMut(&Row<'_>) -> Result<(), DataError>,
-) -> Result<(), DataError> {
-    for (line, text) in (1..)
-        .zip(text.lines())
-        .filter(|(_, text)| !text.trim().is_empty())
-    {
-        visit(&Row {
-            path,
-            line,
-            fields: text.split_whitespace().collect(),
-        })?;
+    /// The boxes of each frame that are kept; the others are counted in `report`.
+    pub(super) fn boxes<T: From<ScoredBox> + Clone>(
+        &self,
+        help: &str,
+        picture: PictureSize,
+        report: &mut LoadReport,
+        labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, FileError>,
+    ) -> Result<Vec<Vec<T>>, FileError> {
+        self.read(help, |row, boxes| {
+            boxes.extend(report.keep::<T>(&labelled(row)?, picture, || row.place()));
+            Ok(())
+        })
     }
-    Ok(())
+
+    /// The row's frame, from 0.
+    fn frame(&self, row: &Row<'_>) -> Result<usize, FileError> {
+        let number = row.integer(0, "frame")?;
+        let frames = self.frames.unwrap_or(MOST_FRAMES);
+        let frame = usize::try_from(number - self.first).ok();
+        frame.filter(|&frame| frame < frames).ok_or_else(|| {
+            row.broken(format!(
+                "frame {number} does not exist: the clip's frames are {} to {}",
+                self.first,
+                self.first + frames as i64 - 1
+            ))
+        })
+    }
 }

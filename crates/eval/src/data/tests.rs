@@ -13,12 +13,20 @@ fn folder(files: &[(&str, &str)]) -> TempDir {
     folder
 }
 
+/// That `read` was refused with a sentence that has all of `parts`.
+fn assert_refused(read: Result<Clips, FileError>, parts: &[&str]) {
+    let message = read.expect_err("it must be refused").to_string();
+    for part in parts {
+        assert!(message.contains(part), "{part} in {message}");
+    }
+}
+
 const INDEX: &str =
     r#"{"sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
 
-fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Clips, DataError> {
+fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Clips, FileError> {
     let detections = rows.map(|rows| format!("{HEADER}{rows}"));
     let truth = truth.map(|rows| format!("{TRUTH_HEADER}{rows}"));
     let mut files = vec![("sequences.json", index)];
@@ -72,20 +80,13 @@ fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
 #[test]
 fn a_missing_file_is_named_with_what_to_do() {
     let empty = tempfile::tempdir().expect("a temporary folder");
-    let message = recorded::read(empty.path())
-        .expect_err("nothing there")
-        .to_string();
-    assert!(message.contains("sequences.json"), "{message}");
-    let message = recorded(INDEX, None, None)
-        .expect_err("no detections")
-        .to_string();
-    assert!(message.contains("detections/a.csv"), "{message}");
-    assert!(message.contains("needs its detections"), "{message}");
+    assert_refused(recorded::read(empty.path()), &["sequences.json"]);
+    assert_refused(
+        recorded(INDEX, None, None),
+        &["detections/a.csv", "needs its detections"],
+    );
     let index = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
-    let message = recorded(&index, Some(""), None)
-        .expect_err("promised ground truth is missing")
-        .to_string();
-    assert!(message.contains("groundtruth/a.csv"), "{message}");
+    assert_refused(recorded(&index, Some(""), None), &["groundtruth/a.csv"]);
 }
 
 #[test]
@@ -104,24 +105,20 @@ fn a_broken_row_is_named_with_file_and_line() {
         ("0,1,2,3,4,0.9,2\n0.5,1,2,3,4,0.9,2\n", "`frame` is `0.5`"),
         ("0,1,2,3,4,0.9,2\n0,1,2,3,4,0.9,-2\n", "`class` is `-2`"),
     ] {
-        let message = recorded(INDEX, Some(rows), None)
-            .expect_err("a broken row")
-            .to_string();
-        assert!(message.contains("detections/a.csv:3: "), "{message}");
-        assert!(message.contains(part), "{message}");
+        assert_refused(
+            recorded(INDEX, Some(rows), None),
+            &["detections/a.csv:3: ", part],
+        );
     }
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
-    let message = recorded::read(files.path())
-        .expect_err("a wrong header")
-        .to_string();
-    assert!(
-        message.contains("a.csv:1: the header is `frame,x`"),
-        "{message}"
+    assert_refused(
+        recorded::read(files.path()),
+        &["a.csv:1: the header is `frame,x`"],
     );
-    let message = recorded("{\n\"sequences\": [{]}", Some(""), None)
-        .expect_err("broken JSON")
-        .to_string();
-    assert!(message.contains("sequences.json:2: "), "{message}");
+    assert_refused(
+        recorded("{\n\"sequences\": [{]}", Some(""), None),
+        &["sequences.json:2: "],
+    );
 }
 
 #[test]
@@ -134,10 +131,7 @@ fn a_description_that_cannot_be_is_refused() {
         (INDEX.replace("100", "0"), "pictures of 0x50"),
         (INDEX.replace("10,", "-1,"), "frame rate"),
     ] {
-        let message = recorded(&index, Some(""), None)
-            .expect_err("refused")
-            .to_string();
-        assert!(message.contains(part), "{message}");
+        assert_refused(recorded(&index, Some(""), None), &[part]);
     }
 }
 
@@ -172,10 +166,7 @@ fn what_a_clip_lacks_is_said_and_an_empty_clip_is_counted() {
     let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).expect("it is readable");
     assert!(clips.report.lines()[0].contains("no ground truth"));
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
-    let message = recorded(&empty, Some(""), None)
-        .expect_err("nothing is left to evaluate")
-        .to_string();
-    assert!(message.contains("clip without frames"), "{message}");
+    assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
 }
 
 const SEQINFO: &str =
@@ -213,10 +204,7 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     let detections = clip.detections.as_ref().expect("there are some");
     assert_eq!(detections[1][0].confidence, 0.8);
     let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
-    let message = mot_challenge::read(broken.path())
-        .expect_err("broken")
-        .to_string();
-    assert!(message.contains("gt.txt:1: "), "{message}");
+    assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
 }
 
 #[test]
@@ -276,15 +264,15 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     assert_eq!(clip.detections.as_ref().expect("some")[1].len(), 1);
     assert_eq!(clips.report.unmapped_classes["trailer"], 1);
     // Ground truth in the place of predictions is noticed, and so is a frame that comes twice.
-    let message = bdd100k::read(&source(None, Some(&truth)))
-        .expect_err("no scores")
-        .to_string();
-    assert!(message.contains("has no `score`"), "{message}");
+    assert_refused(
+        bdd100k::read(&source(None, Some(&truth))),
+        &["has no `score`"],
+    );
     let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
-    let message = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None))
-        .expect_err("twice")
-        .to_string();
-    assert!(message.contains("comes twice"), "{message}");
+    assert_refused(
+        bdd100k::read(&source(Some(&twice.path().join("gt.json")), None)),
+        &["comes twice"],
+    );
 }
 
 #[test]
@@ -315,11 +303,7 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
     );
     source.detections = None;
     let clips = bdd100k::read(&source).expect("it is readable");
-    let message = clips
-        .only_with_detections(&truth)
-        .expect_err("none")
-        .to_string();
-    assert!(message.contains("--detections"), "{message}");
+    assert_refused(clips.only_with_detections(&truth), &["--detections"]);
 }
 
 #[test]
@@ -354,28 +338,17 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
         "results.json",
         r#"[{"image_id": 77, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#,
     )]);
-    let message = coco::read(&set, Some(&lost.path().join("results.json")))
-        .expect_err("an image that is not there")
-        .to_string();
-    assert!(message.contains("image 77"), "{message}");
+    assert_refused(
+        coco::read(&set, Some(&lost.path().join("results.json"))),
+        &["image 77"],
+    );
 }
 
 #[test]
 fn clips_of_one_name_get_different_names_fit_for_files() {
     let mut clips = Clips::default();
     for name in ["a/b", "a-b", "..", "a-b"] {
-        clips.push(Clip {
-            name: name.to_owned(),
-            picture: PictureSize::new(10, 10),
-            frame_rate: None,
-            camera: None,
-            frames: 1,
-            detections: None,
-            truth: None,
-            screen: None,
-            pictures: Vec::new(),
-            ignored: Vec::new(),
-        });
+        clips.push(Clip::new(name.to_owned(), PictureSize::new(10, 10), 1));
     }
     let names: Vec<&str> = clips.clips.iter().map(|clip| clip.name.as_str()).collect();
     assert_eq!(names, ["a-b", "a-b-2", "-2", "a-b-3"]);

@@ -1,8 +1,10 @@
 //! Looks at one picture as a node does: decodes it, asks the detector and the screen, and takes the time of
 //! each step.
 
+use super::pass::StepTimes;
 use crate::data::classes::from_name;
 use albireo_core::detection::{ClassId, Detection};
+use albireo_core::policy::Need;
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, InferenceError, StartError,
 };
@@ -12,7 +14,7 @@ use albireo_vision::picture::{
 };
 use albireo_vision::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::runtime::Runtime;
 
 const CAMERA: CameraSlot = CameraSlot(0);
@@ -52,12 +54,8 @@ pub struct Observation {
     pub unmapped: Vec<String>,
     /// Whether the screen says that nothing is in view; `None` without a screen, or when it could not say.
     pub empty: Option<bool>,
-    /// Decoding to colour.
-    pub decode: Duration,
-    /// Letterbox, model and head.
-    pub detector: Duration,
-    /// The screen, if there is one.
-    pub screen: Option<Duration>,
+    /// The time of each step.
+    pub times: StepTimes,
 }
 
 /// A detector and perhaps a screen, ready to look at pictures one after the other.
@@ -122,6 +120,7 @@ impl Observer {
     /// # Errors
     /// [`ObserveError`] when it cannot be decoded or the detector fails on it.
     pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, ObserveError> {
+        let mut times = StepTimes::default();
         let start = Instant::now();
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
         let screen = self.screen.as_ref().map(ScreenHandle::input_format);
@@ -133,21 +132,20 @@ impl Observer {
             Some(target),
             &mut picture,
         )?;
-        let decode = start.elapsed();
+        times.decode = milliseconds(start);
         self.picture = Arc::new(picture);
 
         let start = Instant::now();
         let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
         let found = self.runtime.block_on(run)?;
-        let detector = start.elapsed();
+        times.detector = milliseconds(start);
 
-        let mut screened = None;
         let mut empty = None;
         if let Some(screen) = &self.screen {
             let start = Instant::now();
             let run = screen.ask(CAMERA, Arc::clone(&self.picture));
             empty = self.runtime.block_on(run).ok().map(|verdict| verdict.empty);
-            screened = Some(start.elapsed());
+            times.screen = milliseconds(start);
         }
         let mut unmapped = Vec::new();
         let mut detections = Vec::with_capacity(found.detections.len());
@@ -167,9 +165,7 @@ impl Observer {
             detections,
             unmapped,
             empty,
-            decode,
-            detector,
-            screen: screened,
+            times,
         })
     }
 
@@ -178,36 +174,28 @@ impl Observer {
         &self.picture
     }
 
-    /// The picture in grey at half its size, and the time that took.
+    /// The picture in grey, as small as `need` has it, and the milliseconds that took.
     ///
     /// # Errors
     /// [`ObserveError::Picture`] when it cannot be decoded or has no half.
-    pub(crate) fn grey_half(
+    pub(crate) fn grey(
         &self,
         encoded: &EncodedPicture,
-    ) -> Result<(Picture, Duration), ObserveError> {
-        timed(|grey| decode_grey_half(encoded, &self.limits, grey))
-    }
-
-    /// The picture in grey, not much wider than `width`, and the time that took.
-    ///
-    /// # Errors
-    /// [`ObserveError::Picture`] when it cannot be decoded.
-    pub(crate) fn small_grey(
-        &self,
-        encoded: &EncodedPicture,
-        width: u32,
-    ) -> Result<(Picture, Duration), ObserveError> {
-        timed(|grey| decode_small_grey(encoded, &self.limits, width, grey))
+        need: Need,
+    ) -> Result<(Picture, f64), ObserveError> {
+        let start = Instant::now();
+        let mut grey = Picture::default();
+        match need {
+            Need::SmallGreyPicture { width } => {
+                decode_small_grey(encoded, &self.limits, width, &mut grey)?;
+            }
+            _ => decode_grey_half(encoded, &self.limits, &mut grey)?,
+        }
+        grey.pixels.shrink_to_fit();
+        Ok((grey, milliseconds(start)))
     }
 }
 
-fn timed(
-    decode: impl FnOnce(&mut Picture) -> Result<(), FrameFault>,
-) -> Result<(Picture, Duration), ObserveError> {
-    let start = Instant::now();
-    let mut grey = Picture::default();
-    decode(&mut grey)?;
-    grey.pixels.shrink_to_fit();
-    Ok((grey, start.elapsed()))
+fn milliseconds(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
 }

@@ -1,14 +1,18 @@
 //! The one pass over a clip's pictures: what detector and screen say of every frame, and how long it took.
 
 use super::observer::{Observation, ObserveError, Observer};
-use crate::data::{Clip, LoadReport, StoredDetection};
+use crate::average_precision::ScoredBox;
+use crate::data::{Clip, LoadReport};
 use crate::footage::{FootageError, FrameSource};
+use crate::replay::FrameRecord;
+use crate::run::{RunError, build};
+use crate::spec::PolicySpec;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_core::policy::Need;
 use albireo_vision::picture::Picture;
-use std::sync::Arc;
 
 /// What to keep of the pass.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PassSettings {
     /// Whether to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
     pub keep_grey: bool,
@@ -42,11 +46,56 @@ pub struct PicturedClip {
     /// The grey picture of each frame at half size; empty when not kept.
     pub grey: Vec<Picture>,
     /// The small grey picture of each frame; empty when not kept.
-    pub small: Vec<Arc<Picture>>,
+    pub small: Vec<Picture>,
     /// The width that was asked for when these were made.
     pub small_width: Option<u32>,
     /// The time of each step on each frame.
     pub times: Vec<StepTimes>,
+}
+
+impl PicturedClip {
+    /// Milliseconds of each frame under a policy that looks at `pictures`: its decision as `records` has it, and the steps
+    /// that it asked for as they were measured in the pass. Screen and detector share one decoded picture; `screened` says
+    /// whether it was this clip's screen that answered.
+    pub(crate) fn frame_times(
+        &self,
+        records: &[FrameRecord],
+        pictures: Option<Need>,
+        screened: bool,
+    ) -> Vec<f64> {
+        let time = |(record, times): (&FrameRecord, &StepTimes)| {
+            let screen = record.screen && screened;
+            let grey = match pictures {
+                Some(Need::GreyPicture) => times.grey,
+                _ => times.small,
+            };
+            let steps = [
+                (record.detector || screen, times.decode),
+                (record.detector, times.detector),
+                (screen, times.screen),
+                (record.examined, grey),
+            ];
+            let needed = steps.into_iter().filter(|(needed, _)| *needed);
+            record.decision.as_secs_f64() * 1e3 + needed.map(|(_, step)| step).sum::<f64>()
+        };
+        records.iter().zip(&self.times).map(time).collect()
+    }
+}
+
+/// What the pass has to keep for `policies`.
+///
+/// # Errors
+/// [`RunError::Policy`] when one cannot be built.
+pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PassSettings, RunError> {
+    let mut settings = PassSettings::default();
+    for policy in policies {
+        match build(policy)?.pictures() {
+            Some(Need::GreyPicture) => settings.keep_grey = true,
+            Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
+            _ => {}
+        }
+    }
+    Ok(settings)
 }
 
 /// Why a clip cannot be evaluated.
@@ -125,21 +174,17 @@ pub fn collect(
             source: Box::new(source),
         };
         let observed = observer.look(&encoded).map_err(failed)?;
-        let mut step = StepTimes {
-            decode: observed.decode.as_secs_f64() * 1e3,
-            detector: observed.detector.as_secs_f64() * 1e3,
-            screen: observed.screen.map_or(0.0, |time| time.as_secs_f64() * 1e3),
-            ..StepTimes::default()
-        };
+        let mut step = observed.times;
         if settings.keep_grey {
-            let (picture, time) = observer.grey_half(&encoded).map_err(failed)?;
+            let (picture, time) = observer.grey(&encoded, Need::GreyPicture).map_err(failed)?;
             grey.push(picture);
-            step.grey = time.as_secs_f64() * 1e3;
+            step.grey = time;
         }
         if let Some(width) = settings.keep_small {
-            let (picture, time) = observer.small_grey(&encoded, width).map_err(failed)?;
-            small.push(Arc::new(picture));
-            step.small = time.as_secs_f64() * 1e3;
+            let need = Need::SmallGreyPicture { width };
+            let (picture, time) = observer.grey(&encoded, need).map_err(failed)?;
+            small.push(picture);
+            step.small = time;
         }
         verdicts.push(observed.empty);
         detections.push(stored(&observed, first, &name, frame, report));
@@ -179,7 +224,7 @@ fn stored(
     clip: &str,
     frame: usize,
     report: &mut LoadReport,
-) -> Vec<StoredDetection> {
+) -> Vec<ScoredBox> {
     let place = || format!("{clip}, frame {frame}");
     for class in &observed.unmapped {
         report.leave_out_class(class, place);
@@ -198,10 +243,11 @@ fn stored(
         };
         match report.check(corners, picture) {
             Some(reason) => report.leave_out(reason, place),
-            None => kept.push(StoredDetection {
+            None => kept.push(ScoredBox {
                 corners,
                 class: detection.class,
                 confidence: detection.confidence,
+                object: None,
             }),
         }
     }

@@ -1,9 +1,8 @@
 //! What a clip of pictures is judged against: ground truth from a file, or Vanilla's own output.
 
-use crate::average_precision::TruthBox;
-use crate::data::{
-    Clip, Clips, DataError, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded,
-};
+use crate::average_precision::{ScoredBox, TruthBox};
+use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
+use crate::files::FileError;
 use albireo_core::geometry::Corners;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -41,7 +40,7 @@ pub struct GroundTruth {
 pub enum TruthError {
     /// It cannot be read.
     #[error(transparent)]
-    Data(#[from] DataError),
+    Data(#[from] FileError),
     /// It is of another number of frames.
     #[error(
         "{clip}: its ground truth ({path}) is for {truth} frames, the clip has {frames}: are they the same \
@@ -175,7 +174,7 @@ impl GroundTruth {
         &self,
         path: &std::path::Path,
         picture: albireo_core::geometry::PictureSize,
-    ) -> Result<Clips, DataError> {
+    ) -> Result<Clips, FileError> {
         match self.format {
             TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
                 truth: Some(path),
@@ -208,19 +207,9 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
 /// Vanilla's own output as truth: the clip's detections from `confidence` on. What it measures is how far a
 /// policy departs from running the detector on every frame, not how right either is.
 pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<TruthBox>> {
-    clip.detections
-        .iter()
-        .flatten()
-        .map(|frame| {
-            frame
-                .iter()
-                .filter(|detection| detection.confidence >= confidence)
-                .map(|detection| TruthBox {
-                    corners: detection.corners,
-                    class: detection.class,
-                    object: None,
-                })
-                .collect()
-        })
-        .collect()
+    let sure = |frame: &Vec<ScoredBox>| {
+        let sure = frame.iter().filter(|found| found.confidence >= confidence);
+        sure.map(|found| TruthBox::from(*found)).collect()
+    };
+    clip.detections.iter().flatten().map(sure).collect()
 }

@@ -100,9 +100,21 @@ impl ClipEvidence for Patchy {
     }
 }
 
-/// What is published of a detector that drops what is below 0.5.
-fn floor() -> MinConfidence {
-    MinConfidence::new(None, 0.5)
+/// Of a detector that drops what is below 0.5.
+fn replayed(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+    scoring: Scoring,
+) -> Result<Replay, SourceError> {
+    let floor = MinConfidence::new(None, 0.5);
+    replay(policy, source, scoring, floor, 3e-4, true)
+}
+
+fn patchy() -> Patchy {
+    Patchy {
+        found: Vec::new(),
+        grey: vec![0, 0],
+    }
 }
 
 #[test]
@@ -111,19 +123,8 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
         script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
         ..Curious::default()
     };
-    let mut source = Patchy {
-        found: Vec::new(),
-        grey: vec![0, 0],
-    };
-    let result = replay(
-        &mut policy,
-        &mut source,
-        Scoring::Paper,
-        floor(),
-        3e-4,
-        false,
-    )
-    .expect("it runs");
+    let mut source = patchy();
+    let result = replayed(&mut policy, &mut source, Scoring::Paper).expect("it runs");
     assert_eq!(
         policy.told,
         [
@@ -146,18 +147,8 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
 #[test]
 fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
     let run = |scoring| {
-        let mut source = Patchy {
-            found: Vec::new(),
-            grey: Vec::new(),
-        };
-        let result = replay(
-            &mut Curious::default(),
-            &mut source,
-            scoring,
-            floor(),
-            3e-4,
-            false,
-        );
+        let mut source = patchy();
+        let result = replayed(&mut Curious::default(), &mut source, scoring);
         result.expect("it runs").boxes[0][0].corners
     };
     assert!((run(Scoring::Paper).x1 - 44.45).abs() < 1e-9);
@@ -166,10 +157,7 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
 
 #[test]
 fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
-    let mut source = Patchy {
-        found: Vec::new(),
-        grey: Vec::new(),
-    };
+    let mut source = patchy();
     let mut counts = |scoring, least| {
         let floor = MinConfidence::new(least, 0.8);
         let result = replay(
@@ -200,26 +188,11 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         ..Curious::default()
     };
     let clip = crate::data::Clip {
-        name: "clip".to_owned(),
-        picture: PICTURE,
-        frame_rate: None,
-        camera: None,
-        frames: 1,
         detections: Some(vec![Vec::new()]),
-        truth: None,
-        screen: None,
-        pictures: Vec::new(),
-        ignored: Vec::new(),
+        ..crate::data::Clip::new("clip".to_owned(), PICTURE, 1)
     };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
-    let error = replay(
-        &mut policy,
-        &mut source,
-        Scoring::Paper,
-        floor(),
-        3e-4,
-        false,
-    );
+    let error = replayed(&mut policy, &mut source, Scoring::Paper);
     assert_eq!(error, Err(SourceError::NoPictures));
 }
 
@@ -236,14 +209,7 @@ fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyCon
             found: found.clone(),
             grey: Vec::new(),
         };
-        let result = replay(
-            policy.as_mut(),
-            &mut source,
-            Scoring::Reference,
-            floor(),
-            3e-4,
-            true,
-        );
+        let result = replayed(policy.as_mut(), &mut source, Scoring::Reference);
         let result = result.expect("it runs");
         (result.trace, result.boxes, result.boxes_last_confidence)
     };

@@ -8,6 +8,7 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use crate::summary::PolicySummary;
 use crate::table::{columns, notes, short};
+use crate::text::{Column, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
 
@@ -67,22 +68,9 @@ pub(super) fn render(report: &Report, figures: &[Figure]) -> String {
 fn concluded(summaries: &[PolicySummary]) -> Markup {
     html! {
         div.conclusion {
-            @for sentence in conclusion(summaries) { p { (minus_signs(&sentence)) } }
+            @for sentence in conclusion(summaries) { p { (sentence.replace(" -", " −")) } }
         }
     }
-}
-
-/// With proper minus signs before digits; hyphens of names stay.
-fn minus_signs(text: &str) -> String {
-    let mut signed = String::with_capacity(text.len());
-    let mut before = ' ';
-    let mut rest = text.chars().peekable();
-    while let Some(letter) = rest.next() {
-        let sign = letter == '-' && before == ' ' && rest.peek().is_some_and(char::is_ascii_digit);
-        signed.push(if sign { '−' } else { letter });
-        before = letter;
-    }
-    signed
 }
 
 fn settings(report: &Report) -> Markup {
@@ -107,48 +95,46 @@ fn settings(report: &Report) -> Markup {
     }
 }
 
-/// A figure that may not exist, as a cell with `digits` after the point.
-fn cell(value: Option<f64>, digits: usize) -> Markup {
-    text_cell(&value.map_or("-".to_owned(), |value| format!("{value:.digits$}")))
-}
-
 /// A cell of the table, `-` for a figure that does not exist.
-fn text_cell(text: &str) -> Markup {
+fn cell(text: &str) -> Markup {
     html! {
-        @if text == "-" { td.none { "–" } } @else { td { (text.replace('-', "−")) } }
+        @if text == "-" {
+            td.none { "–" }
+        } @else if text.starts_with(char::is_alphabetic) {
+            td.text { (text) }
+        } @else {
+            td { (text.replace('-', "−")) }
+        }
     }
 }
 
-/// A table that is sorted by a click on a column's head.
-fn sortable(head: &Markup, rows: &Markup) -> Markup {
+/// A table that is sorted by a click on a column's head; the first column names the rows.
+fn sortable(columns: &[Column]) -> Markup {
+    let Some((names, others)) = columns.split_first() else {
+        return Markup::default();
+    };
     html! {
         div.wide {
             table.sortable {
-                thead { tr { (head) } }
-                tbody { (rows) }
+                thead { tr { @for column in columns { th { (column.heads.join(" ").trim()) } } } }
+                tbody {
+                    @for (row, name) in names.cells.iter().enumerate() {
+                        tr class=[name.starts_with(BASELINE).then_some("baseline")] {
+                            th scope="row" { (name) }
+                            @for column in others { (cell(&column.cells[row])) }
+                        }
+                    }
+                }
             }
         }
     }
 }
 
 fn policies(summaries: &[PolicySummary]) -> Markup {
-    let columns = columns(summaries);
-    let (names, figures) = columns.split_at(1.min(columns.len()));
-    let head = html! {
-        @for column in &columns { th { (column.heads.join(" ").trim()) } }
-    };
-    let rows = html! {
-        @for (row, summary) in summaries.iter().enumerate() {
-            tr class=[(summary.policy == BASELINE).then_some("baseline")] {
-                @for column in names { th scope="row" { (column.cells[row]) } }
-                @for column in figures { (text_cell(&column.cells[row])) }
-            }
-        }
-    };
     html! {
         section {
             h2 { "Policies" }
-            (sortable(&head, &rows))
+            (sortable(&columns(summaries)))
             p.legend { (notes(summaries).join(" ")) " Click a column's head to sort." }
         }
     }
@@ -163,27 +149,27 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
     if names.len() < 2 {
         return Markup::default();
     }
-    let head = html! {
-        th { "Policy" }
-        @for name in &names { th { (name) } }
-    };
-    let rows = html! {
-        @for summary in summaries {
-            tr {
-                th scope="row" { (short(&summary.policy)) }
-                @for name in &names {
-                    (cell(summary.ap50_by_class.get(*name).copied(), 4))
-                }
-            }
-        }
-    };
+    let policies = summaries.iter().map(|summary| short(&summary.policy));
+    let mut columns = vec![Column::new(
+        ["Policy", ""],
+        policies.map(str::to_owned).collect(),
+    )];
+    columns.extend(names.into_iter().map(|name| {
+        let of = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
+        Column::new([name, ""], summaries.iter().map(of).collect())
+    }));
     html! {
         section {
             h2 { "AP@50 by class" }
-            (sortable(&head, &rows))
+            (sortable(&columns))
             p.legend { "Each class judged by itself; mean over the clips that show it." }
         }
     }
+}
+
+/// A figure that may not exist, with that many digits after the point.
+fn figure(value: Option<f64>, digits: usize) -> String {
+    or_dash(value.map(|value| format!("{value:.digits$}")))
 }
 
 fn clips(results: &[ClipResult]) -> Markup {
@@ -197,31 +183,34 @@ fn clips(results: &[ClipResult]) -> Markup {
         let own = result.accuracy.filter(|_| result.policy != BASELINE)?;
         Some((own.ap50 - before.ap50) * 100.0)
     };
-    let head = html! {
-        th { "Clip" } th { "Policy" } th { "Frames" } th { "Skipped %" } th { "AP@50" } th { "Δ pp" }
-        th { "mAP" } th { "Boxes" } th { "Truth" }
+    let column = |head: &str, cell: &dyn Fn(&ClipResult) -> String| {
+        Column::new([head, ""], results.iter().map(cell).collect())
     };
-    let rows = html! {
-        @for result in results {
-            tr {
-                th scope="row" { (result.clip) }
-                td.text { (short(&result.policy)) }
-                td { (result.frames) }
-                (cell(Some(result.skip_rate() * 100.0), 1))
-                (cell(result.accuracy.map(|accuracy| accuracy.ap50), 4))
-                (cell(difference(result), 2))
-                (cell(result.accuracy.map(|accuracy| accuracy.map), 4))
-                td { (result.boxes) }
-                (cell(result.accuracy.map(|accuracy| accuracy.truths as f64), 0))
-            }
-        }
-    };
+    let columns = [
+        column("Clip", &|result| result.clip.clone()),
+        column("Policy", &|result| short(&result.policy).to_owned()),
+        column("Frames", &|result| result.frames.to_string()),
+        column("Skipped %", &|result| {
+            figure(Some(result.skip_rate() * 100.0), 1)
+        }),
+        column("AP@50", &|result| {
+            figure(result.accuracy.map(|found| found.ap50), 4)
+        }),
+        column("Δ pp", &|result| figure(difference(result), 2)),
+        column("mAP", &|result| {
+            figure(result.accuracy.map(|found| found.map), 4)
+        }),
+        column("Boxes", &|result| result.boxes.to_string()),
+        column("Truth", &|result| {
+            figure(result.accuracy.map(|found| found.truths as f64), 0)
+        }),
+    ];
     html! {
         section {
             h2 { "Clips" }
             details {
                 summary { "Every clip under every policy" }
-                (sortable(&head, &rows))
+                (sortable(&columns))
             }
         }
     }

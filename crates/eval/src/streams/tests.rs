@@ -1,6 +1,5 @@
 use super::*;
-use crate::average_precision::TruthBox;
-use crate::data::StoredDetection;
+use crate::average_precision::{ScoredBox, TruthBox};
 use crate::spec::{Common, resolve};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
@@ -24,10 +23,11 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
         y2: 160.0,
     };
     let class = ClassId(2);
-    let detection = |frame| StoredDetection {
+    let detection = |frame| ScoredBox {
         corners: car(frame),
         class,
         confidence: 0.9,
+        object: None,
     };
     let truth = |frame| TruthBox {
         corners: car(frame),
@@ -35,16 +35,10 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
         object: Some(1),
     };
     Clip {
-        name: "drive-by".to_owned(),
-        picture: PICTURE,
         frame_rate: Some(10.0),
-        camera: None,
-        frames,
         detections: Some((0..frames).map(|frame| vec![detection(frame)]).collect()),
-        screen: None,
         truth: Some((0..frames).map(|frame| vec![truth(frame)]).collect()),
-        pictures: Vec::new(),
-        ignored: Vec::new(),
+        ..Clip::new("drive-by".to_owned(), PICTURE, frames)
     }
 }
 

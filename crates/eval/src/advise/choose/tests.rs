@@ -2,13 +2,12 @@
 
 use super::*;
 use crate::advise::render;
-use crate::data::StoredDetection;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 
 /// Two objects that drift with a speed that changes from clip to clip, in pixels a frame, and one that comes and goes.
 fn recording(name: &str, speed: f64, frames: usize) -> Clip {
-    let found = |x: f64, y: f64| StoredDetection {
+    let found = |x: f64, y: f64| ScoredBox {
         corners: Corners {
             x1: x,
             y1: y,
@@ -17,6 +16,7 @@ fn recording(name: &str, speed: f64, frames: usize) -> Clip {
         },
         class: ClassId(0),
         confidence: 0.8,
+        object: None,
     };
     // There and back, so that nothing leaves the picture; turning is what a filter gets wrong.
     let swing = |frame: usize, phase: f64| {
@@ -37,16 +37,9 @@ fn recording(name: &str, speed: f64, frames: usize) -> Clip {
         })
         .collect();
     Clip {
-        name: name.to_owned(),
-        picture: PictureSize::new(640, 480),
         frame_rate: Some(10.0),
-        camera: None,
-        frames,
         detections: Some(detections),
-        screen: None,
-        truth: None,
-        pictures: Vec::new(),
-        ignored: Vec::new(),
+        ..Clip::new(name.to_owned(), PictureSize::new(640, 480), frames)
     }
 }
 
@@ -54,16 +47,9 @@ fn recordings() -> Vec<Clip> {
     vec![recording("slow", 3.0, 600), recording("fast", 11.0, 600)]
 }
 
-fn settings() -> Settings {
-    Settings {
-        confidence: 0.5,
-        longest_empty_run: 100,
-    }
-}
-
 fn advice(policy: &str, target: &str) -> Advice {
     let target = target.parse().unwrap();
-    advise(&recordings(), target, policy, &settings()).unwrap()
+    advise(&recordings(), target, policy, &Settings::default()).unwrap()
 }
 
 #[test]
@@ -103,7 +89,7 @@ fn the_screen_whose_verdicts_were_recorded_is_tried_beside_none() {
         clip.screen = Some(boxes.map(|boxes| Some(boxes.is_empty())).collect());
     }
     let target = "skip_rate=0.1".parse().unwrap();
-    let advice = advise(&clips, target, "albireo", &settings()).unwrap();
+    let advice = advise(&clips, target, "albireo", &Settings::default()).unwrap();
     let screens: Vec<_> = advice.proposals.iter().map(|found| found.screen).collect();
     assert_eq!(screens.len(), 2);
     assert!(screens.contains(&Screen::Model) && screens.contains(&Screen::None));
@@ -128,11 +114,11 @@ fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_refused() {
     };
     let sure = Settings {
         confidence: 0.9,
-        ..settings()
+        ..Settings::default()
     };
     assert!(refused("albireo", &sure).contains("--confidence"));
-    assert!(refused("vanilla", &settings()).contains("no threshold"));
-    assert!(refused("albiro", &settings()).contains("no policy `albiro`"));
+    assert!(refused("vanilla", &Settings::default()).contains("no threshold"));
+    assert!(refused("albiro", &Settings::default()).contains("no policy `albiro`"));
 }
 
 #[test]
@@ -169,15 +155,16 @@ fn the_text_fits() {
 }
 
 #[test]
-fn values_have_two_digits_on_the_side_that_meets() {
-    for (value, down, up) in [
-        (0.3456, 0.34, 0.35),
-        (3.141e-4, 3.1e-4, 3.2e-4),
-        (0.3, 0.3, 0.3),
-        (0.069_999_999_999_9, 0.07, 0.07),
-        (12.7, 12.0, 13.0),
-    ] {
-        assert_eq!(two_digits(value, false), down);
-        assert_eq!(two_digits(value, true), up);
+fn values_have_two_digits_and_rise_through_the_useful_range() {
+    let knob = ExpectedLoss::KNOB;
+    let values = values(&knob);
+    assert!(
+        values.is_sorted() && values.len() > VALUES / 2,
+        "{values:?}"
+    );
+    assert_eq!(values.first(), Some(&knob.useful_minimum));
+    assert_eq!(values.last(), Some(&knob.useful_maximum));
+    for value in values {
+        assert_eq!(format!("{value:.1e}").parse(), Ok(value));
     }
 }
