@@ -259,7 +259,10 @@ async fn what_cannot_be_compared_is_refused_with_what_to_do() {
     for (arguments, expected) in [
         (&["--policy", "vanila"][..], "did you mean `vanilla`?"),
         (&["--policy", "nobody"], "the policies are `albireo`"),
-        (&["--policy", "albireo:1e-3"], "--u: none of the policies"),
+        (
+            &["--policy", "albireo:1e-3"],
+            "no policy of this run has a setting `u` left",
+        ),
         (
             &["--clip", "no/such/drive.mp4"],
             "no/such/drive.mp4: no such file",

@@ -36,7 +36,9 @@ impl Report {
     pub fn write(&self, folder: &Path) -> Result<(), FileError> {
         files::write_csv(&folder.join("summary.csv"), &summary_csv::rows(&self.clips))?;
         files::write_json(&folder.join("report.json"), self)?;
-        let figures = plot::figures(self);
+        let figures = plot::figures(self).map_err(|error| {
+            FileError::content(folder, format!("a figure cannot be drawn: {error}"))
+        })?;
         for figure in &figures {
             files::write(&folder.join(format!("{}.svg", figure.name)), &figure.svg)?;
         }

@@ -1,14 +1,16 @@
 //! Draws the figures of a report as SVG.
 
-mod axes;
-
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, split_label};
 use crate::summary::PolicySummary;
+use crate::table::short;
 use albireo_core::policy::FrameState;
-use axes::{Axes, INK, SOFT_INK, document, line, range, steps, text, width_of};
-use maud::{Markup, html};
+use plotters::chart::SeriesAnno;
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// A figure.
 pub(super) struct Figure {
@@ -17,52 +19,69 @@ pub(super) struct Figure {
     /// What it shows, as a heading.
     pub title: &'static str,
     /// How to read it.
-    pub caption: String,
+    pub caption: &'static str,
     /// The SVG document.
     pub svg: String,
 }
 
+/// What drawing may fail with.
+pub(super) type PlotError = DrawingAreaErrorKind<std::io::Error>;
+
 /// Width and height of a chart, in CSS pixels.
-const SIZE: (f64, f64) = (720.0, 430.0);
+const SIZE: (u32, u32) = (720, 430);
+
+const FONT: &str = "sans-serif";
+const INK: RGBColor = RGBColor(0x22, 0x28, 0x31);
+const SOFT_INK: RGBColor = RGBColor(0x5c, 0x65, 0x70);
+const GRID: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
+/// The Pareto frontier.
+const BAND: RGBColor = RGBColor(0xcd, 0xd2, 0xd9);
 
 /// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white, and with a
 /// brown.
-const PALETTE: [&str; 8] = [
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785ef0", "#6b4226",
+const PALETTE: [RGBColor; 8] = [
+    RGBColor(0x00, 0x72, 0xb2),
+    RGBColor(0xd5, 0x5e, 0x00),
+    RGBColor(0x00, 0x9e, 0x73),
+    RGBColor(0xcc, 0x79, 0xa7),
+    RGBColor(0xe6, 0x9f, 0x00),
+    RGBColor(0x56, 0xb4, 0xe9),
+    RGBColor(0x78, 0x5e, 0xf0),
+    RGBColor(0x6b, 0x42, 0x26),
 ];
 
 /// Fill and ink of a frame state: cool where the detector rests, warm where it runs.
-const fn state_colors(state: FrameState) -> (&'static str, &'static str) {
+const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
     match state {
-        FrameState::E => ("#8fbcdb", INK),
-        FrameState::P => ("#2670b0", "#fff"),
-        FrameState::EI => ("#fdd08b", INK),
-        FrameState::I => ("#f18c46", INK),
-        FrameState::AI => ("#be3e2c", "#fff"),
+        FrameState::E => (RGBColor(0x8f, 0xbc, 0xdb), INK),
+        FrameState::P => (RGBColor(0x26, 0x70, 0xb0), WHITE),
+        FrameState::EI => (RGBColor(0xfd, 0xd0, 0x8b), INK),
+        FrameState::I => (RGBColor(0xf1, 0x8c, 0x46), INK),
+        FrameState::AI => (RGBColor(0xbe, 0x3e, 0x2c), WHITE),
     }
 }
 
 /// The figures that `report` has the data for.
-pub(super) fn figures(report: &super::Report) -> Vec<Figure> {
+///
+/// # Errors
+/// [`PlotError`] when one cannot be drawn.
+pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> {
     let mut figures = Vec::new();
-    let points = points(&report.policies);
-    if !points.is_empty() {
+    if report.policies.iter().any(|policy| policy.ap50.is_some()) {
         figures.push(Figure {
             name: "ap50-against-skip-rate",
             title: "Accuracy against skip rate",
             caption: "Mean over clips. Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips, \
-                      cut at the figure's edge. Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it."
-                .to_owned(),
-            svg: tradeoff(&points),
+                      cut at the figure's edge. Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it.",
+            svg: tradeoff(&report.policies)?,
         });
     }
     figures.push(Figure {
         name: "frame-states",
         title: "Frame states",
         caption: "Mean share of frames over clips. E: screen says empty; P: predicted; E+I: screen, then detector; \
-                  I: detector; AI: detector and a rescue."
-            .to_owned(),
-        svg: states(&report.policies),
+                  I: detector; AI: detector and a rescue.",
+        svg: states(&report.policies)?,
     });
     let changes = changes(&report.clips);
     if !changes.is_empty() {
@@ -70,312 +89,326 @@ pub(super) fn figures(report: &super::Report) -> Vec<Figure> {
             name: "clips-ap50-change-against-skip-rate",
             title: "Change of accuracy clip by clip",
             caption: "Each marker is one clip under one policy: how much AP@50 changed against Vanilla, and how many frames \
-                      went without the detector."
-                .to_owned(),
-            svg: clips(&changes),
+                      went without the detector.",
+            svg: clips(&changes)?,
         });
     }
-    figures
+    Ok(figures)
 }
 
-/// One policy in the plane of skip rate and accuracy.
-struct Point {
-    /// What it belongs to: a family shares colour and marker.
-    family: String,
-    /// Its setting, written beside it.
-    setting: String,
-    /// Skip rate in percent, and AP@50.
-    at: (f64, f64),
-    /// Confidence interval of AP@50.
-    interval: Option<(f64, f64)>,
-    on_frontier: bool,
-    baseline: bool,
-}
+type Plane<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-fn points(summaries: &[PolicySummary]) -> Vec<Point> {
-    let point = |summary: &PolicySummary| {
-        let (family, setting) = split_label(&summary.policy);
-        let ap50 = summary.ap50?;
-        let t = summary.ap50_change.and_then(|change| change.t);
-        Some(Point {
-            family: family.to_owned(),
-            setting,
-            at: (summary.skip_rate * 100.0, ap50),
-            interval: t.map(|t| (ap50 - t.mean + t.lower, ap50 - t.mean + t.upper)),
-            on_frontier: summary.on_skip_frontier,
-            baseline: summary.policy == BASELINE,
-        })
-    };
-    summaries.iter().filter_map(point).collect()
-}
-
-/// Name, marker and colour of each family, in the order of the policies; the baseline is black.
-struct Families<'a>(Vec<(&'a str, usize, &'static str)>);
-
-impl<'a> Families<'a> {
-    fn new(names: impl Iterator<Item = &'a str>) -> Self {
-        let (mut families, mut looks) = (
-            Vec::<(&str, usize, &str)>::new(),
-            (0..).zip(PALETTE.into_iter().cycle()),
-        );
-        for name in names {
-            if families.iter().all(|(known, ..)| *known != name) {
-                let look = if name == BASELINE { None } else { looks.next() };
-                let (index, color) = look.unwrap_or((0, INK));
-                families.push((name, index, color));
-            }
-        }
-        Self(families)
+/// A plane with the skip rate in percent across, which `draw` draws into, and the names of its series.
+fn chart(
+    [x, y]: [Range<f64>; 2],
+    y_name: &str,
+    y_label: &dyn Fn(&f64) -> String,
+    draw: impl FnOnce(&mut Plane<'_>) -> Result<(), PlotError>,
+) -> Result<String, PlotError> {
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut plane = ChartBuilder::on(&root)
+            .margin(12)
+            .x_label_area_size(42)
+            .y_label_area_size(56)
+            .build_cartesian_2d(x, y)?;
+        plane
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID)
+            .axis_style(SOFT_INK)
+            .label_style((FONT, 12).into_font().color(&SOFT_INK))
+            .axis_desc_style((FONT, 13).into_font().color(&INK))
+            .x_desc("Frames without the detector, %")
+            .x_label_formatter(&|percent| format!("{percent:.0}"))
+            .y_desc(y_name)
+            .y_label_formatter(y_label)
+            .draw()?;
+        draw(&mut plane)?;
+        plane
+            .configure_series_labels()
+            .position(SeriesLabelPosition::LowerLeft)
+            .label_font((FONT, 12).into_font().color(&INK))
+            .background_style(WHITE.mix(0.8))
+            .border_style(GRID)
+            .draw()?;
+        root.present()?;
     }
+    Ok(svg)
+}
 
-    fn look(&self, family: &str) -> (usize, &'static str) {
-        let known = self.0.iter().find(|(name, ..)| *name == family);
-        known.map_or((0, INK), |&(_, index, color)| (index, color))
-    }
-
-    /// Markers with names along the top, in as many lines as they need, and the height these take.
-    fn legend(&self) -> (Markup, f64) {
-        let (mut x, mut y) = (62.0, 16.0);
-        let mut entries = Vec::new();
-        for &(name, index, color) in &self.0 {
-            let width = 9.0 + width_of(name, 11.5);
-            if x > 62.0 && x + width > SIZE.0 - 8.0 {
-                (x, y) = (62.0, y + 17.0);
-            }
-            entries.push(html! {
-                (marker((x, y), index, color, true, ""))
-                (text((x + 9.0, y), "start", 11.5, INK, name))
-            });
-            x += width + 18.0;
+/// The names of `labels`' families in order, without repetition.
+fn families<'a>(labels: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut families = Vec::new();
+    for label in labels {
+        let (family, _) = split_label(label);
+        if !families.contains(&family) {
+            families.push(family);
         }
-        (html! { @for entry in &entries { (entry) } }, y + 18.0)
+    }
+    families
+}
+
+/// The colour of the `index`th family; the baseline is black.
+fn color_of(index: usize, family: &str) -> RGBColor {
+    match family == BASELINE {
+        true => INK,
+        false => PALETTE[index % PALETTE.len()],
     }
 }
 
-/// The marker of the `index`th family: filled, or white with a coloured edge.
-fn marker((x, y): (f64, f64), index: usize, color: &str, filled: bool, title: &str) -> Markup {
-    let corners: &[(f64, f64)] = match index % 4 {
-        0 => &[],
-        1 => &[(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)],
-        2 => &[(0.0, -1.2), (1.1, 0.8), (-1.1, 0.8)],
-        _ => &[(0.0, -1.2), (1.2, 0.0), (0.0, 1.2), (-1.2, 0.0)],
-    };
-    let fill = if filled { color } else { "#fff" };
-    html! {
-        g fill=(fill) stroke=(color) stroke-width="1.6" {
-            @if !title.is_empty() { title { (title) } }
-            @if corners.is_empty() {
-                circle cx=(steps(x)) cy=(steps(y)) r="4" {}
-            } @else {
-                polygon points=(axes::path(corners.iter().map(|(dx, dy)| (x + 4.0 * dx, y + 4.0 * dy)))) {}
-            }
-        }
+/// Draws the markers of the `index`th family, whose forms differ too: filled, or white with a coloured edge.
+fn mark<'p, 'a>(
+    plane: &'p mut Plane<'a>,
+    points: &[(f64, f64)],
+    index: usize,
+    style: ShapeStyle,
+) -> Result<&'p mut SeriesAnno<'a, SVGBackend<'a>>, PlotError> {
+    let points = points.iter().copied();
+    match index % 3 {
+        0 => plane.draw_series(points.map(|at| Circle::new(at, 4, style))),
+        1 => plane.draw_series(points.map(|at| TriangleMarker::new(at, 5, style))),
+        _ => plane.draw_series(
+            points.map(|at| EmptyElement::at(at) + Rectangle::new([(-4, -4), (4, 4)], style)),
+        ),
     }
 }
 
 /// Accuracy against skip rate: one marker per policy, families joined, the frontier behind.
-fn tradeoff(points: &[Point]) -> String {
-    let families = Families::new(points.iter().map(|point| point.family.as_str()));
-    let (legend, top) = families.legend();
-    let (low, high) = heights(points);
-    let axes = Axes::new(
-        SIZE,
-        top,
-        range(points.iter().map(|point| point.at.0), 0.09),
-        (low, high),
-    );
-    let joined = |wanted: &dyn Fn(&Point) -> bool, width: f64, color: &str| {
-        let mut path: Vec<_> = points
-            .iter()
-            .filter(|point| wanted(point))
-            .map(|point| point.at)
-            .collect();
-        path.sort_by(|a, b| a.0.total_cmp(&b.0));
-        axes.line(&path, width, color)
-    };
-    let looks: Vec<_> = points
-        .iter()
-        .map(|point| families.look(&point.family))
+fn tradeoff(summaries: &[PolicySummary]) -> Result<String, PlotError> {
+    let judged: Vec<(&PolicySummary, (f64, f64))> = (summaries.iter())
+        .filter_map(|summary| Some((summary, (summary.skip_rate * 100.0, summary.ap50?))))
         .collect();
-    let drawn = html! {
-        (joined(&|point| point.on_frontier, 5.0, "#cdd2d9"))
-        @if let Some(baseline) = points.iter().find(|point| point.baseline) {
-            (axes.across(baseline.at.1))
-        }
-        @for (family, _, color) in &families.0 {
-            (joined(&|point| point.family == *family, 1.2, color))
-        }
-        @for (point, (_, color)) in points.iter().zip(&looks) {
-            @if let Some((from, to)) = point.interval {
-                g opacity=".5" {
-                    (axes.line(&[(point.at.0, from.clamp(low, high)), (point.at.0, to.clamp(low, high))], 1.0, color))
-                }
-            }
-        }
-        @for (point, &(index, color)) in points.iter().zip(&looks) {
-            @if point.baseline {
-                // It must show below a policy that does the same.
-                circle cx=(steps(axes.at(point.at).0)) cy=(steps(axes.at(point.at).1)) r="7" fill="#fff" stroke=(color) {}
-            }
-            (marker(axes.at(point.at), index, color, point.on_frontier, &format!("{} {}", point.family, point.setting)))
-        }
-        (settings(points, &axes, &looks))
-        (legend)
+    let places = |wanted: &dyn Fn(&PolicySummary) -> bool| {
+        let wanted = judged.iter().filter(|(summary, _)| wanted(summary));
+        let mut places: Vec<(f64, f64)> = wanted.map(|(_, at)| *at).collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        places
     };
-    axes.document("AP@50", |value| format!("{value:.3}"), &drawn)
+    let across = range(judged.iter().map(|(_, at)| at.0), 0.09);
+    let up = heights(&judged);
+    let (low, high) = (up.start, up.end);
+    chart(
+        [across.clone(), up],
+        "AP@50",
+        &|ap50| format!("{ap50:.3}"),
+        |plane| {
+            let frontier = places(&|summary| summary.on_skip_frontier);
+            plane.draw_series(LineSeries::new(frontier, BAND.stroke_width(5)))?;
+            if let Some((_, ap50)) = places(&|summary| summary.policy == BASELINE).first() {
+                let ends = [(across.start, *ap50), (across.end, *ap50)];
+                plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
+            }
+            let whiskers = judged.iter().filter_map(|(summary, (x, _))| {
+                let (from, to) = interval(summary)?;
+                let ends = [from, to].map(|end| (*x, end.clamp(low, high)));
+                Some(PathElement::new(ends.to_vec(), SOFT_INK.mix(0.5)))
+            });
+            plane.draw_series(whiskers)?;
+            let names = families(judged.iter().map(|(summary, _)| summary.policy.as_str()));
+            for (index, family) in names.into_iter().enumerate() {
+                let color = color_of(index, family);
+                let own = |summary: &PolicySummary| split_label(&summary.policy).0 == family;
+                plane.draw_series(LineSeries::new(places(&own), color))?;
+                mark(plane, &places(&own), index, WHITE.filled())?;
+                mark(plane, &places(&own), index, color.stroke_width(2))?
+                    .label(family)
+                    .legend(move |(x, y)| Circle::new((x + 10, y), 4, color.filled()));
+                let best = places(&|summary| own(summary) && summary.on_skip_frontier);
+                mark(plane, &best, index, color.filled())?;
+            }
+            settings(plane, &judged)
+        },
+    )
+}
+
+/// The 95 % interval of a policy's AP@50.
+fn interval(summary: &PolicySummary) -> Option<(f64, f64)> {
+    let (ap50, t) = (summary.ap50?, summary.ap50_change?.t?);
+    Some((ap50 - t.mean + t.lower, ap50 - t.mean + t.upper))
 }
 
 /// The vertical range: all points, and of the intervals as much as leaves the points apart. Two clips can have an
 /// interval that is wider than every accuracy there is.
-fn heights(points: &[Point]) -> (f64, f64) {
-    let (lowest, highest) = range(points.iter().map(|point| point.at.1), 0.0);
-    let room = (highest - lowest).max(0.02);
-    let ends = points.iter().flat_map(|point| {
-        let (low, high) = point.interval.unwrap_or((point.at.1, point.at.1));
-        [low.max(lowest - room), high.min(highest + room)]
+fn heights(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
+    let points = range(judged.iter().map(|(_, at)| at.1), 0.0);
+    let room = (points.end - points.start).max(0.02);
+    let ends = judged.iter().flat_map(|(summary, (_, ap50))| {
+        let (low, high) = interval(summary).unwrap_or((*ap50, *ap50));
+        [low.max(points.start - room), high.min(points.end + room)]
     });
-    let (low, high) = range(ends, 0.08);
-    (low.max(0.0), high.min(1.0 + 0.04 * (1.0 - lowest)))
+    let all = range(ends, 0.08);
+    all.start.max(0.0)..all.end.min(1.0 + 0.04 * (1.0 - points.start))
 }
 
-/// Each setting beside its marker, at the first side where nothing is yet; where there is none, the marker's title says it.
-fn settings(points: &[Point], axes: &Axes, looks: &[(usize, &str)]) -> Markup {
-    let places: Vec<(f64, f64)> = points.iter().map(|point| axes.at(point.at)).collect();
-    let mut taken: Vec<[f64; 4]> = places
+/// Each setting beside its marker, where no marker or setting is yet.
+fn settings(
+    plane: &mut Plane<'_>,
+    judged: &[(&PolicySummary, (f64, f64))],
+) -> Result<(), PlotError> {
+    let style = (FONT, 11).into_font().color(&SOFT_INK);
+    let mut taken: Vec<(i32, i32)> = judged
         .iter()
-        .map(|&(x, y)| [x - 6.0, y - 6.0, x + 6.0, y + 6.0])
+        .map(|(_, at)| plane.backend_coord(at))
         .collect();
-    let mut written = Vec::new();
-    for ((point, &(x, y)), (_, color)) in points.iter().zip(&places).zip(looks) {
-        let width = width_of(&point.setting, 10.5);
-        let sides = [
-            (x + 8.0, y - 10.0),
-            (x + 8.0, y + 10.0),
-            (x - 8.0 - width, y - 10.0),
-            (x - 8.0 - width, y + 10.0),
-        ];
-        let free = |&&(left, middle): &&(f64, f64)| {
-            left >= 0.0
-                && left + width <= SIZE.0
-                && taken.iter().all(|[l, t, r, b]| {
-                    left >= *r || left + width <= *l || middle - 6.0 >= *b || middle + 6.0 <= *t
-                })
+    for (summary, at) in judged {
+        let (_, setting) = split_label(&summary.policy);
+        let (x, y) = plane.backend_coord(at);
+        let width = 6 * setting.len() as i32;
+        let is_free = |offset: &(i32, i32)| {
+            let middle = (x + offset.0 + width / 2, y + offset.1 + 6);
+            let apart = |(other_x, other_y): &(i32, i32)| {
+                (other_x - middle.0).abs() > width / 2 + 6 || (other_y - middle.1).abs() > 10
+            };
+            taken.iter().all(apart)
         };
-        if let Some(&(left, middle)) = sides.iter().find(free) {
-            taken.push([left, middle - 6.0, left + width, middle + 6.0]);
-            written.push(text((left, middle), "start", 10.5, color, &point.setting));
+        let offsets = [(8, -17), (8, 6), (-8 - width, -17), (-8 - width, 6)];
+        if let Some(offset) = offsets.into_iter().find(is_free) {
+            taken.push((x + offset.0 + width / 2, y + offset.1 + 6));
+            let text = EmptyElement::at(*at) + Text::new(setting, offset, style.clone());
+            plane.draw_series([text])?;
         }
     }
-    html! { @for setting in &written { (setting) } }
+    Ok(())
 }
 
 /// One bar per policy: how its frames were answered.
-fn states(summaries: &[PolicySummary]) -> String {
-    let label = |summary: &PolicySummary| {
-        let base = summary.policy.split_once("-erd-");
-        base.map_or(summary.policy.clone(), |(base, _)| base.to_owned())
-    };
-    let rows = summaries.len().min(60) as f64;
-    let (width, height) = (SIZE.0, 70.0 + 26.0 * rows);
+fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
+    let rows = summaries.len();
+    let size = (SIZE.0, 70 + 26 * rows.clamp(1, 60) as u32);
     let widest = summaries
         .iter()
-        .map(|summary| width_of(&label(summary), 11.5))
-        .fold(0.0, f64::max);
-    let (left, right, top, bottom) = (22.0 + widest, width - 22.0, 32.0, height - 30.0);
-    let across = |share: f64| left + share * (right - left);
-    let pitch = (bottom - top) / (summaries.len().max(1)) as f64;
-    let bar = |row: usize, summary: &PolicySummary| {
-        let middle = top + (row as f64 + 0.5) * pitch;
-        let mut from = 0.0;
-        let shares = FrameState::ALL.into_iter().zip(summary.states).map(|(state, share)| {
-            let (start, end) = (across(from), across(from + share));
-            from += share;
-            let (fill, ink) = state_colors(state);
-            html! {
-                rect x=(steps(start)) y=(steps(middle - 0.36 * pitch)) width=(steps(end - start)) height=(steps(0.72 * pitch)) fill=(fill) {}
-                @if share >= 0.045 {
-                    (text((f64::midpoint(start, end), middle), "middle", 10.0, ink, &format!("{:.0}", share * 100.0)))
+        .map(|summary| short(&summary.policy).len())
+        .max();
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut plane = ChartBuilder::on(&root)
+            .margin(12)
+            .margin_top(32)
+            .x_label_area_size(24)
+            .y_label_area_size(20 + 7 * widest.unwrap_or(0) as u32)
+            .build_cartesian_2d(0.0..1.0, 0.0..rows as f64)?;
+        plane
+            .configure_mesh()
+            .disable_y_mesh()
+            .disable_y_axis()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID)
+            .axis_style(SOFT_INK)
+            .label_style((FONT, 12).into_font().color(&SOFT_INK))
+            .x_labels(6)
+            .x_label_formatter(&|share| format!("{:.0} %", share * 100.0))
+            .draw()?;
+        let text = |size: i32, ink: RGBColor, h: HPos| {
+            let style = (FONT, size).into_font().color(&ink);
+            style.pos(Pos::new(h, VPos::Center))
+        };
+        for (row, summary) in summaries.iter().enumerate() {
+            let middle = (rows - row) as f64 - 0.5;
+            let (x, y) = plane.backend_coord(&(0.0, middle));
+            let name = short(&summary.policy).to_owned();
+            root.draw(&Text::new(name, (x - 8, y), text(12, INK, HPos::Right)))?;
+            let mut from = 0.0;
+            for (state, share) in FrameState::ALL.into_iter().zip(summary.states) {
+                let (fill, ink) = state_colors(state);
+                let corners = [(from, middle - 0.36), (from + share, middle + 0.36)];
+                plane.draw_series([Rectangle::new(corners, fill.filled())])?;
+                if share >= 0.045 {
+                    let place = (from + share / 2.0, middle);
+                    let percent = format!("{:.0}", share * 100.0);
+                    plane.draw_series([Text::new(percent, place, text(10, ink, HPos::Center))])?;
                 }
+                from += share;
             }
-        });
-        html! {
-            (text((left - 8.0, middle), "end", 11.5, INK, &label(summary)))
-            @for share in shares { (share) }
         }
-    };
-    let mut x = left;
-    let legend = FrameState::ALL.map(|state| {
-        let at = x;
-        x += 31.0 + width_of(state.as_str(), 11.5);
-        html! {
-            rect x=(steps(at)) y="11" width="10" height="10" fill=(state_colors(state).0) {}
-            (text((at + 15.0, 16.0), "start", 11.5, INK, state.as_str()))
+        let left = plane.backend_coord(&(0.0, 0.0)).0;
+        for (at, state) in (0..).zip(FrameState::ALL) {
+            let x = left + 60 * at;
+            root.draw(&Rectangle::new(
+                [(x, 12), (x + 10, 22)],
+                state_colors(state).0.filled(),
+            ))?;
+            root.draw(&Text::new(
+                state.as_str(),
+                (x + 15, 17),
+                text(12, INK, HPos::Left),
+            ))?;
         }
-    });
-    document(
-        (width, height),
-        &html! {
-            @for tick in 0..=5 {
-                @let share = f64::from(tick) / 5.0;
-                (line(&[(across(share), top), (across(share), bottom)], 0.6, axes::GRID))
-                (text((across(share), bottom + 13.0), "middle", 11.0, SOFT_INK, &format!("{:.0} %", share * 100.0)))
-            }
-            @for (row, summary) in summaries.iter().enumerate() { (bar(row, summary)) }
-            @for entry in &legend { (entry) }
-        },
-    )
+        root.present()?;
+    }
+    Ok(svg)
 }
 
 /// Skip rate in percent and change of AP@50 in percentage points of every clip with ground truth, by family.
 fn changes(results: &[ClipResult]) -> Vec<(&str, Vec<(f64, f64)>)> {
     let ap50 = |result: &ClipResult| result.accuracy.map(|accuracy| accuracy.ap50);
-    let baselines: HashMap<&str, f64> = results
-        .iter()
-        .filter(|result| result.policy == BASELINE)
+    let (baselines, others): (Vec<_>, Vec<_>) =
+        results.iter().partition(|result| result.policy == BASELINE);
+    let baselines: HashMap<&str, f64> = (baselines.into_iter())
         .filter_map(|result| Some((result.clip.as_str(), ap50(result)?)))
         .collect();
-    let mut changes: Vec<(&str, Vec<(f64, f64)>)> = Vec::new();
-    for result in results.iter().filter(|result| result.policy != BASELINE) {
-        if let (Some(ap50), Some(before)) = (ap50(result), baselines.get(result.clip.as_str())) {
-            let (family, _) = split_label(&result.policy);
-            let change = (result.skip_rate() * 100.0, (ap50 - before) * 100.0);
-            match changes.iter_mut().find(|(known, _)| *known == family) {
-                Some((_, changes)) => changes.push(change),
-                None => changes.push((family, vec![change])),
-            }
-        }
-    }
-    changes
+    let change = |result: &&ClipResult| {
+        let before = baselines.get(result.clip.as_str())?;
+        Some((result.skip_rate() * 100.0, (ap50(result)? - before) * 100.0))
+    };
+    let of = |family| {
+        let own = others
+            .iter()
+            .filter(|result| split_label(&result.policy).0 == family);
+        (family, own.filter_map(change).collect::<Vec<_>>())
+    };
+    let families = families(others.iter().map(|result| result.policy.as_str()));
+    let changes = families.into_iter().map(of);
+    changes.filter(|(_, changes)| !changes.is_empty()).collect()
 }
 
 /// Clip by clip: the change of AP@50 against the skip rate.
-fn clips(changes: &[(&str, Vec<(f64, f64)>)]) -> String {
-    let families = Families::new(changes.iter().map(|(family, _)| *family));
-    let (legend, top) = families.legend();
+fn clips(changes: &[(&str, Vec<(f64, f64)>)]) -> Result<String, PlotError> {
     let all = || changes.iter().flat_map(|(_, changes)| changes);
-    let x = range(all().map(|change| change.0), 0.05);
-    let axes = Axes::new(
-        SIZE,
-        top,
-        x,
-        range(all().map(|change| change.1).chain([0.0]), 0.06),
-    );
-    let drawn = html! {
-        (axes.across(0.0))
-        @for (family, changes) in changes {
-            @let (index, color) = families.look(family);
-            g opacity=".6" {
-                @for &change in changes { (marker(axes.at(change), index, color, true, "")) }
-            }
-        }
-        (legend)
+    let across = range(all().map(|change| change.0), 0.05);
+    let up = range(all().map(|change| change.1).chain([0.0]), 0.06);
+    let signed = |value: &f64| match *value == 0.0 {
+        true => "0".to_owned(),
+        false => format!("{value:+.0}").replace('-', "−"),
     };
-    let signed = |value: f64| {
-        if value == 0.0 {
-            "0".to_owned()
-        } else {
-            format!("{value:+.0}").replace('-', "−")
+    let name = "Change of AP@50, percentage points";
+    chart([across.clone(), up], name, &signed, |plane| {
+        let ends = [(across.start, 0.0), (across.end, 0.0)];
+        plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
+        for (index, (family, changes)) in changes.iter().enumerate() {
+            let color = color_of(index, family);
+            mark(plane, changes, index, color.mix(0.6).filled())?
+                .label(*family)
+                .legend(move |(x, y)| Circle::new((x + 10, y), 4, color.filled()));
         }
-    };
-    axes.document("Change of AP@50, percentage points", signed, &drawn)
+        Ok(())
+    })
+}
+
+/// A range around `values` with that share of air, and never empty.
+fn range(values: impl Iterator<Item = f64>, air: f64) -> Range<f64> {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    if !(low.is_finite() && high.is_finite()) {
+        return 0.0..1.0;
+    }
+    let span = (high - low).max(high.abs() * 1e-3).max(1e-6);
+    low - air * span..high + air * span
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_range_is_never_empty() {
+        assert_eq!(range([].into_iter(), 0.1), 0.0..1.0);
+        let range = range([0.5].into_iter(), 0.1);
+        assert!(range.start < 0.5 && 0.5 < range.end);
+    }
 }
