@@ -4,18 +4,22 @@
 use crate::support::shared;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::against_detector::{ComparedFrame, against_detector};
+use albireo_eval::against_detector::against_detector;
 use albireo_eval::data::recorded;
 use albireo_eval::run::Settings;
 
+/// How each frame without the detector compares with it.
+type Camera = Vec<Option<Box<AuditSums>>>;
+
 /// The sums of the frames that are drawn with `seed`; every recording is a camera with its own draw. Drawn frames with
 /// `crowded` detected boxes or more are missed.
-fn sample(cameras: &[Vec<ComparedFrame>], share: f64, seed: u64, crowded: u64) -> AuditSums {
+fn sample(cameras: &[Camera], share: f64, seed: u64, crowded: u64) -> AuditSums {
     let mut sums = AuditSums::default();
     for (camera, frames) in (0u64..).zip(cameras) {
         let draw = AuditDraw::new(share, (seed << 16) + camera);
-        for frame in frames.iter().filter(|frame| draw.draw(frame.index)) {
-            match &frame.sums {
+        let drawn = (0..).zip(frames).filter(|(index, _)| draw.draw(*index));
+        for (_, compared) in drawn {
+            match compared {
                 Some(compared) if compared.detected >= crowded => {
                     sums.add_missed(usize::try_from(compared.shown).expect("few boxes"));
                 }
@@ -27,7 +31,7 @@ fn sample(cameras: &[Vec<ComparedFrame>], share: f64, seed: u64, crowded: u64) -
     sums
 }
 
-fn cameras(policy: &str) -> (Vec<Vec<ComparedFrame>>, AuditSums) {
+fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut config = PolicyConfig::default();
     config.select(policy).expect("a policy");
@@ -37,9 +41,11 @@ fn cameras(policy: &str) -> (Vec<Vec<ComparedFrame>>, AuditSums) {
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();
     let mut all = AuditSums::default();
-    for frame in compared.iter().flatten() {
-        frame.sums.iter().for_each(|sums| all.merge(sums));
-    }
+    compared
+        .iter()
+        .flatten()
+        .flatten()
+        .for_each(|sums| all.merge(sums));
     (compared, all)
 }
 

@@ -11,8 +11,10 @@ use albireo_eval::compare::{
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::spec::BASELINE;
 use albireo_node::config::NodeConfig;
+use albireo_power::PowerConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadName;
+use albireo_wire::EnergyQuality;
 use anyhow::{Context, bail, ensure};
 use clip::LoadedClip;
 use indicatif::HumanDuration;
@@ -111,25 +113,25 @@ pub(super) struct Arguments {
 }
 
 fn above_zero(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
-        _ => Err("must be a number above 0".to_owned()),
-    }
+    number(text, |value| value > 0.0 && value <= 1e6, "above 0")
 }
 
 /// A pace that a clock can keep: a clip of 10 frames per second at a thousandth of it is a picture in 100 s.
 fn factor(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.001..=1000.0).contains(&value) => Ok(value),
-        _ => Err("must be a number from 0.001 to 1000".to_owned()),
-    }
+    number(
+        text,
+        |value| (0.001..=1000.0).contains(&value),
+        "from 0.001 to 1000",
+    )
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.0..=1e6).contains(&value) => Ok(value),
-        _ => Err("must be a number, 0 or above".to_owned()),
-    }
+    number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
+}
+
+fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value| fits(*value));
+    value.ok_or_else(|| format!("must be a number {which}"))
 }
 
 /// Compares.
@@ -138,14 +140,10 @@ fn not_negative(text: &str) -> Result<f64, String> {
 /// When the arguments make no sense, the clip cannot be read, a node does not start, or it was stopped
 /// before the first round was complete.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let (config, variants) = prepare(&arguments)?;
+    let (mut config, variants) = prepare(&arguments)?;
     logging::start(&config.log)?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-    let meter = choose_meter(&config).await?;
-    let config = NodeConfig {
-        power: meter.config,
-        ..config
-    };
+    let meter = choose_meter(&mut config.power).await?;
     eprintln!("Reading the clip …");
     let source = (arguments.clip)
         .open(arguments.rate, VideoEncoding::default())
@@ -153,26 +151,20 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let clip = LoadedClip::read(source, arguments.seconds).await?;
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
     let turns = schedule(variants.len(), arguments.repeat as usize);
-    let length = clip.len() as f64 / clip.rate() / arguments.speed;
+    let pace = match rate {
+        Some(rate) => {
+            let played = clip.len() as f64 / clip.rate() + arguments.warm_up;
+            let run = played / arguments.speed + arguments.cool_down + 1.0;
+            let all = Duration::from_secs_f64(turns.len() as f64 * run);
+            format!("{rate} frames/s, about {}", HumanDuration(all))
+        }
+        None => "full speed".to_owned(),
+    };
     eprintln!(
-        "{} runs of {} frames of {} at {}; power: {}",
+        "{} runs of {} frames of {} at {pace}; power: {meter}",
         turns.len(),
         clip.len(),
         clip.name(),
-        match rate {
-            Some(rate) => format!(
-                "{rate} frames/s, about {}",
-                HumanDuration(Duration::from_secs_f64(
-                    turns.len() as f64
-                        * (length
-                            + arguments.warm_up / arguments.speed
-                            + arguments.cool_down
-                            + 1.0)
-                ))
-            ),
-            None => "full speed".to_owned(),
-        },
-        meter.name
     );
     let player = Player {
         config,
@@ -227,15 +219,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
     Ok((config, variants))
 }
 
-/// The meter all runs use.
-struct Chosen {
-    config: albireo_power::PowerConfig,
-    name: String,
-}
-
-/// Finds out which meter there is, so that every run uses the same and what cannot be used is reported once.
-async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
-    let mut config = config.power.clone();
+/// Finds out which meter there is, so that every run uses the same and what cannot be used is reported once; its name.
+async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
         albireo_power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
@@ -244,12 +229,11 @@ async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
     if let Ok(source) = serde_json::from_value(name.as_str().into()) {
         config.source = source;
     }
-    let name = match quality {
-        albireo_wire::EnergyQuality::Measured => format!("{name} (measured)"),
-        albireo_wire::EnergyQuality::Estimated => "no meter, estimated".to_owned(),
+    Ok(match quality {
+        EnergyQuality::Measured => format!("{name} (measured)"),
+        EnergyQuality::Estimated => "no meter, estimated".to_owned(),
         _ => "no meter".to_owned(),
-    };
-    Ok(Chosen { config, name })
+    })
 }
 
 /// Plays every turn; on a signal, what is complete by then.

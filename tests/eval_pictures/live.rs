@@ -114,6 +114,7 @@ pub(crate) fn assert_live_alike(
     screen: &ScreenConfig,
     pictured: &PicturedClip,
     confidence: f64,
+    policies: &[&str],
 ) -> u64 {
     let mut pictures = Vec::new();
     while let Some(picture) = source.next().unwrap() {
@@ -124,8 +125,7 @@ pub(crate) fn assert_live_alike(
         None => ScreenRule::Nonempty,
         Some(_) => ScreenRule::Recorded,
     };
-    let mut policies = specs(&NO_PIXELS, rule);
-    policies.extend(specs(&["statues:25"], rule).pop());
+    let policies = specs(policies, rule);
     let settings = Settings {
         longest_empty_run: screen.longest_empty_run,
         ..settings(confidence, rule)
@@ -185,7 +185,15 @@ fn assert_fixtures_alike(screen: &ScreenConfig, confidence: f64) -> u64 {
     let detector = fixture_detector();
     let pictured = look(&mut source, &detector, screen);
     source.rewind().unwrap();
-    assert_live_alike(&mut source, &detector, screen, &pictured, confidence)
+    let policies = [&NO_PIXELS[..], &["statues:25"]].concat();
+    assert_live_alike(
+        &mut source,
+        &detector,
+        screen,
+        &pictured,
+        confidence,
+        &policies,
+    )
 }
 
 #[test]

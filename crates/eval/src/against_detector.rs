@@ -8,17 +8,9 @@ use crate::source::{ClipEvidence, SourceError, StoredEvidence};
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 
-/// One frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ComparedFrame {
-    /// Its index in the stream, which counts lost frames too: what the audit draws by.
-    pub index: u64,
-    /// The comparison; `None` on a frame of the detector, which is the reference, and on a degraded one.
-    pub sums: Option<Box<AuditSums>>,
-}
-
 /// Takes `policy` from its initial state through all frames of `clip`, and compares what it shows on frames without the
-/// detector with what the detector finds in them.
+/// detector with what the detector finds in them: one entry per frame, `None` on a frame of the detector, which is the
+/// reference, and on a degraded one.
 ///
 /// # Errors
 /// [`SourceError`] when the clip does not have what the policy asks for.
@@ -26,22 +18,19 @@ pub fn against_detector(
     policy: &mut dyn Policy,
     clip: &Clip,
     settings: &Settings,
-) -> Result<Vec<ComparedFrame>, SourceError> {
+) -> Result<Vec<Option<Box<AuditSums>>>, SourceError> {
     let mut source = StoredEvidence::new(clip, settings)?;
-    let detected = source.all_detections().to_vec();
+    let mut detected = source.all_detections().to_vec().into_iter();
     let mut compared = Vec::with_capacity(source.frames());
     drive(policy, &mut source, &mut |_, played| {
         let outcome = played.outcome;
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
-        compared.push(ComparedFrame {
-            index: played.head.index,
-            sums: skipped.then(|| {
-                let mut sums = Box::<AuditSums>::default();
-                let found = detected.get(played.frame).map_or(&[][..], Vec::as_slice);
-                sums.add(&outcome.boxes, found);
-                sums
-            }),
-        });
+        let found = detected.next().unwrap_or_default();
+        compared.push(skipped.then(|| {
+            let mut sums = Box::<AuditSums>::default();
+            sums.add(&outcome.boxes, &found);
+            sums
+        }));
     })?;
     Ok(compared)
 }

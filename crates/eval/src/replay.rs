@@ -114,8 +114,6 @@ pub(crate) fn replay(
 
 /// One frame that a policy was taken through.
 pub(crate) struct Played<'a> {
-    /// Its number among the frames of the source.
-    pub frame: usize,
     /// What the policy received.
     pub head: FrameHead,
     /// What happened.
@@ -136,19 +134,14 @@ pub(crate) fn drive(
     policy.reset();
     let picture = source.picture();
     let mut outcome = Outcome::default();
-    let mut next_index = 0;
     for frame in 0..source.frames() {
-        let step = source.step(frame).max(1);
-        let index = next_index + u64::from(step) - 1;
-        next_index = index + 1;
         let head = FrameHead {
-            index,
-            step,
+            index: frame as u64,
+            step: 1,
             picture,
         };
         let record = decide_frame(policy, source, head, frame, &mut outcome)?;
         let played = Played {
-            frame,
             head,
             record,
             outcome: &outcome,

@@ -21,12 +21,6 @@ pub(crate) trait ClipEvidence {
     /// Number of frames.
     fn frames(&self) -> usize;
 
-    /// Frames since the one before it, which were lost if there are more than one.
-    fn step(&self, frame: usize) -> u32 {
-        let _ = frame;
-        1
-    }
-
     /// What the detector finds in a frame, at or above the run's confidence, in the detector's order.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 use super::PATIENCE;
 use super::clip::LoadedClip;
 use crate::cli::replay::{
-    ClipIds, FrameSender, Pacing, PublishOptions, Rate, close, flush, open_session, publish,
+    ClipIds, FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
 };
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
@@ -139,7 +139,7 @@ impl Player {
         // The clip ends with the node, and its report is on the board when the node has stopped.
         stop.cancel();
         stopped.await.context("the node")??;
-        let measured = played?;
+        let (cpu, answers) = played?;
         let report = board
             .recent_clips(Some(CAMERA), usize::MAX)
             .into_iter()
@@ -147,13 +147,14 @@ impl Player {
             .context("the node reported no clip")?;
         Ok(Played {
             report: ClipReport::clone(&report),
-            cpu: measured.cpu,
+            cpu,
             meter_share_of_core: board.power().cost.share_of_core(),
-            first: measured.first,
-            answers: measured.answers,
+            first: self.warm_up_frames(),
+            answers,
         })
     }
 
+    /// Plays warm-up and clip to a running node: the CPU time of the clip, and what was published.
     async fn play_to(
         &self,
         config: &NodeConfig,
@@ -161,17 +162,16 @@ impl Player {
         endpoints: &[String],
         progress: &impl Fn(u64, &str),
         shutdown: &CancellationToken,
-    ) -> anyhow::Result<Measured> {
+    ) -> anyhow::Result<(Duration, Vec<Vec<u8>>)> {
         let keys = config.keys()?.camera(CAMERA)?;
         let camera = board
             .camera(CAMERA)
             .context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
         let answers = subscribe(&session, keys.detections()).await?;
-        let pacing = if self.rate.is_none() {
-            Pacing::WaitForNode
-        } else {
-            Pacing::WaitForNetwork
+        let pacing = match self.rate {
+            Some(_) => Pacing::WaitForNetwork,
+            None => Pacing::WaitForNode,
         };
         let sender = FrameSender::declare(&session, &keys.frame(), pacing).await?;
         sender.wait_for_receiver(PATIENCE).await?;
@@ -182,22 +182,20 @@ impl Player {
                 repeat: true,
                 frames: Some(warm_up),
                 clip: ClipIds::Given(WARM_UP.to_owned()),
-                ..self.options()
+                ..PublishOptions::default()
             };
-            let sent_progress = |sent| progress(sent, "warm-up");
-            self.send(&sender, &options, sent_progress, shutdown)
-                .await?;
+            let told = |sent| progress(sent, "warm-up");
+            self.send(&sender, options, told, shutdown).await?;
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
             clip: ClipIds::Given(MEASURED.to_owned()),
             first_sequence: warm_up,
-            ..self.options()
+            ..PublishOptions::default()
         };
         let before = process_cpu();
-        let sent_progress = |sent| progress(warm_up + sent, "playing");
-        self.send(&sender, &options, sent_progress, shutdown)
-            .await?;
+        let told = |sent| progress(warm_up + sent, "playing");
+        self.send(&sender, options, told, shutdown).await?;
         if let Some(rate) = self.rate {
             // The last frame's time is part of the clip.
             tokio::time::sleep(Duration::from_secs_f64(1.0 / rate)).await;
@@ -208,30 +206,24 @@ impl Player {
         flush(&session, &keys.frame(), PATIENCE).await?;
         close(session).await?;
         let answers = std::mem::take(&mut *answers.lock());
-        Ok(Measured {
-            cpu,
-            first: warm_up,
-            answers,
-        })
+        Ok((cpu, answers))
     }
 
-    fn options(&self) -> PublishOptions {
-        PublishOptions {
-            rate: self.rate.map_or(Rate::Unpaced, Rate::PerSecond),
-            ..PublishOptions::default()
-        }
-    }
-
+    /// Sends the clip at the comparison's rate.
     async fn send(
         &self,
         sender: &FrameSender,
-        options: &PublishOptions,
-        sent_progress: impl Fn(u64),
+        options: PublishOptions,
+        told: impl Fn(u64),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
-        let progress = |sent: &crate::cli::replay::Sent| sent_progress(sent.frames);
+        let options = PublishOptions {
+            rate: self.rate.map_or(Rate::Unpaced, Rate::PerSecond),
+            ..options
+        };
         let clip = Box::new(self.clip.clone());
-        publish(clip, sender, options, progress, shutdown).await?;
+        let progress = |sent: &Sent| told(sent.frames);
+        publish(clip, sender, &options, progress, shutdown).await?;
         Ok(())
     }
 
@@ -285,13 +277,6 @@ fn configuration(
         Some(problem) => bail!("{problem}"),
         None => Ok(config),
     }
-}
-
-/// What is known before the node has stopped.
-struct Measured {
-    cpu: Duration,
-    first: u64,
-    answers: Vec<Vec<u8>>,
 }
 
 /// Keeps what is published on `key` as it comes; it is read after the run.

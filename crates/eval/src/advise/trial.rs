@@ -2,10 +2,11 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use crate::against_detector::{ComparedFrame, against_detector};
+use crate::against_detector::against_detector;
 use crate::data::Clip;
 use crate::run::Settings;
 use crate::source::{ScreenRule, SourceError};
+use albireo_core::audit::AuditSums;
 use albireo_core::policy::{PolicyConfig, PolicyConfigError};
 use serde::Serialize;
 
@@ -74,9 +75,10 @@ pub(super) struct Block {
 }
 
 impl Block {
-    fn count(&mut self, frame: &ComparedFrame) {
+    /// Counts a frame and, where the detector was skipped, how its boxes compare.
+    fn count(&mut self, compared: Option<&AuditSums>) {
         self.frames += 1;
-        if let Some(sums) = &frame.sums {
+        if let Some(sums) = compared {
             self.skipped += 1;
             self.detected += sums.detected;
             self.shown += sums.shown;
@@ -166,7 +168,7 @@ pub(super) fn try_out(
         let count = (compared.len() / length).max(1);
         let mut own = vec![Block::default(); count];
         for (index, frame) in compared.iter().enumerate() {
-            own[(index / length).min(count - 1)].count(frame);
+            own[(index / length).min(count - 1)].count(frame.as_deref());
         }
         blocks.extend(own);
     }

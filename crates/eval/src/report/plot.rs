@@ -119,8 +119,8 @@ fn chart(
             .light_line_style(TRANSPARENT)
             .bold_line_style(GRID)
             .axis_style(SOFT_INK)
-            .label_style((FONT, 12).into_font().color(&SOFT_INK))
-            .axis_desc_style((FONT, 13).into_font().color(&INK))
+            .label_style((FONT, 14).into_font().color(&SOFT_INK))
+            .axis_desc_style((FONT, 15).into_font().color(&INK))
             .x_desc("Frames without the detector, %")
             .x_label_formatter(&|percent| format!("{percent:.0}"))
             .y_desc(y_name)
@@ -130,7 +130,7 @@ fn chart(
         plane
             .configure_series_labels()
             .position(SeriesLabelPosition::LowerLeft)
-            .label_font((FONT, 12).into_font().color(&INK))
+            .label_font((FONT, 14).into_font().color(&INK))
             .background_style(WHITE.mix(0.8))
             .border_style(GRID)
             .draw()?;
@@ -248,7 +248,7 @@ fn settings(
     plane: &mut Plane<'_>,
     judged: &[(&PolicySummary, (f64, f64))],
 ) -> Result<(), PlotError> {
-    let style = (FONT, 11).into_font().color(&SOFT_INK);
+    let style = (FONT, 13).into_font().color(&SOFT_INK);
     let mut taken: Vec<(i32, i32)> = judged
         .iter()
         .map(|(_, at)| plane.backend_coord(at))
@@ -299,7 +299,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
             .light_line_style(TRANSPARENT)
             .bold_line_style(GRID)
             .axis_style(SOFT_INK)
-            .label_style((FONT, 12).into_font().color(&SOFT_INK))
+            .label_style((FONT, 14).into_font().color(&SOFT_INK))
             .x_labels(6)
             .x_label_formatter(&|share| format!("{:.0} %", share * 100.0))
             .draw()?;
@@ -311,7 +311,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
             let middle = (rows - row) as f64 - 0.5;
             let (x, y) = plane.backend_coord(&(0.0, middle));
             let name = short(&summary.policy).to_owned();
-            root.draw(&Text::new(name, (x - 8, y), text(12, INK, HPos::Right)))?;
+            root.draw(&Text::new(name, (x - 8, y), text(14, INK, HPos::Right)))?;
             let mut from = 0.0;
             for (state, share) in FrameState::ALL.into_iter().zip(summary.states) {
                 let (fill, ink) = state_colors(state);
@@ -320,7 +320,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
                 if share >= 0.045 {
                     let place = (from + share / 2.0, middle);
                     let percent = format!("{:.0}", share * 100.0);
-                    plane.draw_series([Text::new(percent, place, text(10, ink, HPos::Center))])?;
+                    plane.draw_series([Text::new(percent, place, text(12, ink, HPos::Center))])?;
                 }
                 from += share;
             }
@@ -335,7 +335,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
             root.draw(&Text::new(
                 state.as_str(),
                 (x + 15, 17),
-                text(12, INK, HPos::Left),
+                text(14, INK, HPos::Left),
             ))?;
         }
         root.present()?;
