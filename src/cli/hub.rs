@@ -71,10 +71,11 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {msg}, {eta} left")
         .context("the progress bar's template")?;
     let bar = ProgressBar::new(0).with_style(style);
-    let rows = transfer::to_postgres(from, &to, &|progress| {
-        bar.set_length(progress.of);
-        bar.set_position(progress.rows);
-        bar.set_message(progress.table);
+    let shown = bar.clone();
+    let rows = transfer::to_postgres(from, &to, move |progress| {
+        shown.set_length(progress.of);
+        shown.set_position(progress.rows);
+        shown.set_message(progress.table);
     })
     .await?;
     bar.finish_and_clear();

@@ -19,6 +19,7 @@ mod writer;
 pub(crate) use counters::Queued;
 pub use counters::{IngestCounters, IngestSnapshot};
 pub use decode::{Batch, DecodeError, decode};
+pub(crate) use plan::Counts;
 pub use recorder::{Recorded, Recorder};
 pub(crate) use replies::{Replies, refusal};
 pub(crate) use writer::{WriterSetup, start};

@@ -8,14 +8,14 @@ mod error;
 mod migrate;
 mod postgres;
 mod read;
-pub(crate) mod record;
 pub(crate) mod retention;
+pub(crate) mod row;
 mod sqlite;
 pub(crate) mod tables;
 pub mod transfer;
 mod tuning;
 
-pub(crate) use database::{Database, ReportKey, Transaction};
+pub(crate) use database::{Database, ReportKey};
 pub use error::StoreError;
 pub use read::{
     AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution,
@@ -25,17 +25,18 @@ pub use tuning::{ChangeNode, ChangeRow};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;
-use record::{Cell, Row};
-use sqlite::Access;
+use row::Row;
+use serde_json::Value;
+pub(crate) use sqlite::Access;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
-use uuid::Uuid;
 
 /// Which database it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+pub(crate) enum Kind {
     /// One file.
     Sqlite,
     /// A server, which several hubs may share.
@@ -61,6 +62,7 @@ struct Shared {
     kind: Kind,
     url: String,
     timeout_ms: u64,
+    runtime: Handle,
     /// One permit for each connection that reads.
     readers: Arc<Semaphore>,
     most_readers: u32,
@@ -92,45 +94,53 @@ impl Store {
             kind,
             url: config.url.clone(),
             timeout_ms: config.timeout_ms,
+            runtime: Handle::current(),
             readers: Arc::new(Semaphore::new(config.readers as usize)),
             most_readers: config.readers,
             idle: Mutex::default(),
             writer: Arc::default(),
         }));
-        let mut database = store.connection(Access::Create);
-        blocking(move || migrate::migrate(kind, &mut *database)).await?;
+        let opened = store.clone();
+        blocking(move || migrate::migrate(&mut *opened.connect(Access::Create, None)?)).await?;
         Ok(store)
     }
 
-    fn connection(&self, access: Access) -> Box<dyn Database> {
-        let Shared {
-            kind,
-            url,
-            timeout_ms,
-            ..
-        } = &*self.0;
-        match kind {
-            Kind::Sqlite => Box::new(sqlite::Sqlite::new(url, *timeout_ms, access)),
-            Kind::Postgres => Box::new(postgres::PostgresServer::new(url, *timeout_ms)),
+    /// A connection: `before` if it may be used again, else a new one. Not to be called on a thread of the runtime.
+    pub(crate) fn connect(
+        &self,
+        access: Access,
+        before: Option<Box<dyn Database>>,
+    ) -> Result<Box<dyn Database>, StoreError> {
+        if let Some(mut before) = before
+            && before.is_open()
+        {
+            return Ok(before);
         }
-    }
-
-    /// The database for the thread that writes what nodes report. To be called on a thread of the runtime, and used on one
-    /// that is not.
-    pub(crate) fn database(&self) -> Box<dyn Database> {
-        self.connection(Access::Write)
+        let Shared {
+            url, timeout_ms, ..
+        } = &*self.0;
+        Ok(match self.0.kind {
+            Kind::Sqlite => Box::new(sqlite::Sqlite::open(url, *timeout_ms, access)?),
+            Kind::Postgres => Box::new(postgres::PostgresServer::open(
+                url,
+                *timeout_ms,
+                self.0.runtime.clone(),
+            )?),
+        })
     }
 
     /// Runs `work` in a transaction on a thread that may block, and commits it.
     pub(crate) async fn write<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&mut dyn Transaction) -> Result<T, StoreError> + Send + 'static,
+        work: impl FnOnce(&mut dyn Database) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         let mut writer = Arc::clone(&self.0.writer).lock_owned().await;
-        let database = writer.take().unwrap_or_else(|| self.database());
+        let store = self.clone();
         blocking(move || {
-            let mut database = database;
-            let done = transact(&mut *database, work)?;
+            let mut database = store.connect(Access::Write, writer.take())?;
+            database.begin()?;
+            let done = work(&mut *database)?;
+            database.commit()?;
             *writer = Some(database);
             Ok(done)
         })
@@ -138,11 +148,7 @@ impl Store {
     }
 
     /// The rows of a query. At most `database.readers` queries run at once, the others wait.
-    async fn query(
-        &self,
-        text: impl Into<String>,
-        values: Vec<Cell>,
-    ) -> Result<Vec<Row>, StoreError> {
+    async fn query(&self, text: &'static str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
         let limit = Duration::from_millis(self.0.timeout_ms);
         let waited = tokio::time::timeout(limit, Arc::clone(&self.0.readers).acquire_owned());
         let Ok(Ok(permit)) = waited.await else {
@@ -151,12 +157,12 @@ impl Store {
                 self.0.timeout_ms
             )));
         };
-        let idle = self.0.idle.lock().pop();
-        let mut database = idle.unwrap_or_else(|| self.connection(Access::Read));
-        let (text, shared) = (text.into(), Arc::clone(&self.0));
+        let store = self.clone();
         blocking(move || {
-            let rows = database.query(&text, &values)?;
-            shared.idle.lock().push(database);
+            let idle = store.0.idle.lock().pop();
+            let mut database = store.connect(Access::Read, idle)?;
+            let rows = database.query(text, &values)?;
+            store.0.idle.lock().push(database);
             drop(permit);
             Ok(rows)
         })
@@ -184,16 +190,6 @@ impl Store {
     }
 }
 
-fn transact<T>(
-    database: &mut dyn Database,
-    work: impl FnOnce(&mut dyn Transaction) -> Result<T, StoreError>,
-) -> Result<T, StoreError> {
-    let mut transaction = database.begin()?;
-    let done = work(&mut *transaction)?;
-    transaction.commit()?;
-    Ok(done)
-}
-
 async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
 ) -> Result<T, StoreError> {
@@ -203,17 +199,6 @@ async fn blocking<T: Send + 'static>(
             "the database was not used: {error}"
         ))),
     }
-}
-
-/// The id of a database as it is stored.
-fn identity_of(rows: &[Row]) -> Result<Uuid, StoreError> {
-    let text: String = match rows.first() {
-        Some(row) => row.get("value")?,
-        None => String::new(),
-    };
-    text.parse().map_err(|error| {
-        StoreError::Statement(format!("the database has the id `{text}`: {error}"))
-    })
 }
 
 /// Checks the folder of the file: SQLite's own error does not name it.

@@ -303,14 +303,14 @@ async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() 
 
     let server = Postgres::start();
     let to = config(&server.url());
-    let moved = transfer::to_postgres(&file, &to.database, &|_| ()).await;
+    let moved = transfer::to_postgres(&file, &to.database, |_| ()).await;
     assert!(moved.unwrap() > 2 * 1200);
-    let again = transfer::to_postgres(&file, &to.database, &|_| ()).await;
+    let again = transfer::to_postgres(&file, &to.database, |_| ()).await;
     assert!(
         again.unwrap_err().to_string().contains("empty"),
         "a second time"
     );
-    let not_ours = transfer::to_postgres("/dev/null", &to.database, &|_| ()).await;
+    let not_ours = transfer::to_postgres("/dev/null", &to.database, |_| ()).await;
     assert!(
         matches!(not_ours, Err(StoreError::Refused(_))),
         "{not_ours:?}"

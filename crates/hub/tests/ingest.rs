@@ -2,7 +2,7 @@
 
 use crate::support::postgres::Postgres;
 use crate::support::{Hub, Said, batch, config, counts, deliver, id, now_ns, send, sqlite, uplink};
-use albireo_wire::{RefusalReason, ReportBatch};
+use albireo_wire::{BatchCompression, RefusalReason, ReportBatch};
 use uuid::Uuid;
 
 async fn taken_once(database: &str) {
@@ -443,4 +443,55 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
     deliver(&session, &last).await.assert_stored();
     session.close().await.unwrap();
     hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_days_are_partitions_and_go_whole() {
+    use albireo_hub::ingest::{Recorder, decode};
+    use albireo_hub::presence::News;
+    use albireo_hub::store::Store;
+    use albireo_service::clock::Now;
+    use sqlx::Connection as _;
+    let server = Postgres::start();
+    let configured = config(&server.url());
+    let store = Store::open(&configured.database).await.unwrap();
+    let record = move |days_kept: u32, numbers: &'static [(u64, u64)]| {
+        let (store, mut history) = (store.clone(), configured.history.clone());
+        history.clips_days = days_kept;
+        tokio::task::spawn_blocking(move || {
+            let now = Now::system();
+            let mut recorder = Recorder::new(&store, &history, now);
+            for (number, days) in numbers {
+                let payload = aged("car-1", *number, *days).to_payload(BatchCompression::Best);
+                let batch = decode("car-1", &payload.unwrap(), now.unix_ms).unwrap();
+                let recorded = recorder.record(&[batch], &News::default(), true, Now::system());
+                assert!(recorded.unwrap().answers[0].refused.is_empty());
+            }
+        })
+    };
+    let mut connection = sqlx::PgConnection::connect(&server.url()).await.unwrap();
+    let mut rows = async |table: &str| -> Option<i64> {
+        let text = format!("SELECT count(*) FROM {table}");
+        let count = sqlx::query_scalar(sqlx::AssertSqlSafe(text));
+        count.fetch_one(&mut connection).await.ok()
+    };
+    let today = now_ns() / 86_400_000_000_000;
+    record(14, &[(1, 0), (2, 5)]).await.unwrap();
+    let (new, old) = (format!("clips_{today}"), format!("clips_{}", today - 5));
+    assert_eq!(rows(&new).await, Some(1));
+    assert_eq!(rows(&old).await, Some(1));
+    // The clock is believed once a node agrees with it.
+    record(2, &[(3, 0), (4, 0)]).await.unwrap();
+    assert_eq!((rows(&new).await, rows(&old).await), (Some(3), None));
+    for table in ["clips_other", "report_ids_other", "sums_5m_other"] {
+        assert_eq!(rows(table).await, Some(0), "{table}");
+    }
+    assert_eq!(rows("report_ids").await, Some(4));
+    // A clip of a day that is not kept any more counts, and goes by itself.
+    record(2, &[(5, 4), (6, 0)]).await.unwrap();
+    assert_eq!(
+        (rows("clips").await, rows("report_ids").await),
+        (Some(4), Some(6))
+    );
 }

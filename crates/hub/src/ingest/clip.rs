@@ -1,7 +1,7 @@
 //! A report as the row of a clip: figures in whole microjoules, microseconds and parts per million, each checked.
 
 use super::plan::Present;
-use crate::store::record::text;
+use crate::store::row::text;
 use crate::store::tables::{ClipRow, SetupKey};
 use albireo_wire::{AuditReport, ClipEnd, ClipReport, EnergyQuality};
 

@@ -3,11 +3,10 @@
 use super::counters::IngestCounts;
 use super::decode::{Batch, NotTaken, Taken};
 use super::limits::EventLimits;
-use super::plan::{Counts, Seen};
-use crate::presence::Used;
-use crate::store::record::text;
+use super::plan::Seen;
+use crate::presence::{Used, day_of};
 use crate::store::tables::{ClipRow, EventRow, ReportCountsRow, SetAsideRow, SetupKey, SumRow};
-use crate::store::{StoreError, Transaction};
+use crate::store::{Database, StoreError};
 use albireo_wire::{EnergyQuality, RefusedReport};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -40,7 +39,7 @@ impl Numbers {
     /// The number of each of these nodes, in order, made where it is new at `now_ms`.
     pub(crate) fn nodes(
         &mut self,
-        writing: &mut dyn Transaction,
+        writing: &mut dyn Database,
         names: &[&str],
         now_ms: i64,
     ) -> Result<Vec<i64>, StoreError> {
@@ -58,19 +57,14 @@ impl Numbers {
     /// Learns the cameras of nodes, and makes those that are new where there is room for them.
     fn cameras(
         &mut self,
-        writing: &mut dyn Transaction,
+        writing: &mut dyn Database,
         wanted: &BTreeSet<(i64, &str)>,
     ) -> Result<(), StoreError> {
-        let nodes: BTreeSet<i64> = (wanted.iter())
-            .map(|(node, _)| *node)
-            .filter(|node| !self.cameras.contains_key(node))
-            .collect();
-        let nodes: Vec<i64> = nodes.into_iter().collect();
-        if !nodes.is_empty() {
-            self.cameras
-                .extend(nodes.iter().map(|node| (*node, HashMap::new())));
-            for (node, name, id) in writing.cameras_of(&nodes)? {
-                self.cameras.entry(node).or_default().insert(name, id);
+        for (node, _) in wanted {
+            if !self.cameras.contains_key(node) {
+                let cameras = writing.cameras_of(*node)?.into_iter();
+                let cameras = cameras.map(|camera| (camera.name, camera.id)).collect();
+                self.cameras.insert(*node, cameras);
             }
         }
         let mut new = Vec::new();
@@ -83,8 +77,9 @@ impl Numbers {
             }
         }
         if !new.is_empty() {
-            for (node, name, id) in writing.add_cameras(&new)? {
-                self.cameras.entry(node).or_default().insert(name, id);
+            for camera in writing.add_cameras(&new)? {
+                let known = self.cameras.entry(camera.node_id).or_default();
+                known.insert(camera.name, camera.id);
             }
         }
         Ok(())
@@ -92,7 +87,7 @@ impl Numbers {
 
     fn setups(
         &mut self,
-        writing: &mut dyn Transaction,
+        writing: &mut dyn Database,
         wanted: BTreeSet<&SetupKey>,
     ) -> Result<(), StoreError> {
         if self.setups.len() > MOST_SETUPS {
@@ -169,13 +164,14 @@ impl Committed {
 
 /// Writes `batches` into the transaction. Returns what the caller has to write and to answer.
 pub(crate) fn write(
-    writing: &mut dyn Transaction,
+    writing: &mut dyn Database,
     numbers: &mut Numbers,
     limits: &mut EventLimits,
     batches: &[Batch],
     now_ms: i64,
 ) -> Result<Committed, StoreError> {
     let mut committed = Committed::default();
+    let today = day_of(now_ms);
     if batches.is_empty() {
         return Ok(committed);
     }
@@ -202,7 +198,7 @@ pub(crate) fn write(
     let (mut clips, mut aside) = (Vec::new(), Vec::new());
     for (place, (batch, node)) in batches.iter().zip(&nodes).enumerate() {
         let row = (known.get_mut(node)).ok_or_else(|| lost("a node"))?;
-        let (mut counts, mut outcome) = (Counts::of(row), Outcome::default());
+        let mut outcome = Outcome::default();
         let (mut senseless, before) = (0, committed.counts.clock_off);
         let node_cameras = numbers.cameras.get(node);
         for report in &batch.reports {
@@ -223,7 +219,10 @@ pub(crate) fn write(
                         }
                         (true, Some(camera)) => {
                             let mut clip = taken.record.row.clone();
-                            clip.day = taken.key.day.max(0);
+                            clip.day = match taken.key.day > 0 {
+                                true => taken.key.day,
+                                false => today,
+                            };
                             clip.camera_id = *camera;
                             clip.setup_id = *(numbers.setups.get(&taken.record.setup))
                                 .ok_or_else(|| lost("a setup"))?;
@@ -252,8 +251,8 @@ pub(crate) fn write(
                             node_id: *node,
                             report_id: report.id.map(|id| id.to_string()),
                             received_ms: now_ms,
-                            cause: text(&reason),
-                            body: text(&body),
+                            cause: reason.clone(),
+                            body,
                         });
                     }
                 }
@@ -263,7 +262,7 @@ pub(crate) fn write(
                 // A report that is not stored counts as one that never came.
                 continue;
             }
-            let event = match report.count.map(|count| counts.see(count, is_new)) {
+            let event = match report.count.map(|count| row.counts.see(count, is_new)) {
                 Some(Seen::Gap(first, last)) => {
                     committed.counts.missing += last - first + 1;
                     Some(("gap", json!({ "first": first, "last": last })))
@@ -291,8 +290,7 @@ pub(crate) fn write(
             }
         }
         row.last_ms = now_ms.max(row.last_ms);
-        counts.write(row);
-        outcome.wanted = counts.wanted().to_vec();
+        outcome.wanted = row.counts.wanted().to_vec();
         outcome.cameras = node_cameras.map_or(0, HashMap::len);
         committed.outcomes.push(outcome);
     }
@@ -301,22 +299,24 @@ pub(crate) fn write(
         .filter_map(|node| known.remove(node))
         .collect();
     writing.write_report_counts(&rows)?;
-    writing.insert_rows("set_aside", &aside)?;
-    writing.insert_rows("clips", &clips)?;
+    writing.insert("set_aside", &aside, "")?;
+    writing.insert("clips", &clips, "")?;
     writing.add_sums("sums_5m", &sums(&clips, FIVE_MINUTES))?;
     writing.add_sums("sums_day", &sums(&clips, DAY))?;
     Ok(committed)
 }
 
-/// The sums of these clips over spans of that many seconds, in the order of their keys.
-pub(crate) fn sums(clips: &[ClipRow], seconds: i64) -> Vec<SumRow> {
+/// The sums of these clips over spans of that many seconds, in the order of their keys: of each camera, and of the fleet.
+fn sums(clips: &[ClipRow], seconds: i64) -> Vec<SumRow> {
     let mut sums: BTreeMap<_, SumRow> = BTreeMap::new();
     for clip in clips {
         let bucket = clip.at_ms.div_euclid(seconds * 1000) * seconds;
-        let one = SumRow::of(clip, bucket);
-        sums.entry(one.key)
-            .and_modify(|sum| sum.add(&one))
-            .or_insert(one);
+        for camera in [0, clip.camera_id] {
+            let one = SumRow::of(clip, bucket, camera);
+            sums.entry(one.key)
+                .and_modify(|sum| sum.add(&one))
+                .or_insert(one);
+        }
     }
     sums.into_values().collect()
 }

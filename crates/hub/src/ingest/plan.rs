@@ -1,8 +1,9 @@
 //! Decides which reports of a batch are stored. No clock, no database.
 
 use crate::store::ReportKey;
-use crate::store::tables::ReportCountsRow;
+use crate::store::row::json_text;
 use albireo_wire::IDENTITY_DAYS;
+use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
 const DAY_MS: i64 = 86_400_000;
@@ -82,7 +83,7 @@ pub(crate) enum Seen {
 }
 
 /// The running counts of a node's reports.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Counts {
     /// The first count that came; 0 before it. Whether reports with lower counts exist is not known.
     base: u64,
@@ -90,30 +91,21 @@ pub(crate) struct Counts {
     highest: u64,
     /// Ranges that did not come, below `base` too: a database restored from a backup of before the node's first report
     /// does not know of them.
-    wanted: Vec<(u64, u64)>,
+    #[serde(with = "json_text")]
+    missing: Vec<(u64, u64)>,
 }
 
 impl Counts {
-    /// Those of a row.
-    pub(crate) fn of(row: &ReportCountsRow) -> Self {
-        Self {
-            base: row.base.unsigned_abs(),
-            highest: row.highest.unsigned_abs(),
-            wanted: serde_json::from_str(&row.missing).unwrap_or_default(),
-        }
-    }
-
-    /// Writes them to a row.
-    pub(crate) fn write(&self, row: &mut ReportCountsRow) {
-        row.base = i64::try_from(self.base).unwrap_or(i64::MAX);
-        row.highest = i64::try_from(self.highest).unwrap_or(i64::MAX);
-        row.missing = serde_json::to_string(&self.wanted).unwrap_or_default();
+    /// How many never came of those since the first that came.
+    pub(crate) fn missing(&self) -> u64 {
+        let since = self.missing.iter().filter(|(first, _)| *first >= self.base);
+        since.map(|(first, last)| last - first + 1).sum()
     }
 
     /// Counts that the node is asked for, in ranges from the first to the last: those that are missing, and those of
     /// before the first that came.
     pub(crate) fn wanted(&self) -> &[(u64, u64)] {
-        &self.wanted
+        &self.missing
     }
 
     /// Takes the count of a report, which was `new` or known before.
@@ -124,7 +116,7 @@ impl Counts {
         if self.base == 0 {
             (self.base, self.highest) = (count, count);
             if count > 1 {
-                self.wanted.push((1, count - 1));
+                self.missing.push((1, count - 1));
             }
             return Seen::Expected;
         }
@@ -134,22 +126,22 @@ impl Counts {
             if gap.0 > gap.1 {
                 return Seen::Expected;
             }
-            if self.wanted.len() == MOST_RANGES {
-                self.wanted.remove(0);
+            if self.missing.len() == MOST_RANGES {
+                self.missing.remove(0);
             }
-            self.wanted.push(gap);
+            self.missing.push(gap);
             return Seen::Gap(gap.0, gap.1);
         }
         if let Some(place) = self
-            .wanted
+            .missing
             .iter()
             .position(|(first, last)| (*first..=*last).contains(&count))
         {
-            let (first, last) = self.wanted.remove(place);
+            let (first, last) = self.missing.remove(place);
             let rest = [(first, count - 1), (count + 1, last)];
             let rest = rest.into_iter().filter(|(first, last)| first <= last);
-            self.wanted.splice(place..place, rest);
-            self.wanted.truncate(MOST_RANGES);
+            self.missing.splice(place..place, rest);
+            self.missing.truncate(MOST_RANGES);
             return Seen::Expected;
         }
         if !new || count < self.base {
@@ -158,7 +150,7 @@ impl Counts {
         *self = Self {
             base: count,
             highest: count,
-            wanted: Vec::new(),
+            missing: Vec::new(),
         };
         Seen::Reset
     }

@@ -5,8 +5,8 @@ use super::decode::Batch;
 use super::limits::{ClockCheck, EventLimits};
 use crate::config::HistoryConfig;
 use crate::presence::News;
-use crate::store::retention::{STEP, retain};
-use crate::store::{Database, Store, StoreError};
+use crate::store::retention::retain;
+use crate::store::{Access, Database, Store, StoreError};
 use albireo_service::clock::Now;
 use albireo_wire::ReportAnswer;
 use std::time::{Duration, Instant};
@@ -17,7 +17,8 @@ const RETENTION: Duration = Duration::from_secs(60);
 
 /// Stores batches in a database.
 pub struct Recorder {
-    database: Box<dyn Database>,
+    store: Store,
+    database: Option<Box<dyn Database>>,
     /// That of the database; known once a first transaction has succeeded.
     identity: Option<Uuid>,
     history: HistoryConfig,
@@ -39,7 +40,8 @@ impl Recorder {
     /// Connects at the first use.
     pub fn new(store: &Store, history: &HistoryConfig, now: Now) -> Self {
         Self {
-            database: store.database(),
+            store: store.clone(),
+            database: None,
             identity: None,
             history: history.clone(),
             numbers: Numbers::default(),
@@ -59,7 +61,8 @@ impl Recorder {
         self.retention_due <= now
     }
 
-    /// Stores these batches and `news` in one transaction, and deletes some of what is too old if `retention` is due.
+    /// Stores these batches and `news` in one transaction, and before it deletes some of what is too old if `retention` is
+    /// due.
     ///
     /// # Errors
     /// When the database refuses it: then nothing was stored.
@@ -70,43 +73,52 @@ impl Recorder {
         retention: bool,
         now: Now,
     ) -> Result<Recorded, StoreError> {
-        let recorded = self.transaction(batches, news, retention, now);
+        if retention {
+            let more = self.retain(now).unwrap_or_else(|error| {
+                tracing::warn!(%error, "what is too old stays for now");
+                false
+            });
+            let pause = if more { Duration::ZERO } else { RETENTION };
+            self.retention_due = now.at + pause;
+        }
+        let recorded = self.transaction(batches, news, now);
         if recorded.is_err() {
             // What was handed out under this transaction means nothing any more.
             self.numbers.forget();
-            self.database.disconnect();
         }
         recorded
+    }
+
+    /// Deletes some of what is too old; whether there is more.
+    fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
+        let mut database = self.store.connect(Access::Write, self.database.take())?;
+        let is_believed = self.clock.is_believed(now.at, now.unix_ms);
+        let more = retain(&mut *database, &self.history, now.unix_ms, is_believed)?;
+        self.database = Some(database);
+        Ok(more)
     }
 
     fn transaction(
         &mut self,
         batches: &[Batch],
         news: &News,
-        retention: bool,
         now: Now,
     ) -> Result<Recorded, StoreError> {
+        // Lost after an error, with what it had begun.
+        let mut database = self.store.connect(Access::Write, self.database.take())?;
         let identity = match self.identity {
             Some(identity) => identity,
-            None => self.database.identity()?,
+            None => database.identity()?,
         };
-        let mut writing = self.database.begin()?;
+        database.begin()?;
         let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
-        let mut events = news.write(&mut *writing, now.unix_ms)?;
-        let mut committed = write(&mut *writing, numbers, limits, batches, now.unix_ms)?;
+        let mut events = news.write(&mut *database, now.unix_ms)?;
+        let mut committed = write(&mut *database, numbers, limits, batches, now.unix_ms)?;
         events.append(&mut committed.events);
-        let mut deleted = 0;
-        if retention && self.clock.is_believed(now.at, now.unix_ms) {
-            deleted = retain(&mut *writing, &self.history, now.unix_ms)?;
-        }
-        writing.events(&events)?;
-        writing.commit()?;
+        database.events(&events)?;
+        database.commit()?;
+        self.database = Some(database);
         self.identity = Some(identity);
-        if retention {
-            let more = deleted >= STEP.unsigned_abs();
-            let pause = if more { Duration::ZERO } else { RETENTION };
-            self.retention_due = now.at + pause;
-        }
         for batch in batches {
             self.clock.note(&batch.node, batch.clocks_agree);
         }

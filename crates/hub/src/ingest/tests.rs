@@ -3,7 +3,7 @@
 mod hostile;
 
 use super::plan::{Counts, Present, Seen, key};
-use crate::store::tables::ReportCountsRow;
+use crate::store::row::{read, row};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use uuid::{Builder, Uuid};
@@ -139,21 +139,9 @@ fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_i
 fn counts_are_read_from_their_row_as_they_were_written() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);
-    let mut row = ReportCountsRow {
-        node_id: 1,
-        first_ms: 0,
-        last_ms: 0,
-        stored: 0,
-        set_aside: 0,
-        refused: 0,
-        resets: 0,
-        base: 0,
-        highest: 0,
-        missing: String::new(),
-    };
-    counts.write(&mut row);
-    assert_eq!((row.base, row.highest), (3, 9));
-    assert_eq!(Counts::of(&row), counts);
+    let row = row(&counts).unwrap();
+    assert_eq!(row["missing"], "[[1,2],[5,8]]");
+    assert_eq!(read::<Counts>(row).unwrap(), counts);
 }
 
 #[test]

@@ -4,7 +4,6 @@ use super::fleet::NodeView;
 use super::settings::{ReportedSettings, labels};
 use super::state::{PresenceState, Token};
 use super::today::Today;
-use crate::store::record::text;
 use crate::store::tables::NodeRow;
 use albireo_wire::{HealthState, Heartbeat, NodeStatus, StatusMessage, VERSION};
 use std::collections::BTreeMap;
@@ -187,12 +186,16 @@ impl Entry {
             first_seen_ms: self.since_ms,
             state: self.state.name().to_owned(),
             since_ms: self.since_ms,
-            why: text(&self.why),
+            why: self.why.clone(),
             heard_ms: self.heard_ms,
             run: run.map(|run| run.number.into()),
             started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
             revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
-            status: self.status.as_deref().filter(|_| changed).map(text),
+            status: self
+                .status
+                .as_deref()
+                .filter(|_| changed)
+                .map(str::to_owned),
         }
     }
 

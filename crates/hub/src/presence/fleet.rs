@@ -6,7 +6,6 @@ use super::settings::NodeSettings;
 use super::state::{Limits, PresenceInput, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
-use crate::store::record::text;
 use crate::store::tables::{EventRow, NodeRow};
 use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
@@ -307,7 +306,7 @@ impl Fleet {
 
     /// Notes a batch that cannot be read.
     pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
-        let detail = json!({ "reason": text(reason) });
+        let detail = json!({ "reason": reason });
         self.note(EventRow::new(now_ms, "refused", node, detail));
     }
 

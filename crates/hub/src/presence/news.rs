@@ -1,7 +1,7 @@
 //! Changes of presence that are to be stored: nodes and notices.
 
 use crate::store::tables::{EventRow, NodeRow};
-use crate::store::{StoreError, Transaction};
+use crate::store::{Database, StoreError};
 use serde_json::json;
 use std::collections::HashMap;
 
@@ -16,7 +16,7 @@ impl News {
     /// Writes it; the events to be written with it.
     pub(crate) fn write(
         &self,
-        writing: &mut dyn Transaction,
+        writing: &mut dyn Database,
         now_ms: i64,
     ) -> Result<Vec<EventRow>, StoreError> {
         let before = match self.nodes.is_empty() {

@@ -1,12 +1,14 @@
 //! Creates the tables. A database that is not a hub's, or of another version, is refused and left as it is.
 
-use super::{Database, Kind, StoreError, Transaction};
+use super::row::{read, read_all};
+use super::{Database, Kind, StoreError};
+use serde::Deserialize;
 use uuid::Uuid;
 
-/// The version of the tables that this program creates. Up to 5 were those of 0.1.0; 6 and 7 were never released.
-pub(super) const VERSION: i64 = 8;
+/// The version of the tables that this program creates. Up to 5 were those of 0.1.0; 6 to 8 were never released.
+pub(super) const VERSION: i64 = 9;
 /// The versions that are not read.
-const BEFORE: i64 = 7;
+const BEFORE: i64 = 8;
 
 /// The program's name in the table `hub_meta` of a hub's database.
 pub(super) const MARK: &str = "albireo-hub";
@@ -14,10 +16,10 @@ pub(super) const MARK: &str = "albireo-hub";
 /// Number of the lock that hubs on one PostgreSQL take while they create the tables.
 pub(super) const LOCK: i64 = 0x0a1b_14e0;
 
-pub(super) fn migrate(kind: Kind, database: &mut dyn Database) -> Result<(), StoreError> {
-    let mut transaction = database.begin()?;
-    transaction.lock(LOCK)?;
-    let found = version(kind, &mut *transaction)?;
+pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
+    database.begin()?;
+    database.lock(LOCK)?;
+    let found = version(database)?;
     if found > VERSION {
         return Err(StoreError::Refused(format!(
             "the database has version {found} of the tables, written by a newer albireo; this one knows version \
@@ -32,38 +34,44 @@ pub(super) fn migrate(kind: Kind, database: &mut dyn Database) -> Result<(), Sto
         ));
     }
     if found < VERSION {
-        transaction.script(match kind {
+        database.script(match database.kind() {
             Kind::Sqlite => include_str!("schema/sqlite.sql"),
             Kind::Postgres => include_str!("schema/postgres.sql"),
         })?;
-        transaction.execute(
+        database.query(
             "INSERT INTO hub_meta (key, value) VALUES ('version', $1) \
              ON CONFLICT (key) DO UPDATE SET value = excluded.value",
             &[VERSION.to_string().into()],
         )?;
     }
-    transaction.commit()
+    database.commit()
 }
 
 /// The version found; 0 for an empty database, which gets its mark.
-fn version(kind: Kind, transaction: &mut dyn Transaction) -> Result<i64, StoreError> {
-    let tables = transaction.query(
-        match kind {
-            Kind::Sqlite => {
-                "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
-            }
-            Kind::Postgres => {
-                "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"
-            }
-        },
-        &[],
-    )?;
-    let names: Result<Vec<String>, _> = tables.iter().map(|row| row.get("name")).collect();
-    let names = names?;
+fn version(database: &mut dyn Database) -> Result<i64, StoreError> {
+    #[derive(Deserialize)]
+    struct Table {
+        name: String,
+    }
+    #[derive(Deserialize)]
+    struct Meta {
+        program: Option<String>,
+        version: Option<String>,
+    }
+    let tables = match database.kind() {
+        Kind::Sqlite => {
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
+        }
+        Kind::Postgres => {
+            "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"
+        }
+    };
+    let tables: Vec<Table> = read_all(database.query(tables, &[])?)?;
+    let names: Vec<String> = tables.into_iter().map(|table| table.name).collect();
     if names.is_empty() {
-        transaction
+        database
             .script("CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL)")?;
-        transaction.execute(
+        database.query(
             "INSERT INTO hub_meta (key, value) VALUES ('program', $1), ('identity', $2)",
             &[MARK.into(), Uuid::now_v7().to_string().into()],
         )?;
@@ -78,19 +86,18 @@ fn version(kind: Kind, transaction: &mut dyn Transaction) -> Result<i64, StoreEr
     if !names.iter().any(|name| name == "hub_meta") {
         return Err(stranger(format!("it has the table {}", names.join(", "))));
     }
-    let (mut program, mut version) = (None, None);
-    for row in transaction.query("SELECT key, value FROM hub_meta", &[])? {
-        let (key, value): (String, String) = (row.get("key")?, row.get("value")?);
-        match key.as_str() {
-            "program" => program = Some(value),
-            "version" => version = value.parse().ok(),
-            _ => {}
-        }
-    }
-    if program.as_deref() != Some(MARK) {
+    let meta = database.query(
+        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
+         max(CASE key WHEN 'version' THEN value END) AS version FROM hub_meta",
+        &[],
+    )?;
+    let meta: Meta = read(meta.into_iter().next().unwrap_or_default())?;
+    if meta.program.as_deref() != Some(MARK) {
         return Err(stranger(format!(
-            "its table hub_meta names the program {program:?}"
+            "its table hub_meta names the program {:?}",
+            meta.program
         )));
     }
-    version.ok_or_else(|| stranger("its table hub_meta has no version".to_owned()))
+    (meta.version.and_then(|version| version.parse().ok()))
+        .ok_or_else(|| stranger("its table hub_meta has no version".to_owned()))
 }

@@ -1,32 +1,26 @@
 //! PostgreSQL: each statement is waited for, no longer than the configuration says.
 
-use super::StoreError;
-use super::database::{Database, Transaction, list};
-use super::record::{Cell, Row};
-use serde_json::{Map, Value};
+use super::row::{Row, bytes, text};
+use super::{Database, Kind, StoreError};
+use serde_json::Value;
 use sqlx::postgres::{PgArguments, PgRow};
 use sqlx::query::Query;
 use sqlx::{
     AssertSqlSafe, Column as _, Connection as _, Executor as _, PgConnection, Postgres, Row as _,
     TypeInfo as _, ValueRef as _,
 };
+use std::fmt::Write as _;
 use std::future::Future;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
-use uuid::Uuid;
 
-/// A database on a server.
-#[derive(Debug)]
+/// A connection to a server.
 pub(super) struct PostgresServer {
-    url: String,
-    timeout_ms: u64,
+    connection: PgConnection,
     waiter: Waiter,
-    connection: Option<PgConnection>,
 }
 
 /// Waits for what is asked of the server, on a thread that is none of the runtime's.
-#[derive(Clone, Debug)]
 struct Waiter {
     runtime: Handle,
     limit: Duration,
@@ -46,37 +40,14 @@ impl Waiter {
 }
 
 impl PostgresServer {
-    /// To be made on a thread of the runtime, and used on one that is not.
-    pub(super) fn new(url: &str, timeout_ms: u64) -> Self {
-        Self {
-            url: url.to_owned(),
-            timeout_ms,
-            waiter: Waiter {
-                runtime: Handle::current(),
-                // The server itself ends a statement after four times the limit of a lock.
-                limit: Duration::from_millis(timeout_ms.saturating_mul(5)),
-            },
-            connection: None,
-        }
-    }
-
-    /// The connection: the open one if the server still answers on it, else a new one. A server that started again has
-    /// closed the old one, and what was asked first would fail.
-    fn connect(&mut self) -> Result<&mut PgConnection, StoreError> {
-        let open = self.connection.take().and_then(|mut connection| {
-            let answered = self.waiter.wait(connection.ping());
-            answered.is_ok().then_some(connection)
-        });
-        let connection = match open {
-            Some(connection) => connection,
-            None => self.new_connection()?,
+    /// Connects; not to be called on a thread of the runtime.
+    pub(super) fn open(url: &str, timeout_ms: u64, runtime: Handle) -> Result<Self, StoreError> {
+        let waiter = Waiter {
+            runtime,
+            // The server itself ends a statement after four times the limit of a lock.
+            limit: Duration::from_millis(timeout_ms.saturating_mul(5)),
         };
-        Ok(self.connection.insert(connection))
-    }
-
-    fn new_connection(&self) -> Result<PgConnection, StoreError> {
-        let (url, timeout_ms) = (self.url.as_str(), self.timeout_ms);
-        self.waiter.wait(async move {
+        let connection = waiter.wait(async move {
             let mut connection = PgConnection::connect(url).await?;
             let settings = format!(
                 "SET synchronous_commit TO on; SET statement_timeout TO {}; \
@@ -87,157 +58,121 @@ impl PostgresServer {
                 .execute(sqlx::raw_sql(AssertSqlSafe(settings)))
                 .await?;
             Ok(connection)
-        })
+        })?;
+        Ok(Self { connection, waiter })
+    }
+
+    fn ask(&mut self, query: Query<'_, Postgres, PgArguments>) -> Result<Vec<Row>, StoreError> {
+        let found = self.waiter.wait(query.fetch_all(&mut self.connection))?;
+        found.iter().map(read).collect()
     }
 }
 
 impl Database for PostgresServer {
-    fn query(&mut self, text: &str, values: &[Cell]) -> Result<Vec<Row>, StoreError> {
-        let waiter = self.waiter.clone();
-        let connection = self.connect()?;
-        rows(&waiter.wait(bound(text, values).fetch_all(connection))?)
+    fn kind(&self) -> Kind {
+        Kind::Postgres
     }
 
-    fn begin(&mut self) -> Result<Box<dyn Transaction + '_>, StoreError> {
-        let waiter = self.waiter.clone();
-        let connection = self.connect()?;
-        let begun = waiter.wait(connection.begin())?;
-        Ok(Box::new(Writing { begun, waiter }))
+    fn is_open(&mut self) -> bool {
+        self.waiter.wait(self.connection.ping()).is_ok()
     }
 
-    fn disconnect(&mut self) {
-        self.connection = None;
-    }
-}
-
-struct Writing<'c> {
-    begun: sqlx::Transaction<'c, Postgres>,
-    waiter: Waiter,
-}
-
-impl Writing<'_> {
-    fn run(&mut self, query: Query<'_, Postgres, PgArguments>) -> Result<u64, StoreError> {
-        let done = self.waiter.wait(query.execute(&mut *self.begun))?;
-        Ok(done.rows_affected())
+    fn begin(&mut self) -> Result<(), StoreError> {
+        self.script("BEGIN")
     }
 
-    fn ask(&mut self, query: Query<'_, Postgres, PgArguments>) -> Result<Vec<PgRow>, StoreError> {
-        self.waiter.wait(query.fetch_all(&mut *self.begun))
-    }
-}
-
-impl Transaction for Writing<'_> {
-    fn insert(
-        &mut self,
-        table: &'static str,
-        columns: &[&'static str],
-        rows: Vec<Vec<Cell>>,
-        rest: &str,
-    ) -> Result<Vec<Row>, StoreError> {
-        let names = list(columns.iter().copied());
-        let text = format!(
-            "INSERT INTO {table} ({names}) SELECT {names} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb) {rest}"
-        );
-        let json = objects(columns, rows);
-        self::rows(&self.ask(sqlx::query(AssertSqlSafe(text)).bind(json))?)
+    fn commit(&mut self) -> Result<(), StoreError> {
+        self.script("COMMIT")
     }
 
-    fn lock(&mut self, number: i64) -> Result<(), StoreError> {
-        self.run(sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(number))
-            .map(drop)
+    fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
+        let query = sqlx::query(AssertSqlSafe(text.to_owned()));
+        self.ask(values.iter().fold(query, bound))
     }
 
-    fn query(&mut self, text: &str, values: &[Cell]) -> Result<Vec<Row>, StoreError> {
-        rows(&self.ask(bound(text, values))?)
-    }
-
-    fn execute(&mut self, text: &str, values: &[Cell]) -> Result<u64, StoreError> {
-        self.run(bound(text, values))
+    fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
+        self.ask(sqlx::query(AssertSqlSafe(text.to_owned())).bind(recordset(rows)))
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
-        let done = self.begun.execute(sqlx::raw_sql(text));
+        let done = self.connection.execute(sqlx::raw_sql(text));
         self.waiter.wait(done).map(drop)
     }
+}
 
-    fn commit(self: Box<Self>) -> Result<(), StoreError> {
-        self.waiter.wait(self.begun.commit())
+fn bound<'q>(
+    query: Query<'q, Postgres, PgArguments>,
+    value: &Value,
+) -> Query<'q, Postgres, PgArguments> {
+    match storable(value.clone()) {
+        Value::Number(number) => match number.as_i64() {
+            Some(whole) => query.bind(whole),
+            None => query.bind(number.as_f64()),
+        },
+        Value::String(text) => query.bind(text),
+        // No statement has a parameter of another type that may be null.
+        _ => query.bind(None::<i64>),
     }
 }
 
-fn bound(text: &str, values: &[Cell]) -> Query<'static, Postgres, PgArguments> {
-    let query = sqlx::query(AssertSqlSafe(text.to_owned()));
-    values
-        .iter()
-        .fold(query, |query, value| match value.clone() {
-            // No statement has a parameter of another type that may be null.
-            Cell::Null => query.bind(None::<i64>),
-            Cell::Int(number) => query.bind(number),
-            Cell::Real(number) => query.bind(number),
-            Cell::Text(text) => query.bind(text),
-            Cell::Id(id) => query.bind(id.as_bytes().to_vec()),
-        })
+/// Rows as one parameter, however many they are.
+fn recordset(rows: Vec<Row>) -> String {
+    let storable = |row: Row| row.into_iter().map(|(name, value)| (name, storable(value)));
+    let rows = rows.into_iter().map(|row| storable(row).collect());
+    Value::Array(rows.map(Value::Object).collect()).to_string()
 }
 
-fn rows(found: &[PgRow]) -> Result<Vec<Row>, StoreError> {
-    let Some(first) = found.first() else {
-        return Ok(Vec::new());
-    };
-    let columns: Arc<[String]> = (first.columns().iter())
-        .map(|column| column.name().to_owned())
-        .collect();
-    let read = |row: &PgRow| {
-        let cells = (0..columns.len()).map(|at| cell(row, at));
-        Ok(Row::new(
-            Arc::clone(&columns),
-            cells.collect::<Result<_, StoreError>>()?,
-        ))
-    };
-    found.iter().map(read).collect()
+/// A value as the server takes it: no NUL in texts, bytes in hexadecimal digits.
+fn storable(value: Value) -> Value {
+    match value {
+        Value::String(given) if given.contains('\0') => text(&given).into(),
+        Value::Array(numbers) => {
+            let mut digits = "\\x".to_owned();
+            for byte in bytes(&numbers) {
+                let _ = write!(digits, "{byte:02x}");
+            }
+            digits.into()
+        }
+        Value::Object(_) => value.to_string().into(),
+        value => value,
+    }
 }
 
-fn cell(row: &PgRow, at: usize) -> Result<Cell, StoreError> {
+fn read(row: &PgRow) -> Result<Row, StoreError> {
+    let columns = row.columns().iter().enumerate();
+    columns
+        .map(|(at, column)| Ok((column.name().to_owned(), cell(row, at)?)))
+        .collect()
+}
+
+fn cell(row: &PgRow, at: usize) -> Result<Value, StoreError> {
     let value = row.try_get_raw(at)?;
     if value.is_null() {
-        return Ok(Cell::Null);
+        return Ok(Value::Null);
     }
-    let kind = value.type_info().name().to_owned();
-    Ok(match kind.as_str() {
-        "INT8" => Cell::Int(row.try_get(at)?),
-        "INT4" => Cell::Int(row.try_get::<i32, _>(at)?.into()),
-        "INT2" => Cell::Int(row.try_get::<i16, _>(at)?.into()),
-        "FLOAT8" => Cell::Real(row.try_get(at)?),
-        "TEXT" => Cell::Text(row.try_get(at)?),
-        "BYTEA" => {
-            let bytes: Vec<u8> = row.try_get(at)?;
-            let id = Uuid::from_slice(&bytes);
-            Cell::Id(id.map_err(|error| StoreError::Statement(error.to_string()))?)
-        }
+    Ok(match value.type_info().name() {
+        "INT8" => row.try_get::<i64, _>(at)?.into(),
+        "INT4" => row.try_get::<i32, _>(at)?.into(),
+        "INT2" => row.try_get::<i16, _>(at)?.into(),
+        "FLOAT8" => row.try_get::<f64, _>(at)?.into(),
+        "TEXT" => row.try_get::<String, _>(at)?.into(),
+        "BYTEA" => row.try_get::<Vec<u8>, _>(at)?.into(),
         kind => {
             return Err(StoreError::Statement(format!("a column is of type {kind}")));
         }
     })
 }
 
-/// Rows as a JSON array of objects: one parameter, however many they are.
-pub(super) fn objects(
-    columns: &[impl AsRef<str>],
-    rows: impl IntoIterator<Item = Vec<Cell>>,
-) -> String {
-    let object = |row: Vec<Cell>| {
-        let members = columns.iter().zip(row);
-        let members = members.map(|(name, cell)| (name.as_ref().to_owned(), json(cell)));
-        Value::Object(members.collect::<Map<_, _>>())
-    };
-    Value::Array(rows.into_iter().map(object).collect()).to_string()
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn json(cell: Cell) -> Value {
-    match cell {
-        Cell::Null => Value::Null,
-        Cell::Int(number) => number.into(),
-        Cell::Real(number) => number.into(),
-        Cell::Text(text) => text.into(),
-        Cell::Id(id) => format!("\\x{}", id.simple()).into(),
+    #[test]
+    fn text_with_a_nul_is_made_storable() {
+        let row = super::super::row::row(&serde_json::json!({ "a": "a\0b", "id": [1, 255] }));
+        assert_eq!(
+            recordset(vec![row.unwrap()]),
+            "[{\"a\":\"a\u{fffd}b\",\"id\":\"\\\\x01ff\"}]"
+        );
     }
 }

@@ -8,6 +8,7 @@ pub use audit::AuditCounts;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 
+use super::row::read_all;
 use super::tables::NodeRow;
 use super::{Store, StoreError};
 
@@ -15,7 +16,6 @@ impl Store {
     /// Every node as it was known last.
     pub(crate) async fn nodes(&self) -> Result<Vec<NodeRow>, StoreError> {
         let text = "SELECT * FROM nodes WHERE state <> 'forgotten'";
-        let rows = self.query(text, Vec::new()).await?;
-        rows.iter().map(NodeRow::try_from).collect()
+        read_all(self.query(text, Vec::new()).await?)
     }
 }

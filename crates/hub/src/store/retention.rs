@@ -1,71 +1,117 @@
-//! Deletes what is too old, a small range at a time, so that the thread that writes never waits long for it.
+//! Deletes what is too old: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never
+//! waits long for it.
 
-use super::StoreError;
-use super::database::Transaction;
+use super::row::Row;
+use super::{Database, Kind, StoreError, migrate};
 use crate::config::HistoryConfig;
 use albireo_wire::IDENTITY_DAYS;
 
 /// Most rows of one step.
-pub(crate) const STEP: i64 = 2000;
+pub(crate) const STEP: usize = 2000;
 
 const DAY_MS: i64 = 86_400_000;
+/// No day is before it.
+const NO_DAY: i64 = -1_000_000;
 
-/// Deletes at most [`STEP`] rows of each table that are older than is kept at `now_ms`; how many it were. 0: there is
-/// nothing more to delete.
+const EVENTS: &str = "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE at_ms < $1 \
+    AND id < (SELECT COALESCE(min(id), 0) FROM events) + $2) RETURNING 1 AS gone";
+// What is desired stays: a node that returns after years still finds it.
+const ORDER_NODES: &str = "DELETE FROM order_nodes WHERE (revision, node) IN (SELECT n.revision, n.node \
+    FROM order_nodes n JOIN orders o ON o.revision = n.revision WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2) \
+    RETURNING 1 AS gone";
+const ORDERS: &str = "DELETE FROM orders WHERE revision IN (SELECT o.revision FROM orders o WHERE o.at_ms < $1 \
+    AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = o.revision) LIMIT $2) RETURNING 1 AS gone";
+const SET_ASIDE: &str = "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
+    AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2) RETURNING 1 AS gone";
+
+/// Clips, ids of reports, ids without a day of their own, five-minute sums. The day of a clip is at most a day after its
+/// receipt, in the order of which their ids grow.
+const BY_DAY_SQLITE: [&str; 4] = [
+    "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE day < $1 \
+     AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2) RETURNING 1 AS gone",
+    "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day > 0 AND day < $1 \
+     ORDER BY day LIMIT $2) RETURNING 1 AS gone",
+    "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day < 0 AND day > $1 \
+     ORDER BY day LIMIT $2) RETURNING 1 AS gone",
+    "DELETE FROM sums_5m WHERE (camera_id, bucket_s, setup_id, quality) IN (SELECT camera_id, bucket_s, setup_id, \
+     quality FROM sums_5m WHERE camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1 LIMIT $2) \
+     RETURNING 1 AS gone",
+];
+/// The same of the few rows in PostgreSQL that are in the partition of no day.
+const BY_DAY_POSTGRES: [&str; 4] = [
+    "DELETE FROM clips_other WHERE (day, id) IN (SELECT day, id FROM clips_other WHERE day < $1 LIMIT $2) \
+     RETURNING 1 AS gone",
+    "DELETE FROM report_ids_other WHERE (day, id) IN (SELECT day, id FROM report_ids_other WHERE day > 0 AND day < $1 \
+     LIMIT $2) RETURNING 1 AS gone",
+    "DELETE FROM report_ids_other WHERE (day, id) IN (SELECT day, id FROM report_ids_other WHERE day < 0 AND day > $1 \
+     LIMIT $2) RETURNING 1 AS gone",
+    "DELETE FROM sums_5m_other WHERE (camera_id, bucket_s, setup_id, quality) IN (SELECT camera_id, bucket_s, \
+     setup_id, quality FROM sums_5m_other WHERE bucket_s < $1 LIMIT $2) RETURNING 1 AS gone",
+];
+
+/// Deletes at most [`STEP`] rows of each table that are older than is kept at `now_ms`, and whole partitions; only makes
+/// the partitions of the next days where the clock `is_believed` not. Whether there is more to delete.
 pub(crate) fn retain(
-    writing: &mut dyn Transaction,
+    database: &mut dyn Database,
     history: &HistoryConfig,
     now_ms: i64,
-) -> Result<u64, StoreError> {
-    let before = |days: u32| now_ms.saturating_sub(i64::from(days) * DAY_MS);
+    is_believed: bool,
+) -> Result<bool, StoreError> {
+    let today = now_ms.div_euclid(DAY_MS);
+    let first = |days: u32| match is_believed {
+        true => today - i64::from(days),
+        false => NO_DAY,
+    };
     // Reports of the day before are still taken.
-    let first_day = now_ms.div_euclid(DAY_MS) - i64::from(IDENTITY_DAYS) - 1;
-    let mut deleted = 0;
-    for (text, bound) in [
-        (
-            "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE received_ms < $1 \
-             AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2)",
-            before(history.clips_days),
-        ),
-        (
-            "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day > 0 AND day < $1 \
-             ORDER BY day LIMIT $2)",
-            first_day,
-        ),
-        // Those without a day of their own are under that of receipt, negative.
-        (
-            "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day < 0 AND day > $1 \
-             ORDER BY day LIMIT $2)",
-            -first_day,
-        ),
-        (
-            "DELETE FROM sums_5m WHERE (bucket_s, camera_id, setup_id, quality) IN (SELECT bucket_s, camera_id, \
-             setup_id, quality FROM sums_5m WHERE bucket_s < $1 ORDER BY bucket_s LIMIT $2)",
-            before(history.five_minutes_days).div_euclid(1000),
-        ),
-        (
-            "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE at_ms < $1 \
-             AND id < (SELECT COALESCE(min(id), 0) FROM events) + $2)",
-            before(history.events_days),
-        ),
-        // What is desired stays: a node that returns after years still finds it.
-        (
-            "DELETE FROM order_nodes WHERE (revision, node) IN (SELECT n.revision, n.node FROM order_nodes n \
-             JOIN orders o ON o.revision = n.revision WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2)",
-            before(history.events_days),
-        ),
-        (
-            "DELETE FROM orders WHERE revision IN (SELECT o.revision FROM orders o WHERE o.at_ms < $1 \
-             AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = o.revision) LIMIT $2)",
-            before(history.events_days),
-        ),
-        (
-            "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
-             AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2)",
-            before(history.set_aside_days),
-        ),
-    ] {
-        deleted += writing.execute(text, &[bound.into(), STEP.into()])?;
+    let (clips, ids) = (first(history.clips_days), first(IDENTITY_DAYS + 1));
+    let sums = first(history.five_minutes_days);
+    if database.kind() == Kind::Postgres {
+        // A table is locked for a moment where a partition is made or goes: one after the other, so that nobody waits for one
+        // while it holds another.
+        for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
+            database.begin()?;
+            database.lock(migrate::LOCK)?;
+            // Who reads for long holds up a partition that goes, and that everything else.
+            database.query("SET LOCAL lock_timeout TO '1s'", &[])?;
+            keep_days(database, table, first, today)?;
+            database.commit()?;
+        }
     }
-    Ok(deleted)
+    database.begin()?;
+    let mut most = 0;
+    if is_believed {
+        let before = |days: u32| now_ms.saturating_sub(i64::from(days) * DAY_MS);
+        let by_day = match database.kind() {
+            Kind::Sqlite => BY_DAY_SQLITE,
+            Kind::Postgres => BY_DAY_POSTGRES,
+        };
+        let by_day = by_day.into_iter().zip([clips, ids, -ids, sums * 86_400]);
+        for (text, bound) in by_day.chain([
+            (EVENTS, before(history.events_days)),
+            (ORDER_NODES, before(history.events_days)),
+            (ORDERS, before(history.events_days)),
+            (SET_ASIDE, before(history.set_aside_days)),
+        ]) {
+            let gone: Vec<Row> = database.query(text, &[bound.into(), STEP.into()])?;
+            most = most.max(gone.len());
+        }
+    }
+    database.commit()?;
+    Ok(most >= STEP)
+}
+
+/// The tables that PostgreSQL keeps by day, and how many of the key are a day.
+pub(super) const DAILY: [(&str, i64); 3] = [("clips", 1), ("report_ids", 1), ("sums_5m", 86_400)];
+
+/// Makes and drops partitions of a table in PostgreSQL, of which what is older than the day `first` is not kept.
+pub(super) fn keep_days(
+    database: &mut dyn Database,
+    (table, unit): (&str, i64),
+    first: i64,
+    today: i64,
+) -> Result<(), StoreError> {
+    let values = [table.into(), unit.into(), first.into(), today.into()];
+    database
+        .query("SELECT keep_days($1, $2, $3, $4)", &values)
+        .map(drop)
 }

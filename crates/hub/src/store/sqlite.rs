@@ -1,17 +1,15 @@
 //! A connection to SQLite.
 
-use super::StoreError;
-use super::database::{Database, Transaction, list};
-use super::record::{Cell, Row};
-use rusqlite::types::{ToSqlOutput, Value, ValueRef};
-use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, TransactionBehavior};
-use std::sync::Arc;
+use super::row::Row;
+use super::{Database, Kind, StoreError};
+use rusqlite::types::{ToSqlOutput, ValueRef};
+use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
+use serde_json::Value;
 use std::time::{Duration, Instant};
-use uuid::Uuid;
 
 /// What a connection is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Access {
+pub(crate) enum Access {
     /// Creating the file and its tables.
     Create,
     /// Writing.
@@ -21,12 +19,10 @@ pub(super) enum Access {
 }
 
 /// A database in one file.
-#[derive(Debug)]
 pub(super) struct Sqlite {
-    url: String,
-    timeout_ms: u64,
-    access: Access,
-    connection: Option<Connection>,
+    connection: Connection,
+    /// Longest time of a query, where it only reads.
+    limit: Option<Duration>,
 }
 
 /// The file of a URL.
@@ -36,183 +32,163 @@ pub(super) fn file(url: &str) -> &str {
 }
 
 impl Sqlite {
-    pub(super) fn new(url: &str, timeout_ms: u64, access: Access) -> Self {
-        Self {
-            url: url.to_owned(),
-            timeout_ms,
-            access,
-            connection: None,
-        }
-    }
-
-    fn connect(&mut self) -> Result<&mut Connection, StoreError> {
-        let connection = match self.connection.take() {
-            Some(connection) => connection,
-            None => self.open()?,
-        };
-        Ok(self.connection.insert(connection))
-    }
-
-    fn open(&self) -> Result<Connection, StoreError> {
-        let parameters = self.url.split_once('?').map_or("", |(_, rest)| rest);
+    pub(super) fn open(url: &str, timeout_ms: u64, access: Access) -> Result<Self, StoreError> {
+        let parameters = url.split_once('?').map_or("", |(_, rest)| rest);
         let flags = if parameters.split('&').any(|one| one == "mode=ro") {
             OpenFlags::SQLITE_OPEN_READ_ONLY
-        } else if self.access == Access::Create {
+        } else if access == Access::Create {
             OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE
         } else {
             OpenFlags::SQLITE_OPEN_READ_WRITE
         };
-        let connection = Connection::open_with_flags(file(&self.url), flags)?;
+        let connection = Connection::open_with_flags(file(url), flags)?;
         connection.set_prepared_statement_cache_capacity(64);
-        connection.busy_timeout(Duration::from_millis(self.timeout_ms))?;
+        connection.busy_timeout(Duration::from_millis(timeout_ms))?;
         connection.execute_batch(
             "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA temp_store=MEMORY;",
         )?;
-        connection.execute_batch(match self.access {
+        connection.execute_batch(match access {
             Access::Read => "PRAGMA cache_size=-4096; PRAGMA query_only=ON;",
             Access::Create | Access::Write => {
                 "PRAGMA journal_mode=WAL; PRAGMA cache_size=-32768; PRAGMA wal_autocheckpoint=4000;"
             }
         })?;
-        Ok(connection)
+        let limit = Duration::from_millis(timeout_ms.saturating_mul(4));
+        Ok(Self {
+            connection,
+            limit: (access == Access::Read).then_some(limit),
+        })
+    }
+
+    /// Runs a query, and hands over its rows one by one.
+    pub(super) fn stream(
+        &mut self,
+        text: &str,
+        mut take: impl FnMut(Row) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let mut statement = self.connection.prepare(text)?;
+        found(&mut statement, &mut take)
     }
 }
 
 impl Database for Sqlite {
-    fn query(&mut self, text: &str, values: &[Cell]) -> Result<Vec<Row>, StoreError> {
-        let limit = Duration::from_millis(self.timeout_ms.saturating_mul(4));
-        let connection = self.connect()?;
-        let begun = Instant::now();
-        connection.progress_handler(10_000, Some(move || begun.elapsed() > limit))?;
-        query(connection, text, values)
+    fn kind(&self) -> Kind {
+        Kind::Sqlite
     }
 
-    fn begin(&mut self) -> Result<Box<dyn Transaction + '_>, StoreError> {
-        let access = self.access;
-        let connection = self.connect()?;
+    fn is_open(&mut self) -> bool {
+        true
+    }
+
+    fn begin(&mut self) -> Result<(), StoreError> {
         // SQLite begins a transaction on a read-only file too, and only refuses the first statement that writes.
-        if access == Access::Write && connection.is_readonly(MAIN_DB)? {
+        if self.connection.is_readonly(MAIN_DB)? {
             return Err(StoreError::Unavailable("the database is readonly".into()));
         }
         // A transaction that begins by reading and then writes fails at once when another wrote in between.
-        let begun = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        Ok(Box::new(Writing(begun)))
+        Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
     }
 
-    fn disconnect(&mut self) {
-        self.connection = None;
+    fn commit(&mut self) -> Result<(), StoreError> {
+        Ok(self.connection.execute_batch("COMMIT")?)
     }
-}
 
-/// Gives a statement the values of its parameters `$1`, `$2`, …
-fn bind(statement: &mut Statement<'_>, values: &[Cell]) -> Result<(), StoreError> {
-    for at in 1..=statement.parameter_count() {
-        let name = statement.parameter_name(at).unwrap_or_default();
-        let number = name.trim_start_matches('$').parse::<usize>();
-        let value = number
-            .ok()
-            .and_then(|number| values.get(number.wrapping_sub(1)));
-        let value = value
-            .ok_or_else(|| StoreError::Statement(format!("the parameter {name} has no value")))?;
-        statement.raw_bind_parameter(at, value)?;
-    }
-    Ok(())
-}
-
-fn query(connection: &Connection, text: &str, values: &[Cell]) -> Result<Vec<Row>, StoreError> {
-    let mut statement = connection.prepare_cached(text)?;
-    bind(&mut statement, values)?;
-    found(&mut statement)
-}
-
-/// The rows of a statement whose parameters have their values.
-fn found(statement: &mut Statement<'_>) -> Result<Vec<Row>, StoreError> {
-    let columns: Arc<[String]> = (statement.column_names().into_iter())
-        .map(str::to_owned)
-        .collect();
-    let mut found = Vec::new();
-    let mut rows = statement.raw_query();
-    while let Some(row) = rows.next()? {
-        let cells = (0..columns.len()).map(|at| cell(row.get_ref(at)?));
-        let cells = cells.collect::<Result<_, StoreError>>()?;
-        found.push(Row::new(Arc::clone(&columns), cells));
-    }
-    Ok(found)
-}
-
-/// A value of a row.
-pub(super) fn cell(value: ValueRef<'_>) -> Result<Cell, StoreError> {
-    let foreign = |error: &dyn std::fmt::Display| StoreError::Statement(error.to_string());
-    Ok(match value {
-        ValueRef::Null => Cell::Null,
-        ValueRef::Integer(number) => Cell::Int(number),
-        ValueRef::Real(number) => Cell::Real(number),
-        ValueRef::Text(text) => {
-            let text = std::str::from_utf8(text).map_err(|error| foreign(&error))?;
-            Cell::Text(text.to_owned())
+    fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
+        if let Some(limit) = self.limit {
+            let begun = Instant::now();
+            let is_over = move || begun.elapsed() > limit;
+            self.connection.progress_handler(10_000, Some(is_over))?;
         }
-        ValueRef::Blob(bytes) => {
-            Cell::Id(Uuid::from_slice(bytes).map_err(|error| foreign(&error))?)
-        }
-    })
-}
+        let mut statement = self.connection.prepare_cached(text)?;
+        bind(&mut statement, |name| {
+            values.get(name.parse::<usize>().ok()?.checked_sub(1)?)
+        })?;
+        let mut rows = Vec::new();
+        found(&mut statement, &mut |row| {
+            rows.push(row);
+            Ok(())
+        })?;
+        Ok(rows)
+    }
 
-struct Writing<'c>(rusqlite::Transaction<'c>);
-
-impl Transaction for Writing<'_> {
-    fn insert(
-        &mut self,
-        table: &'static str,
-        columns: &[&'static str],
-        rows: Vec<Vec<Cell>>,
-        rest: &str,
-    ) -> Result<Vec<Row>, StoreError> {
-        let places = list(columns.iter().map(|_| "?"));
-        let columns = list(columns.iter().copied());
-        let text = format!("INSERT INTO {table} ({columns}) VALUES ({places}) {rest}");
-        let mut insert = self.0.prepare_cached(&text)?;
+    fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
+        let mut statement = self.connection.prepare_cached(text)?;
         let mut returned = Vec::new();
         for row in rows {
-            for (at, value) in (1..).zip(row) {
-                insert.raw_bind_parameter(at, value)?;
-            }
-            returned.append(&mut found(&mut insert)?);
+            bind(&mut statement, |name| row.get(name))?;
+            found(&mut statement, &mut |row| {
+                returned.push(row);
+                Ok(())
+            })?;
         }
         Ok(returned)
     }
 
-    fn lock(&mut self, _: i64) -> Result<(), StoreError> {
-        // There is one writer.
-        Ok(())
-    }
-
-    fn query(&mut self, text: &str, values: &[Cell]) -> Result<Vec<Row>, StoreError> {
-        query(&self.0, text, values)
-    }
-
-    fn execute(&mut self, text: &str, values: &[Cell]) -> Result<u64, StoreError> {
-        let mut statement = self.0.prepare_cached(text)?;
-        bind(&mut statement, values)?;
-        Ok(statement.raw_execute()? as u64)
-    }
-
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
-        Ok(self.0.execute_batch(text)?)
-    }
-
-    fn commit(self: Box<Self>) -> Result<(), StoreError> {
-        Ok(self.0.commit()?)
+        Ok(self.connection.execute_batch(text)?)
     }
 }
 
-impl rusqlite::ToSql for Cell {
+/// Gives a statement the values of its parameters, by their names without the first letter.
+fn bind<'v>(
+    statement: &mut Statement<'_>,
+    value: impl Fn(&str) -> Option<&'v Value>,
+) -> Result<(), StoreError> {
+    for at in 1..=statement.parameter_count() {
+        let name = statement.parameter_name(at).unwrap_or_default();
+        let found = value(name.get(1..).unwrap_or_default());
+        let found = found
+            .ok_or_else(|| StoreError::Statement(format!("the parameter {name} has no value")))?;
+        statement.raw_bind_parameter(at, Cell(found))?;
+    }
+    Ok(())
+}
+
+/// Runs a statement whose parameters have their values, and hands over its rows.
+fn found(
+    statement: &mut Statement<'_>,
+    take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
+) -> Result<(), StoreError> {
+    let columns: Vec<String> = (statement.column_names().into_iter())
+        .map(str::to_owned)
+        .collect();
+    let mut rows = statement.raw_query();
+    while let Some(row) = rows.next()? {
+        let cell = |(at, name): (usize, &String)| Ok((name.clone(), read(row.get_ref(at)?)?));
+        let row: Result<Row, StoreError> = columns.iter().enumerate().map(cell).collect();
+        take(row?)?;
+    }
+    Ok(())
+}
+
+fn read(value: ValueRef<'_>) -> Result<Value, StoreError> {
+    Ok(match value {
+        ValueRef::Null => Value::Null,
+        ValueRef::Integer(number) => number.into(),
+        ValueRef::Real(number) => number.into(),
+        ValueRef::Text(text) => std::str::from_utf8(text)
+            .map_err(|error| StoreError::Statement(error.to_string()))?
+            .into(),
+        ValueRef::Blob(bytes) => bytes.into(),
+    })
+}
+
+/// A value that a statement is given.
+struct Cell<'v>(&'v Value);
+
+impl ToSql for Cell<'_> {
     fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        Ok(match self {
-            Self::Null => ToSqlOutput::Owned(Value::Null),
-            Self::Int(number) => (*number).into(),
-            Self::Real(number) => (*number).into(),
-            Self::Text(text) => ToSqlOutput::Borrowed(ValueRef::Text(text.as_bytes())),
-            Self::Id(id) => ToSqlOutput::Borrowed(ValueRef::Blob(id.as_bytes())),
+        use rusqlite::types::Value as Owned;
+        Ok(match self.0 {
+            Value::Null => ToSqlOutput::Owned(Owned::Null),
+            Value::Bool(yes) => i64::from(*yes).into(),
+            Value::Number(number) => match number.as_i64() {
+                Some(whole) => whole.into(),
+                None => number.as_f64().unwrap_or(f64::NAN).into(),
+            },
+            Value::String(text) => ToSqlOutput::Borrowed(ValueRef::Text(text.as_bytes())),
+            Value::Array(bytes) => ToSqlOutput::Owned(Owned::Blob(super::row::bytes(bytes))),
+            Value::Object(_) => self.0.to_string().into(),
         })
     }
 }

@@ -1,69 +1,70 @@
 //! The rows of the tables that grow.
 
-use super::record::{Cell, Record, record, text};
+use crate::ingest::Counts;
+use serde::{Deserialize, Serialize, Serializer};
 use uuid::Uuid;
 
-record! {
-    /// One clip, or a part of a long one. `docs/fleet.md` lists the tables.
-    pub(crate) struct ClipRow {
-        day: i64,
-        report_id: Uuid,
-        count: Option<i64>,
-        camera_id: i64,
-        setup_id: i64,
-        at_ms: i64,
-        received_ms: i64,
-        started_ns: i64,
-        clip: String,
-        part: i64,
-        ended_by: String,
-        duration_us: i64,
-        frames: i64,
-        frames_e: i64,
-        frames_p: i64,
-        frames_ei: i64,
-        frames_i: i64,
-        frames_ai: i64,
-        degraded: i64,
-        dropped: i64,
-        latency_mean_us: i64,
-        latency_p50_us: i64,
-        latency_p95_us: i64,
-        latency_p99_us: i64,
-        latency_us: i64,
-        detector_calls: i64,
-        detector_mean_us: i64,
-        detector_p50_us: i64,
-        detector_p95_us: i64,
-        detector_p99_us: i64,
-        detector_us: i64,
-        avoided_calls: i64,
-        avoided_uj: Option<i64>,
-        quality: i64,
-        energy_uj: Option<i64>,
-        node_uj: Option<i64>,
-        gpu_uj: Option<i64>,
-        cpu_uj: Option<i64>,
-        io_mem_uj: Option<i64>,
-        edp: Option<f64>,
-        samples: i64,
-        coverage_ppm: i64,
-        threshold_changed: i64,
-        audit_frames: Option<i64>,
-        audit_missed: Option<i64>,
-        audit_missed_boxes: Option<i64>,
-        audit_calls: Option<i64>,
-        audit_us: Option<i64>,
-        audit_uj: Option<i64>,
-        audit_detected: Option<i64>,
-        audit_shown: Option<i64>,
-        audit_paired: Option<i64>,
-        audit_detected_sq: Option<i64>,
-        audit_detected_x: Option<i64>,
-        audit_shown_sq: Option<i64>,
-        audit_paired_sq: Option<i64>,
-        audit_shown_x: Option<i64>,
-    }
+/// One clip, or a part of a long one. `docs/fleet.md` lists the tables.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ClipRow {
+    pub(crate) day: i64,
+    #[serde(with = "uuid::serde::compact")]
+    pub(crate) report_id: Uuid,
+    pub(crate) count: Option<i64>,
+    pub(crate) camera_id: i64,
+    pub(crate) setup_id: i64,
+    pub(crate) at_ms: i64,
+    pub(crate) received_ms: i64,
+    pub(crate) started_ns: i64,
+    pub(crate) clip: String,
+    pub(crate) part: i64,
+    pub(crate) ended_by: String,
+    pub(crate) duration_us: i64,
+    pub(crate) frames: i64,
+    pub(crate) frames_e: i64,
+    pub(crate) frames_p: i64,
+    pub(crate) frames_ei: i64,
+    pub(crate) frames_i: i64,
+    pub(crate) frames_ai: i64,
+    pub(crate) degraded: i64,
+    pub(crate) dropped: i64,
+    pub(crate) latency_mean_us: i64,
+    pub(crate) latency_p50_us: i64,
+    pub(crate) latency_p95_us: i64,
+    pub(crate) latency_p99_us: i64,
+    pub(crate) latency_us: i64,
+    pub(crate) detector_calls: i64,
+    pub(crate) detector_mean_us: i64,
+    pub(crate) detector_p50_us: i64,
+    pub(crate) detector_p95_us: i64,
+    pub(crate) detector_p99_us: i64,
+    pub(crate) detector_us: i64,
+    pub(crate) avoided_calls: i64,
+    pub(crate) avoided_uj: Option<i64>,
+    pub(crate) quality: i64,
+    pub(crate) energy_uj: Option<i64>,
+    pub(crate) node_uj: Option<i64>,
+    pub(crate) gpu_uj: Option<i64>,
+    pub(crate) cpu_uj: Option<i64>,
+    pub(crate) io_mem_uj: Option<i64>,
+    pub(crate) edp: Option<f64>,
+    pub(crate) samples: i64,
+    pub(crate) coverage_ppm: i64,
+    pub(crate) threshold_changed: i64,
+    pub(crate) audit_frames: Option<i64>,
+    pub(crate) audit_missed: Option<i64>,
+    pub(crate) audit_missed_boxes: Option<i64>,
+    pub(crate) audit_calls: Option<i64>,
+    pub(crate) audit_us: Option<i64>,
+    pub(crate) audit_uj: Option<i64>,
+    pub(crate) audit_detected: Option<i64>,
+    pub(crate) audit_shown: Option<i64>,
+    pub(crate) audit_paired: Option<i64>,
+    pub(crate) audit_detected_sq: Option<i64>,
+    pub(crate) audit_detected_x: Option<i64>,
+    pub(crate) audit_shown_sq: Option<i64>,
+    pub(crate) audit_paired_sq: Option<i64>,
+    pub(crate) audit_shown_x: Option<i64>,
 }
 
 /// A column of sums, and what a clip adds to it.
@@ -98,19 +99,19 @@ pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 /// Sums over the clips of one camera, setup and energy quality in one span of time.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SumRow {
-    /// The beginning of the span in seconds since the Unix epoch, camera, setup, quality.
+    /// Camera, 0 for the whole fleet; the beginning of the span in seconds since the Unix epoch; setup; quality.
     pub(crate) key: [i64; 4],
     sums: Vec<i64>,
 }
 
 impl SumRow {
     /// The columns of the key.
-    pub(crate) const KEY: [&str; 4] = ["bucket_s", "camera_id", "setup_id", "quality"];
+    pub(crate) const KEY: [&str; 4] = ["camera_id", "bucket_s", "setup_id", "quality"];
 
-    /// The sums of one clip in the span that begins at `bucket_s`.
-    pub(crate) fn of(clip: &ClipRow, bucket_s: i64) -> Self {
+    /// The sums of one clip in the span that begins at `bucket_s`, under a camera.
+    pub(crate) fn of(clip: &ClipRow, bucket_s: i64, camera_id: i64) -> Self {
         Self {
-            key: [bucket_s, clip.camera_id, clip.setup_id, clip.quality],
+            key: [camera_id, bucket_s, clip.setup_id, clip.quality],
             sums: SUMMED.iter().map(|(_, of)| of(clip)).collect(),
         }
     }
@@ -128,39 +129,30 @@ impl SumRow {
     }
 }
 
-impl Record for SumRow {
-    fn columns() -> Vec<&'static str> {
-        Self::KEY.into_iter().chain(Self::summed()).collect()
-    }
-
-    fn cells(&self) -> Vec<Cell> {
-        self.key
-            .iter()
-            .chain(&self.sums)
-            .map(|n| (*n).into())
-            .collect()
+impl Serialize for SumRow {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let columns = Self::KEY.into_iter().chain(Self::summed());
+        to.collect_map(columns.zip(self.key.iter().chain(&self.sums)))
     }
 }
 
-record! {
-    /// A report that makes no sense.
-    pub(crate) struct SetAsideRow {
-        node_id: i64,
-        report_id: Option<String>,
-        received_ms: i64,
-        cause: String,
-        body: String,
-    }
+/// A report that makes no sense.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct SetAsideRow {
+    pub(crate) node_id: i64,
+    pub(crate) report_id: Option<String>,
+    pub(crate) received_ms: i64,
+    pub(crate) cause: String,
+    pub(crate) body: String,
 }
 
-record! {
-    /// Something that happened.
-    pub(crate) struct EventRow {
-        at_ms: i64,
-        kind: String,
-        node: Option<String>,
-        detail: String,
-    }
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct EventRow {
+    pub(crate) at_ms: i64,
+    pub(crate) kind: String,
+    pub(crate) node: Option<String>,
+    pub(crate) detail: String,
 }
 
 impl EventRow {
@@ -169,57 +161,52 @@ impl EventRow {
         Self {
             at_ms,
             kind: kind.to_owned(),
-            node: Some(text(node)),
-            detail: text(&detail.to_string()),
+            node: Some(node.to_owned()),
+            detail: detail.to_string(),
         }
     }
 }
 
-record! {
-    /// What is known of the reports of a node.
-    pub(crate) struct ReportCountsRow {
-        node_id: i64,
-        first_ms: i64,
-        last_ms: i64,
-        stored: i64,
-        set_aside: i64,
-        refused: i64,
-        resets: i64,
-        base: i64,
-        highest: i64,
-        missing: String,
-    }
+/// What is known of the reports of a node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ReportCountsRow {
+    pub(crate) node_id: i64,
+    pub(crate) first_ms: i64,
+    pub(crate) last_ms: i64,
+    pub(crate) stored: i64,
+    pub(crate) set_aside: i64,
+    pub(crate) refused: i64,
+    pub(crate) resets: i64,
+    #[serde(flatten)]
+    pub(crate) counts: Counts,
 }
 
-record! {
-    /// What is known of a node between reports; its status is absent where it did not change.
-    pub(crate) struct NodeRow {
-        name: String,
-        first_seen_ms: i64,
-        state: String,
-        since_ms: i64,
-        why: String,
-        heard_ms: Option<i64>,
-        run: Option<i64>,
-        started_ns: Option<i64>,
-        revision: i64,
-        status: Option<String>,
-    }
+/// What is known of a node between reports; its status is absent where it did not change.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NodeRow {
+    pub(crate) name: String,
+    pub(crate) first_seen_ms: i64,
+    pub(crate) state: String,
+    pub(crate) since_ms: i64,
+    pub(crate) why: String,
+    pub(crate) heard_ms: Option<i64>,
+    pub(crate) run: Option<i64>,
+    pub(crate) started_ns: Option<i64>,
+    pub(crate) revision: i64,
+    pub(crate) status: Option<String>,
 }
 
-record! {
-    /// With what a clip was made: clips with the same share one number. Texts that a clip has not are empty.
-    #[derive(Eq, PartialOrd, Ord, Hash)]
-    pub(crate) struct SetupKey {
-        policy: String,
-        /// Name of the threshold.
-        knob: String,
-        /// Its value, in the shortest text that reads back as the same.
-        value: String,
-        model: String,
-        provider: String,
-        power_source: String,
-        /// How the total energy was found.
-        total_from: String,
-    }
+/// With what a clip was made: clips with the same share one number. Texts that a clip has not are empty.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub(crate) struct SetupKey {
+    pub(crate) policy: String,
+    /// Name of the threshold.
+    pub(crate) knob: String,
+    /// Its value, in the shortest text that reads back as the same.
+    pub(crate) value: String,
+    pub(crate) model: String,
+    pub(crate) provider: String,
+    pub(crate) power_source: String,
+    /// How the total energy was found.
+    pub(crate) total_from: String,
 }

@@ -1,12 +1,13 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
 use super::migrate::{LOCK, MARK, VERSION};
-use super::postgres::objects;
-use super::sqlite::cell;
-use super::{Kind, Store, StoreError};
+use super::row::read;
+use super::sqlite::Sqlite;
+use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
-use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior};
-use sqlx::{AssertSqlSafe, Connection as _, PgConnection};
+use albireo_service::clock::unix_milliseconds;
+use serde::Deserialize;
+use serde_json::Value;
 
 /// Rows of one statement.
 const BATCH: usize = 500;
@@ -51,7 +52,7 @@ pub struct Progress {
 pub async fn to_postgres(
     from: &str,
     to: &DatabaseConfig,
-    progress: &(dyn Fn(Progress) + Sync),
+    progress: impl Fn(Progress) + Send + 'static,
 ) -> Result<u64, StoreError> {
     if Kind::of(&to.url) != Kind::Postgres || !to.url.contains("://") {
         return Err(StoreError::Refused(format!(
@@ -59,140 +60,131 @@ pub async fn to_postgres(
             to.shown()
         )));
     }
-    let mut file = open(from)?;
-    // Nothing is written to the file meanwhile.
-    let source = file.transaction_with_behavior(TransactionBehavior::Immediate)?;
-    let identity = identity(from, &source)?;
+    let (from, shown) = (from.to_owned(), to.shown());
+    let timeout_ms = to.timeout_ms;
+    let opening = to.clone();
+    let source = super::blocking(move || {
+        let mut source = Sqlite::open(&from, timeout_ms, Access::Write)
+            .map_err(|error| refused(&from, &error.to_string()))?;
+        // Nothing is written to the file meanwhile.
+        source.begin()?;
+        let identity = identity(&from, &mut source)?;
+        Ok((source, identity))
+    });
+    let (source, identity) = source.await?;
+    // Makes the tables where there are none.
+    let store = Store::open(&opening).await?;
+    let copied = super::blocking(move || {
+        let mut target = store.connect(Access::Write, None)?;
+        copy(source, &mut *target, &identity, &shown, &progress)
+    });
+    copied.await
+}
+
+fn refused(from: &str, what: &str) -> StoreError {
+    StoreError::Refused(format!(
+        "{from} is not a hub's database that can be moved: {what}"
+    ))
+}
+
+/// A number that a query gives.
+fn number(database: &mut dyn Database, text: &str) -> Result<i64, StoreError> {
+    let rows = database.query(text, &[])?;
+    let number = rows.first().and_then(|row| row.get("number")?.as_i64());
+    Ok(number.unwrap_or(0))
+}
+
+fn copy(
+    mut source: Sqlite,
+    target: &mut dyn Database,
+    identity: &str,
+    shown: &str,
+    progress: &dyn Fn(Progress),
+) -> Result<u64, StoreError> {
+    target.begin()?;
+    target.lock(LOCK)?;
     let mut of = 0;
     for table in TABLES {
-        of += source
-            .query_row(&format!("SELECT COUNT(*) FROM {table}"), [], |row| {
-                row.get::<_, i64>(0)
-            })?
-            .unsigned_abs();
-    }
-
-    // Makes the tables where there are none.
-    Store::open(to).await?.close().await;
-    let mut server = PgConnection::connect(&to.url).await?;
-    let mut target = server.begin().await?;
-    sqlx::query("SELECT pg_advisory_xact_lock($1)")
-        .bind(LOCK)
-        .execute(&mut *target)
-        .await?;
-    for table in TABLES.iter().filter(|table| **table != "counters") {
-        let text = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM {table})"));
-        if sqlx::query_scalar(text).fetch_one(&mut *target).await? {
+        let count = format!("SELECT count(*) AS number FROM {table}");
+        of += number(&mut source, &count)?.unsigned_abs();
+        if table != "counters" && number(target, &count)? > 0 {
             return Err(StoreError::Refused(format!(
-                "{} already holds a hub's history (its table {table} has rows); nothing was changed: move to an empty \
-                 database",
-                to.shown()
+                "{shown} already holds a hub's history (its table {table} has rows); nothing was changed: move to an \
+                 empty database"
             )));
         }
     }
-    sqlx::query("DELETE FROM counters")
-        .execute(&mut *target)
-        .await?;
+    target.query("DELETE FROM counters", &[])?;
+    let today = unix_milliseconds().div_euclid(86_400_000);
+    for table in retention::DAILY {
+        retention::keep_days(target, table, 0, today)?;
+    }
     let mut rows = 0;
     for table in TABLES {
-        let mut select = source.prepare(&format!("SELECT * FROM {table}"))?;
-        let columns: Vec<String> = (select.column_names().into_iter())
-            .map(str::to_owned)
-            .collect();
-        let mut read = select.query([])?;
-        loop {
-            let mut batch = Vec::with_capacity(BATCH);
-            while batch.len() < BATCH
-                && let Some(row) = read.next()?
-            {
-                let cells = (0..columns.len()).map(|at| cell(row.get_ref(at)?));
-                batch.push(cells.collect::<Result<Vec<_>, StoreError>>()?);
-            }
-            if batch.is_empty() {
-                break;
-            }
-            let sent = batch.len() as u64;
-            let insert = format!(
-                "INSERT INTO {table} OVERRIDING SYSTEM VALUE \
-                 SELECT * FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)"
-            );
-            let inserted = sqlx::query(AssertSqlSafe(insert))
-                .bind(objects(&columns, batch))
-                .execute(&mut *target)
-                .await?;
-            if inserted.rows_affected() != sent {
-                return Err(StoreError::Statement(format!(
-                    "of {sent} rows of {table}, {} were inserted",
-                    inserted.rows_affected()
-                )));
-            }
-            rows += sent;
+        let mut batch: Vec<Row> = Vec::with_capacity(BATCH);
+        let mut send = |batch: &mut Vec<Row>| {
+            rows += batch.len() as u64;
+            target.insert(table, batch, "")?;
+            batch.clear();
             progress(Progress { table, rows, of });
+            Ok(())
+        };
+        source.stream(&format!("SELECT * FROM {table}"), |row| {
+            batch.push(row);
+            match batch.len() {
+                BATCH => send(&mut batch),
+                _ => Ok(()),
+            }
+        })?;
+        send(&mut batch)?;
+        // Ids that were given once are not given again, those of removed rows included.
+        let last = format!("SELECT seq AS number FROM sqlite_sequence WHERE name = '{table}'");
+        let last = number(&mut source, &last)?;
+        if last > 0 {
+            let values: [Value; 2] = [table.into(), last.into()];
+            target.query(
+                "SELECT setval(pg_get_serial_sequence($1, 'id'), $2)",
+                &values,
+            )?;
         }
-        go_on_counting(table, &source, &mut target).await?;
     }
-    sqlx::query("UPDATE hub_meta SET value = $1 WHERE key = 'identity'")
-        .bind(identity)
-        .execute(&mut *target)
-        .await?;
-    target.commit().await?;
+    target.query(
+        "UPDATE hub_meta SET value = $1 WHERE key = 'identity'",
+        &[identity.into()],
+    )?;
+    target.commit()?;
     Ok(rows)
 }
 
-fn open(from: &str) -> Result<Connection, StoreError> {
-    let file = super::sqlite::file(from);
-    Connection::open_with_flags(file, OpenFlags::SQLITE_OPEN_READ_WRITE)
-        .map_err(|error| StoreError::Refused(format!("{file} cannot be opened: {error}")))
-}
-
 /// The identity of the database, if it is one that this program wrote.
-fn identity(from: &str, source: &Connection) -> Result<String, StoreError> {
-    let meta = |key: &str| {
-        (source.query_row("SELECT value FROM hub_meta WHERE key = ?1", [key], |row| {
-            row.get::<_, String>(0)
-        }))
-        .optional()
-    };
-    let refused = |what: &str| {
-        StoreError::Refused(format!(
-            "{from} is not a hub's database that can be moved: {what}"
-        ))
-    };
-    match meta("program") {
-        Ok(Some(program)) if program == MARK => {}
-        Ok(_) => return Err(refused("it has no mark of a hub")),
-        Err(error) => return Err(refused(&error.to_string())),
+fn identity(from: &str, source: &mut dyn Database) -> Result<String, StoreError> {
+    #[derive(Deserialize)]
+    struct Meta {
+        program: Option<String>,
+        version: Option<String>,
+        identity: Option<String>,
     }
-    let version = meta("version")?.unwrap_or_default();
+    let meta = source.query(
+        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
+         max(CASE key WHEN 'version' THEN value END) AS version, \
+         max(CASE key WHEN 'identity' THEN value END) AS identity FROM hub_meta",
+        &[],
+    );
+    let meta = meta.map_err(|error| refused(from, &error.to_string()))?;
+    let meta: Meta = read(meta.into_iter().next().unwrap_or_default())?;
+    if meta.program.as_deref() != Some(MARK) {
+        return Err(refused(from, "it has no mark of a hub"));
+    }
+    let version = meta.version.unwrap_or_default();
     if version != VERSION.to_string() {
-        return Err(refused(&format!(
-            "its tables have version {version:?}; start this version's hub on it once, or use the program that wrote it"
-        )));
+        return Err(refused(
+            from,
+            &format!(
+                "its tables have version {version:?}; start this version's hub on it once, or use the program that wrote it"
+            ),
+        ));
     }
-    meta("identity")?.ok_or_else(|| refused("it has no identity"))
-}
-
-/// Ids that were given once are not given again, those of removed rows included.
-async fn go_on_counting(
-    table: &str,
-    source: &Connection,
-    target: &mut PgConnection,
-) -> Result<(), StoreError> {
-    let last: Option<i64> = source
-        .query_row(
-            "SELECT seq FROM sqlite_sequence WHERE name = ?1",
-            [table],
-            |row| row.get(0),
-        )
-        .optional()?;
-    if let Some(last) = last.filter(|last| *last > 0) {
-        sqlx::query("SELECT setval(pg_get_serial_sequence($1, 'id'), $2)")
-            .bind(table)
-            .bind(last)
-            .execute(target)
-            .await?;
-    }
-    Ok(())
+    (meta.identity).ok_or_else(|| refused(from, "it has no identity"))
 }
 
 #[cfg(test)]

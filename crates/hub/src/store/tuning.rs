@@ -1,98 +1,102 @@
 //! Orders, desired values and what became of them; rollouts and trials.
 
-use super::record::{Cell, FromCell, Row, record};
-use super::{Kind, Store, StoreError, Transaction};
+use super::row::{json_text, read_all};
+use super::{Database, Kind, Row, Store, StoreError};
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::metric::{Figure, Figures, Mean};
-use crate::tuning::run::Window;
+use crate::tuning::run::{Run, Window};
 use crate::tuning::runs::KeptRun;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use std::collections::HashMap;
 use utoipa::ToSchema;
 
-record! {
-    /// A change: a setting that was ordered for some nodes.
-    #[derive(Serialize, Deserialize, ToSchema)]
-    pub struct ChangeRow {
-        /// Its number, which nodes report as the revision of their setting.
-        revision: i64,
-        /// When, milliseconds since the Unix epoch.
-        at_ms: i64,
-        /// Who: the name of the token.
-        who: String,
-        /// Why.
-        why: String,
-        /// `hand`, `rollout 3`, `trial 4`, `drift`.
-        origin: String,
-        /// Who was selected; empty where a rollout or trial chose.
-        #[serde(rename = "select")]
-        selector: String,
-        /// What was ordered: a threshold, or a target (null switches it off).
-        #[serde(rename = "to")]
-        setting: DesiredSetting,
+/// A change: a setting that was ordered for some nodes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ChangeRow {
+    /// Its number, which nodes report as the revision of their setting.
+    pub revision: i64,
+    /// When, milliseconds since the Unix epoch.
+    pub at_ms: i64,
+    /// Who: the name of the token.
+    pub who: String,
+    /// Why.
+    pub why: String,
+    /// `hand`, `rollout 3`, `trial 4`, `drift`.
+    pub origin: String,
+    /// Who was selected; empty where a rollout or trial chose.
+    #[serde(rename = "select")]
+    pub selector: String,
+    /// What was ordered: a threshold, or a target (null switches it off).
+    #[serde(rename = "to", deserialize_with = "json_text::or_value")]
+    pub setting: DesiredSetting,
+}
+
+/// What became of a change at one node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ChangeNode {
+    /// The number of the change.
+    pub revision: i64,
+    /// The node.
+    pub node: String,
+    /// Its setting before, if that was known: a threshold or a target.
+    #[serde(rename = "from", deserialize_with = "json_text::or_value")]
+    pub setting_before: Option<DesiredSetting>,
+    /// What became of it.
+    pub outcome: Outcome,
+    /// When that was known, milliseconds since the Unix epoch.
+    pub at_ms: i64,
+    /// Why, where there is something to say.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub detail: String,
+}
+
+/// A rollout or trial as it is kept.
+#[derive(Deserialize)]
+struct RunRow {
+    kind: String,
+    id: i64,
+    who: String,
+    begun_ms: i64,
+    ended_ms: Option<i64>,
+    #[serde(with = "json_text")]
+    state: Run,
+}
+
+impl From<RunRow> for KeptRun {
+    fn from(row: RunRow) -> Self {
+        Self {
+            id: row.id,
+            who: row.who,
+            begun_ms: row.begun_ms,
+            ended_ms: row.ended_ms,
+            run: row.state,
+            left_out: Vec::new(),
+            unsaved: false,
+        }
     }
 }
 
-record! {
-    /// What became of a change at one node.
-    #[derive(Serialize, Deserialize, ToSchema)]
-    pub struct ChangeNode {
-        /// The number of the change.
-        revision: i64,
-        /// The node.
-        node: String,
-        /// Its setting before, if that was known: a threshold or a target.
-        #[serde(rename = "from")]
-        setting_before: Option<DesiredSetting>,
-        /// What became of it.
-        outcome: Outcome,
-        /// When that was known, milliseconds since the Unix epoch.
-        at_ms: i64,
-        /// Why, where there is something to say.
-        #[serde(default, skip_serializing_if = "String::is_empty")]
-        detail: String,
-    }
+fn kept_runs(rows: Vec<Row>) -> Result<Vec<KeptRun>, StoreError> {
+    let rows: Vec<RunRow> = read_all(rows)?;
+    Ok(rows.into_iter().map(KeptRun::from).collect())
 }
 
-impl From<Outcome> for Cell {
-    fn from(outcome: Outcome) -> Self {
-        outcome.name().into()
-    }
-}
-
-impl FromCell for Outcome {
-    fn read(cell: &Cell) -> Option<Self> {
-        Self::named(&String::read(cell)?)
-    }
-}
-
-record! {
-    /// What is desired of a node.
-    pub(crate) struct DesiredRow {
-        node: String,
-        revision: i64,
-        setting: DesiredSetting,
-    }
-}
-
-const OPEN: &str = "outcome IN ('pending', 'waiting', 'timed_out')";
-
-impl dyn Transaction + '_ {
+impl dyn Database + '_ {
     /// The next revision: greater than any before, whatever hub gave it, and than `above`.
     pub(crate) fn next_revision(&mut self, above: i64) -> Result<i64, StoreError> {
         self.next(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
-            above,
+            above.into(),
         )
     }
 
-    fn next(&mut self, counter: &str, with: impl Into<Cell>) -> Result<i64, StoreError> {
-        let rows = self.query(counter, &[with.into()])?;
-        let row = rows.first();
-        row.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))?
-            .get("value")
+    fn next(&mut self, counter: &str, with: Value) -> Result<i64, StoreError> {
+        let rows = self.query(counter, &[with])?;
+        let value = rows.first().and_then(|row| row.get("value")?.as_i64());
+        value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
     /// Stores an order and its nodes, and makes what it orders the desired setting where none of a higher revision is.
@@ -101,36 +105,45 @@ impl dyn Transaction + '_ {
         order: &ChangeRow,
         nodes: &[ChangeNode],
     ) -> Result<(), StoreError> {
-        let desired = nodes.iter().map(|node| DesiredRow {
-            node: node.node.clone(),
-            revision: order.revision,
-            setting: order.setting,
-        });
-        self.upsert_rows(
+        let (revision, setting) = (order.revision, order.setting);
+        let desired = nodes
+            .iter()
+            .map(|node| json!({ "node": node.node, "revision": revision, "setting": setting }));
+        self.insert(
             "desired",
             &desired.collect::<Vec<_>>(),
             "ON CONFLICT (node) DO UPDATE SET revision = excluded.revision, \
              setting = excluded.setting WHERE excluded.revision > desired.revision",
         )?;
-        self.insert_rows("orders", std::slice::from_ref(order))?;
+        let row = json!({
+            "revision": revision,
+            "at_ms": order.at_ms,
+            "who": order.who,
+            "why": order.why,
+            "origin": order.origin,
+            "selector": order.selector,
+            "setting": setting,
+        });
+        self.insert("orders", &[row], "")?;
         self.outcomes(nodes)?;
-        let superseded = format!(
-            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 WHERE {OPEN} AND revision < $2 \
-             AND node IN (SELECT node FROM order_nodes WHERE revision = $2)"
-        );
-        self.execute(&superseded, &[order.at_ms.into(), order.revision.into()])?;
+        self.query(
+            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 \
+             WHERE outcome IN ('pending', 'waiting', 'timed_out') AND revision < $2 \
+             AND node IN (SELECT node FROM order_nodes WHERE revision = $2)",
+            &[order.at_ms.into(), revision.into()],
+        )?;
         Ok(())
     }
 
     /// Takes a node off the list and drops what is desired of it; its clips and its history stay.
     pub(crate) fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
-        let open = format!(
+        self.query(
             "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
-             WHERE node = $1 AND {OPEN}"
-        );
-        self.execute(&open, &[node.into(), now_ms.into()])?;
-        self.execute("DELETE FROM desired WHERE node = $1", &[node.into()])?;
-        self.execute(
+             WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
+            &[node.into(), now_ms.into()],
+        )?;
+        self.query("DELETE FROM desired WHERE node = $1", &[node.into()])?;
+        self.query(
             "UPDATE nodes SET state = 'forgotten', since_ms = $2, status = NULL, heard_ms = NULL WHERE name = $1",
             &[node.into(), now_ms.into()],
         )?;
@@ -139,11 +152,21 @@ impl dyn Transaction + '_ {
 
     /// Stores what became of orders; an order that has ended meanwhile, as of a node that was forgotten, keeps its outcome.
     pub(crate) fn outcomes(&mut self, nodes: &[ChangeNode]) -> Result<(), StoreError> {
-        let update = format!(
-            "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
-             detail = excluded.detail WHERE order_nodes.{OPEN}"
-        );
-        self.upsert_rows("order_nodes", nodes, &update)
+        let row = |node: &ChangeNode| {
+            json!({
+                "revision": node.revision,
+                "node": node.node,
+                "setting_before": node.setting_before,
+                "outcome": node.outcome,
+                "at_ms": node.at_ms,
+                "detail": node.detail,
+            })
+        };
+        let rows: Vec<Value> = nodes.iter().map(row).collect();
+        let conflict = "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, \
+                        at_ms = excluded.at_ms, detail = excluded.detail \
+                        WHERE order_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
+        self.insert("order_nodes", &rows, conflict).map(drop)
     }
 
     /// Begins a rollout or trial, driven by `driver`. Returns its number.
@@ -156,21 +179,18 @@ impl dyn Transaction + '_ {
         let kind = kept.run.kind.name();
         let id = self.next(
             "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value",
-            kind,
+            kind.into(),
         )?;
-        self.execute(
-            "INSERT INTO runs (kind, id, begun_ms, who, driver, driven_until_ms, state) \
-             VALUES ($1, $2, $3, $4, $5, $6, $7)",
-            &[
-                kind.into(),
-                id.into(),
-                kept.begun_ms.into(),
-                kept.who.as_str().into(),
-                driver.into(),
-                until_ms.into(),
-                serde_json::to_string(&kept.run)?.into(),
-            ],
-        )?;
+        let run = json!({
+            "kind": kind,
+            "id": id,
+            "begun_ms": kept.begun_ms,
+            "who": kept.who,
+            "driver": driver,
+            "driven_until_ms": until_ms,
+            "state": kept.run,
+        });
+        self.insert("runs", &[run], "")?;
         Ok(id)
     }
 
@@ -181,7 +201,7 @@ impl dyn Transaction + '_ {
         driver: &str,
         until_ms: Option<i64>,
     ) -> Result<(), StoreError> {
-        self.execute(
+        self.query(
             "UPDATE runs SET ended_ms = $3, state = $4, driver = $5, \
              driven_until_ms = CASE WHEN $6 > 0 THEN $6 ELSE driven_until_ms END \
              WHERE kind = $1 AND id = $2 AND (driver = $5 OR $6 > 0)",
@@ -206,24 +226,12 @@ impl dyn Transaction + '_ {
     ) -> Result<Vec<(String, i64)>, StoreError> {
         let rows = self.query(
             "UPDATE runs SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
-             AND (driver = $1 OR driven_until_ms < $3) RETURNING kind, id",
+             AND (driver = $1 OR driven_until_ms < $3) RETURNING *",
             &[driver.into(), until_ms.into(), free_ms.into()],
         )?;
-        let read = |row: &Row| Ok((row.get("kind")?, row.get("id")?));
-        rows.iter().map(read).collect()
+        let runs: Vec<RunRow> = read_all(rows)?;
+        Ok(runs.into_iter().map(|run| (run.kind, run.id)).collect())
     }
-}
-
-fn kept_run(row: &Row) -> Result<KeptRun, StoreError> {
-    Ok(KeptRun {
-        id: row.get("id")?,
-        who: row.get("who")?,
-        begun_ms: row.get("begun_ms")?,
-        ended_ms: row.get("ended_ms")?,
-        run: serde_json::from_str(&row.get::<String>("state")?)?,
-        left_out: Vec::new(),
-        unsaved: false,
-    })
 }
 
 impl Store {
@@ -240,27 +248,30 @@ impl Store {
         &self,
         after: i64,
     ) -> Result<Vec<(String, i64, DesiredSetting)>, StoreError> {
+        #[derive(Deserialize)]
+        struct Desired {
+            node: String,
+            revision: i64,
+            #[serde(with = "json_text")]
+            setting: DesiredSetting,
+        }
         let text = "SELECT * FROM desired WHERE revision > $1";
-        let rows = self.query(text, vec![after.into()]).await?;
-        let read = |row: &Row| -> Result<_, StoreError> {
-            let row = DesiredRow::try_from(row)?;
-            Ok((row.node, row.revision, row.setting))
-        };
-        rows.iter().map(read).collect()
+        let rows: Vec<Desired> = read_all(self.query(text, vec![after.into()]).await?)?;
+        let read = |row: Desired| (row.node, row.revision, row.setting);
+        Ok(rows.into_iter().map(read).collect())
     }
 
     /// What became of a change at each node.
     pub(crate) async fn change_nodes(&self, revision: i64) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = "SELECT * FROM order_nodes WHERE revision = $1 ORDER BY node";
-        let rows = self.query(text, vec![revision.into()]).await?;
-        rows.iter().map(ChangeNode::try_from).collect()
+        let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o WHERE revision = $1 ORDER BY node";
+        read_all(self.query(text, vec![revision.into()]).await?)
     }
 
     /// Orders whose outcome is open at some nodes.
     pub(crate) async fn open_order_nodes(&self) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = format!("SELECT * FROM order_nodes WHERE {OPEN}");
-        let rows = self.query(text, Vec::new()).await?;
-        rows.iter().map(ChangeNode::try_from).collect()
+        let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o \
+                    WHERE outcome IN ('pending', 'waiting', 'timed_out')";
+        read_all(self.query(text, Vec::new()).await?)
     }
 
     /// The newest changes below revision `before`; those of one node only, if it is given.
@@ -270,12 +281,11 @@ impl Store {
         node: Option<&str>,
         limit: i64,
     ) -> Result<Vec<ChangeRow>, StoreError> {
-        let text = "SELECT * FROM orders WHERE revision < $1 \
+        let text = "SELECT o.*, selector AS \"select\", setting AS \"to\" FROM orders o WHERE revision < $1 \
                     AND ($2 = '' OR revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
                     ORDER BY revision DESC LIMIT $3";
         let values = vec![before.into(), node.unwrap_or_default().into(), limit.into()];
-        let rows = self.query(text, values).await?;
-        rows.iter().map(ChangeRow::try_from).collect()
+        read_all(self.query(text, values).await?)
     }
 
     /// How many nodes have which outcome, by change, from revision `from` to `to`.
@@ -284,13 +294,19 @@ impl Store {
         from: i64,
         to: i64,
     ) -> Result<HashMap<i64, Counts>, StoreError> {
+        #[derive(Deserialize)]
+        struct Counted {
+            revision: i64,
+            outcome: Outcome,
+            nodes: usize,
+        }
         let text = "SELECT revision, outcome, count(*) AS nodes FROM order_nodes \
                     WHERE revision BETWEEN $1 AND $2 GROUP BY revision, outcome";
+        let rows = self.query(text, vec![from.into(), to.into()]).await?;
         let mut found: HashMap<i64, Counts> = HashMap::new();
-        for row in self.query(text, vec![from.into(), to.into()]).await? {
-            let nodes: i64 = row.get("nodes")?;
-            let counts = found.entry(row.get("revision")?).or_default();
-            counts.insert(row.get("outcome")?, usize::try_from(nodes).unwrap_or(0));
+        for row in read_all::<Counted>(rows)? {
+            let counts = found.entry(row.revision).or_default();
+            counts.insert(row.outcome, row.nodes);
         }
         Ok(found)
     }
@@ -304,21 +320,13 @@ impl Store {
     ) -> Result<Vec<KeptRun>, StoreError> {
         let text = "SELECT * FROM runs WHERE kind = $1 AND id < $2 ORDER BY id DESC LIMIT $3";
         let values = vec![kind.into(), before.into(), limit.into()];
-        self.query(text, values)
-            .await?
-            .iter()
-            .map(kept_run)
-            .collect()
+        kept_runs(self.query(text, values).await?)
     }
 
     /// The rollouts and trials that have not ended, whichever hub drives them.
     pub(crate) async fn open_runs(&self) -> Result<Vec<KeptRun>, StoreError> {
         let text = "SELECT * FROM runs WHERE ended_ms IS NULL";
-        self.query(text, Vec::new())
-            .await?
-            .iter()
-            .map(kept_run)
-            .collect()
+        kept_runs(self.query(text, Vec::new()).await?)
     }
 
     /// One rollout or trial.
@@ -332,73 +340,35 @@ impl Store {
         &self,
         windows: &[&Window],
     ) -> Result<HashMap<String, Figures>, StoreError> {
-        const DAY_MS: i64 = 86_400_000;
-        let sums = Figure::ALL.map(|figure| {
-            let of = expression(figure);
-            format!(
-                "count({of}) AS clips_{figure}, \
-                 COALESCE(sum({of}), CAST(0 AS DOUBLE PRECISION)) AS sum_{figure}"
-            )
-        });
-        // A clip is filed under its begin, which lies less than a day before it is received if anybody is to decide
-        // on it: without that bound every clip ever received would be looked at.
-        let given = match self.0.kind {
-            Kind::Sqlite => {
-                "SELECT value ->> 'node' AS node, value ->> 'knob' AS knob, value ->> 'value' AS value, \
-                 value ->> 'from_ms' AS from_ms, value ->> 'until_ms' AS until_ms FROM json_each($1)"
-            }
-            Kind::Postgres => {
-                "SELECT * FROM jsonb_to_recordset($1::jsonb) \
-                 AS given (node text, knob text, value text, from_ms bigint, until_ms bigint)"
-            }
+        let text = match self.0.kind {
+            Kind::Sqlite => concat!(
+                "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'knob' AS knob, value ->> 'value' AS value, \
+                 value ->> 'from_ms' AS from_ms, value ->> 'until_ms' AS until_ms FROM json_each($1))\n",
+                include_str!("sql/clip_sums.sql")
+            ),
+            Kind::Postgres => concat!(
+                "WITH w AS (SELECT * FROM jsonb_to_recordset($1::jsonb) \
+                 AS given (node text, knob text, value text, from_ms bigint, until_ms bigint))\n",
+                include_str!("sql/clip_sums.sql")
+            ),
         };
-        let statement = format!(
-            "WITH w AS ({given}) SELECT n.name AS node, {} FROM w \
-             JOIN nodes n ON n.name = w.node JOIN cameras k ON k.node_id = n.id \
-             JOIN clips c ON c.camera_id = k.id AND c.at_ms >= w.from_ms - {DAY_MS} \
-             JOIN setups s ON s.id = c.setup_id WHERE s.knob = w.knob AND s.value = w.value \
-             AND c.received_ms >= w.from_ms AND c.received_ms <= w.until_ms \
-             AND c.threshold_changed = 0 GROUP BY n.name",
-            sums.join(", ")
-        );
         let mut found = HashMap::new();
         // A connection that reads is not held for long.
         for windows in windows.chunks(500) {
             let values = vec![serde_json::to_string(windows)?.into()];
-            for row in self.query(statement.as_str(), values).await? {
+            for row in self.query(text, values).await? {
+                let number = |column: String| row.get(&column).and_then(Value::as_f64);
                 let mut figures = Figures::new();
                 for figure in Figure::ALL {
-                    let clips: i64 = row.get(&format!("clips_{figure}"))?;
-                    let sum = row.get(&format!("sum_{figure}"))?;
-                    let clips = clips.unsigned_abs();
-                    if clips > 0 {
+                    let clips = number(format!("clips_{figure}")).unwrap_or(0.0) as u64;
+                    if let Some(sum) = number(format!("sum_{figure}")).filter(|_| clips > 0) {
                         figures.insert(figure, Mean { clips, sum });
                     }
                 }
-                found.insert(row.get("node")?, figures);
+                let node = row.get("node").and_then(Value::as_str);
+                found.insert(node.unwrap_or_default().to_owned(), figures);
             }
         }
         Ok(found)
-    }
-}
-
-/// A figure of a clip; null where the clip does not have it. Partly metered energy (quality 1) is in none.
-const fn expression(figure: Figure) -> &'static str {
-    match figure {
-        Figure::SkipRate => {
-            "CAST(c.frames_e + c.frames_p - c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)"
-        }
-        Figure::JoulesMeasured => {
-            "CASE WHEN c.quality = 0 THEN CAST(c.energy_uj AS DOUBLE PRECISION) / 1000000 END"
-        }
-        Figure::JoulesEstimated => {
-            "CASE WHEN c.quality = 2 THEN CAST(c.energy_uj AS DOUBLE PRECISION) / 1000000 END"
-        }
-        Figure::EdpMeasured => "CASE WHEN c.quality = 0 THEN c.edp END",
-        Figure::EdpEstimated => "CASE WHEN c.quality = 2 THEN c.edp END",
-        Figure::LatencyP99 => "CAST(c.latency_p99_us AS DOUBLE PRECISION) / 1000",
-        Figure::Degraded => "CAST(c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)",
-        Figure::Recall => "CAST(c.audit_paired AS DOUBLE PRECISION) / NULLIF(c.audit_detected, 0)",
-        Figure::Precision => "CAST(c.audit_paired AS DOUBLE PRECISION) / NULLIF(c.audit_shown, 0)",
     }
 }

@@ -4,7 +4,7 @@ use crate::config::DatabaseConfig;
 use crate::ingest::commit::{Numbers, write};
 use crate::ingest::decode::decode;
 use crate::ingest::limits::EventLimits;
-use crate::store::Store;
+use crate::store::{Access, Store};
 use albireo_wire::{
     BatchCompression, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
     Percentiles, REPORT_DICTIONARY, ReportBatch, VERSION,
@@ -193,7 +193,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         ..DatabaseConfig::default()
     };
     let store = Store::open(&config).await.unwrap();
-    let mut database = store.database();
+    let mut writing = store.connect(Access::Write, None).unwrap();
     let (mut numbers, mut limits) = (Numbers::default(), EventLimits::default());
     let mut random = Pcg64Mcg::seed_from_u64(20_261_122);
     let (mut unreadable, mut group) = (0_u64, Vec::new());
@@ -211,7 +211,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
             continue;
         }
         let group = std::mem::take(&mut group);
-        let mut writing = database.begin().unwrap();
+        writing.begin().unwrap();
         let done = write(&mut *writing, &mut numbers, &mut limits, &group, NOW_MS);
         let done = done.expect("whatever a batch holds, the database takes what is made of it");
         writing.events(&done.events).unwrap();

@@ -1,8 +1,8 @@
 //! The audit of a row of sums or of a clip.
 
-use crate::store::StoreError;
-use crate::store::record::Row;
+use crate::store::row::Row;
 use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
+use serde_json::Value;
 
 /// What an audit counted.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,31 +17,28 @@ pub struct AuditCounts {
 
 impl AuditCounts {
     /// That of a row with those columns; nulls count as nothing.
-    pub(super) fn of(row: &Row) -> Result<Self, StoreError> {
-        let number = |name: &str| -> Result<u64, StoreError> {
-            let number: Option<i64> = row.get(name)?;
-            Ok(u64::try_from(number.unwrap_or(0)).unwrap_or(0))
-        };
+    pub(super) fn of(row: &Row) -> Self {
+        let number = |name: &str| row.get(name).and_then(Value::as_f64).unwrap_or(0.0) as u64;
         let sums = AuditSums {
-            missed: number("audit_missed")?,
-            missed_boxes: number("audit_missed_boxes")?,
-            frames: number("audit_frames")?,
-            detected: number("audit_detected")?,
-            shown: number("audit_shown")?,
-            paired: number("audit_paired")?,
+            missed: number("audit_missed"),
+            missed_boxes: number("audit_missed_boxes"),
+            frames: number("audit_frames"),
+            detected: number("audit_detected"),
+            shown: number("audit_shown"),
+            paired: number("audit_paired"),
             squares: AuditSquares {
-                detected: number("audit_detected_sq")?,
-                shown: number("audit_shown_sq")?,
-                paired: number("audit_paired_sq")?,
-                detected_paired: number("audit_detected_x")?,
-                shown_paired: number("audit_shown_x")?,
+                detected: number("audit_detected_sq"),
+                shown: number("audit_shown_sq"),
+                paired: number("audit_paired_sq"),
+                detected_paired: number("audit_detected_x"),
+                shown_paired: number("audit_shown_x"),
             },
         };
-        Ok(Self {
+        Self {
             sums,
-            calls: number("audit_calls")?,
-            detector_us: number("audit_us")?,
-        })
+            calls: number("audit_calls"),
+            detector_us: number("audit_us"),
+        }
     }
 
     /// Adds the other's counts.

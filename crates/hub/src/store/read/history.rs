@@ -1,10 +1,12 @@
 //! Clips, events, what is known of reports, and what was set aside.
 
 use super::audit::AuditCounts;
-use crate::store::record::{Cell, Row};
+use crate::store::row::{json_text, read, read_all};
+use crate::store::tables::ReportCountsRow;
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -26,7 +28,7 @@ pub struct ClipQuery {
 }
 
 /// A clip.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredClip {
     /// Its number in the database: the later it was received, the higher.
     pub id: i64,
@@ -35,7 +37,9 @@ pub struct StoredClip {
     /// Camera.
     pub camera: String,
     /// Identity of the report.
-    pub report_id: String,
+    #[serde(deserialize_with = "uuid::serde::compact::deserialize")]
+    #[schema(value_type = String)]
+    pub report_id: Uuid,
     /// Running count of the report at its node.
     pub count: Option<i64>,
     /// The time it is filed under, milliseconds since the Unix epoch: when it began, or when it was received where the
@@ -80,6 +84,7 @@ pub struct StoredClip {
     /// Name of its knob; empty without one.
     pub knob: String,
     /// The knob's value at the end of the clip.
+    #[serde(deserialize_with = "json_text::deserialize")]
     pub value: Option<f64>,
     /// Detector model.
     pub model: String,
@@ -98,65 +103,18 @@ pub struct StoredClip {
     pub audit: Option<AuditFigures>,
 }
 
-/// The energy quality of a code in the database.
-pub(super) const fn quality(code: i64) -> EnergyQuality {
-    match code {
-        0 => EnergyQuality::Measured,
-        1 => EnergyQuality::Partial,
-        2 => EnergyQuality::Estimated,
-        _ => EnergyQuality::Unavailable,
-    }
-}
-
-const CLIPS: &str = "SELECT c.*, n.name AS node, m.name AS camera, s.policy, s.knob, s.value, s.model, \
-    s.provider, s.power_source FROM clips c JOIN cameras m ON m.id = c.camera_id JOIN nodes n ON n.id = m.node_id \
-    JOIN setups s ON s.id = c.setup_id";
-
-fn clip(row: &Row) -> Result<StoredClip, StoreError> {
-    let number = |name: &str| row.get::<i64>(name);
-    let milli = |name: &str| number(name).map(|us| us as f64 / 1e3);
-    let value: String = row.get("value")?;
-    Ok(StoredClip {
-        id: number("id")?,
-        node: row.get("node")?,
-        camera: row.get("camera")?,
-        report_id: row.get::<Uuid>("report_id")?.to_string(),
-        count: row.get("count")?,
-        at_ms: number("at_ms")?,
-        received_ms: number("received_ms")?,
-        clip: row.get("clip")?,
-        part: number("part")?,
-        ended_by: row.get("ended_by")?,
-        duration_s: number("duration_us")? as f64 / 1e6,
-        frames: number("frames")?,
-        e: number("frames_e")?,
-        p: number("frames_p")?,
-        ei: number("frames_ei")?,
-        i: number("frames_i")?,
-        ai: number("frames_ai")?,
-        degraded: number("degraded")?,
-        dropped: number("dropped")?,
-        latency_mean_ms: milli("latency_mean_us")?,
-        latency_p99_ms: milli("latency_p99_us")?,
-        detector_calls: number("detector_calls")?,
-        detector_mean_ms: milli("detector_mean_us")?,
-        policy: row.get("policy")?,
-        knob: row.get("knob")?,
-        value: value.parse().ok(),
-        model: row.get("model")?,
-        provider: row.get("provider")?,
-        power_source: row.get("power_source")?,
-        quality: quality(number("quality")?),
-        joules: row
-            .get::<Option<i64>>("energy_uj")?
-            .map(|uj| uj as f64 / 1e6),
-        edp: row.get("edp")?,
-        audit: AuditCounts::of(row)?.figures(),
-    })
-}
+const CLIPS: &str = concat!(
+    include_str!("../sql/clips.sql"),
+    "ORDER BY c.id DESC LIMIT $4"
+);
+const CLIPS_OF_NODE: &str = concat!(
+    include_str!("../sql/clips.sql"),
+    "AND c.camera_id IN (SELECT k.id FROM cameras k JOIN nodes o ON o.id = k.node_id \
+     WHERE o.name = $5 AND ($6 = '' OR k.name = $6)) ORDER BY c.id DESC LIMIT $4"
+);
 
 /// Something that happened.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredEvent {
     /// Its number: the later, the higher.
     pub id: i64,
@@ -167,11 +125,12 @@ pub struct StoredEvent {
     /// The node it is about.
     pub node: Option<String>,
     /// The rest, by kind.
-    pub detail: serde_json::Value,
+    #[serde(deserialize_with = "json_text::deserialize")]
+    pub detail: Value,
 }
 
 /// A report that makes no sense.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredSetAside {
     /// Its number.
     pub id: i64,
@@ -212,28 +171,28 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub(crate) async fn clips(&self, wanted: &ClipQuery) -> Result<Vec<StoredClip>, StoreError> {
-        let mut text = format!("{CLIPS} WHERE c.id < $1 AND c.at_ms >= $2 AND c.at_ms < $3");
-        if wanted.node.is_some() {
-            text += " AND c.camera_id IN (SELECT m2.id FROM cameras m2 JOIN nodes n2 ON n2.id = m2.node_id \
-                     WHERE n2.name = $5";
-            text += if wanted.camera.is_some() {
-                " AND m2.name = $6)"
-            } else {
-                ")"
-            };
-        }
-        text += " ORDER BY c.id DESC LIMIT $4";
-        let mut values: Vec<Cell> = vec![
+        let mut values: Vec<Value> = vec![
             wanted.before_id.unwrap_or(i64::MAX).into(),
             wanted.since_ms.unwrap_or(i64::MIN).into(),
             wanted.until_ms.unwrap_or(i64::MAX).into(),
             wanted.limit.into(),
         ];
-        if let Some(node) = &wanted.node {
-            values.push(node.as_str().into());
-            values.extend(wanted.camera.as_deref().map(Cell::from));
-        }
-        self.query(text, values).await?.iter().map(clip).collect()
+        let text = match &wanted.node {
+            Some(node) => {
+                values.push(node.as_str().into());
+                values.push(wanted.camera.as_deref().unwrap_or_default().into());
+                CLIPS_OF_NODE
+            }
+            None => CLIPS,
+        };
+        let rows = self.query(text, values).await?.into_iter();
+        let clip = |row| {
+            Ok(StoredClip {
+                audit: AuditCounts::of(&row).figures(),
+                ..read(row)?
+            })
+        };
+        rows.map(clip).collect()
     }
 
     /// Number of the last event; 0 without any.
@@ -243,10 +202,8 @@ impl Store {
     pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
         let text = "SELECT COALESCE(max(id), 0) AS id FROM events";
         let rows = self.query(text, Vec::new()).await?;
-        match rows.first() {
-            Some(row) => Ok(row.get("id")?),
-            None => Ok(0),
-        }
+        let id = rows.first().and_then(|row| row.get("id")?.as_i64());
+        Ok(id.unwrap_or(0))
     }
 
     /// Events after the one of that number, in order.
@@ -259,20 +216,7 @@ impl Store {
         limit: i64,
     ) -> Result<Vec<StoredEvent>, StoreError> {
         let text = "SELECT * FROM events WHERE id > $1 ORDER BY id LIMIT $2";
-        self.query(text, vec![id.into(), limit.into()])
-            .await?
-            .iter()
-            .map(|row| {
-                let detail: String = row.get("detail")?;
-                Ok(StoredEvent {
-                    id: row.get("id")?,
-                    at_ms: row.get("at_ms")?,
-                    kind: row.get("kind")?,
-                    node: row.get("node")?,
-                    detail: serde_json::from_str(&detail).unwrap_or_default(),
-                })
-            })
-            .collect()
+        read_all(self.query(text, vec![id.into(), limit.into()]).await?)
     }
 
     /// What was set aside, the latest first.
@@ -292,20 +236,7 @@ impl Store {
             node.unwrap_or_default().into(),
             limit.into(),
         ];
-        self.query(text, values)
-            .await?
-            .iter()
-            .map(|row| {
-                Ok(StoredSetAside {
-                    id: row.get("id")?,
-                    node: row.get("node")?,
-                    report_id: row.get("report_id")?,
-                    received_ms: row.get("received_ms")?,
-                    cause: row.get("cause")?,
-                    body: row.get("body")?,
-                })
-            })
-            .collect()
+        read_all(self.query(text, values).await?)
     }
 
     /// What is known of the reports of a node; nothing where none came.
@@ -318,25 +249,19 @@ impl Store {
     ) -> Result<Option<ReportCounts>, StoreError> {
         let text =
             "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
-        let read = |row: &Row| {
-            let missing: String = row.get("missing")?;
-            let ranges: Vec<(u64, u64)> = serde_json::from_str(&missing)?;
-            // Whether reports with lower counts exist is not known.
-            let base: i64 = row.get("base")?;
-            let missing = ranges
-                .iter()
-                .filter(|(first, _)| *first >= base.unsigned_abs());
-            Ok(ReportCounts {
-                first_ms: row.get("first_ms")?,
-                last_ms: row.get("last_ms")?,
-                stored: row.get("stored")?,
-                set_aside: row.get("set_aside")?,
-                refused: row.get("refused")?,
-                missing: missing.map(|(first, last)| last - first + 1).sum(),
-                resets: row.get("resets")?,
-            })
-        };
         let rows = self.query(text, vec![node.into()]).await?;
-        rows.first().map(read).transpose()
+        let Some(row) = rows.into_iter().next() else {
+            return Ok(None);
+        };
+        let row: ReportCountsRow = read(row)?;
+        Ok(Some(ReportCounts {
+            first_ms: row.first_ms,
+            last_ms: row.last_ms,
+            stored: row.stored,
+            set_aside: row.set_aside,
+            refused: row.refused,
+            missing: row.counts.missing(),
+            resets: row.resets,
+        }))
     }
 }

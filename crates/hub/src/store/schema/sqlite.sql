@@ -59,7 +59,8 @@ CREATE TABLE setups (
     UNIQUE (policy, knob, value, model, provider, power_source, total_from)
 );
 
--- A clip, or a part of a long one. `day` is that of the report's identity, 0 where that has none.
+-- A clip, or a part of a long one. `day` is that of the report's identity, or that of receipt where the identity's cannot be
+-- believed.
 CREATE TABLE clips (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     day BIGINT NOT NULL,
@@ -122,6 +123,8 @@ CREATE TABLE clips (
 );
 CREATE INDEX clips_by_camera ON clips (camera_id, at_ms);
 
+-- Sums over the clips of one camera, setup and energy quality that began within five minutes. Under camera 0 are those of the
+-- whole fleet, so that its figures read a few rows.
 CREATE TABLE sums_5m (
     bucket_s BIGINT NOT NULL,
     camera_id BIGINT NOT NULL,
@@ -161,9 +164,10 @@ CREATE TABLE sums_5m (
     audit_shown_sq BIGINT NOT NULL,
     audit_paired_sq BIGINT NOT NULL,
     audit_shown_x BIGINT NOT NULL,
-    PRIMARY KEY (bucket_s, camera_id, setup_id, quality)
+    PRIMARY KEY (camera_id, bucket_s, setup_id, quality)
 ) WITHOUT ROWID;
 
+-- The same over a day of UTC.
 CREATE TABLE sums_day (
     bucket_s BIGINT NOT NULL,
     camera_id BIGINT NOT NULL,
@@ -203,7 +207,7 @@ CREATE TABLE sums_day (
     audit_shown_sq BIGINT NOT NULL,
     audit_paired_sq BIGINT NOT NULL,
     audit_shown_x BIGINT NOT NULL,
-    PRIMARY KEY (bucket_s, camera_id, setup_id, quality)
+    PRIMARY KEY (camera_id, bucket_s, setup_id, quality)
 ) WITHOUT ROWID;
 
 -- A report that makes no sense.

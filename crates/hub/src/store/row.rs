@@ -1,0 +1,127 @@
+//! Rows as JSON objects, the same for both databases; structs are read from them and written to them by `serde`.
+
+use super::StoreError;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::{Map, Value};
+
+/// A row: its columns by name. The id of a report is an array of 16 bytes.
+pub(crate) type Row = Map<String, Value>;
+
+/// What is in a row.
+pub(crate) fn read<T: DeserializeOwned>(row: Row) -> Result<T, StoreError> {
+    Ok(serde_json::from_value(Value::Object(row))?)
+}
+
+/// What is in these rows.
+pub(crate) fn read_all<T: DeserializeOwned>(rows: Vec<Row>) -> Result<Vec<T>, StoreError> {
+    rows.into_iter().map(read).collect()
+}
+
+/// A struct as a row.
+pub(crate) fn row(of: &impl Serialize) -> Result<Row, StoreError> {
+    match serde_json::to_value(of)? {
+        Value::Object(row) => Ok(row),
+        other => Err(StoreError::Statement(format!("{other} is no row"))),
+    }
+}
+
+/// The bytes of an id.
+pub(super) fn bytes(numbers: &[Value]) -> Vec<u8> {
+    let byte = |number: &Value| u8::try_from(number.as_u64()?).ok();
+    numbers.iter().filter_map(byte).collect()
+}
+
+/// Text that PostgreSQL stores: it takes no NUL.
+pub(crate) fn text(text: &str) -> String {
+    text.replace('\0', "\u{fffd}")
+}
+
+/// A column of text that holds JSON.
+pub(crate) mod json_text {
+    use super::*;
+
+    pub(crate) fn serialize<S: Serializer>(
+        value: &impl Serialize,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let text = serde_json::to_string(value).map_err(serde::ser::Error::custom)?;
+        Some(text).filter(|text| text != "null").serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>, T: DeserializeOwned>(
+        from: D,
+    ) -> Result<T, D::Error> {
+        let text = Option::<String>::deserialize(from)?;
+        let text = text.as_deref().unwrap_or("null");
+        serde_json::from_str(text).map_err(serde::de::Error::custom)
+    }
+
+    /// Reads a value from such a column, or from its place in a message.
+    pub(crate) fn or_value<'de, D: Deserializer<'de>, T: DeserializeOwned>(
+        from: D,
+    ) -> Result<T, D::Error> {
+        match Value::deserialize(from)? {
+            Value::String(text) => serde_json::from_str(&text),
+            value => serde_json::from_value(value),
+        }
+        .map_err(serde::de::Error::custom)
+    }
+}
+
+/// A whole number that a database added up as a floating-point one.
+pub(crate) fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i64, D::Error> {
+    f64::deserialize(from).map(|number| number as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::ChangeNode;
+    use super::*;
+    use crate::tuning::member::Outcome;
+    use albireo_wire::{DesiredSetting, Target, Threshold};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_setting_reads_back_as_the_same(value in prop::num::f64::NORMAL, which in 0..Target::NAMES.len()) {
+            let target = Target::named(Target::NAMES[which], value);
+            for setting_before in [
+                Some(DesiredSetting::Threshold(Threshold::new("u", value))),
+                Some(DesiredSetting::Target(target)),
+                Some(DesiredSetting::Target(None)),
+                None,
+            ] {
+                let given = ChangeNode {
+                    revision: 7,
+                    node: "a".to_owned(),
+                    setting_before,
+                    outcome: Outcome::Applied,
+                    at_ms: 1,
+                    detail: String::new(),
+                };
+                let mut written = row(&given).unwrap();
+                prop_assert_eq!(&read::<ChangeNode>(written.clone()).unwrap(), &given);
+                // In a table it is text.
+                if written["from"].is_object() {
+                    written["from"] = written["from"].to_string().into();
+                }
+                prop_assert_eq!(read::<ChangeNode>(written).unwrap(), given);
+            }
+        }
+    }
+
+    #[test]
+    fn a_column_of_another_type_or_none_is_an_error_in_words() {
+        let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
+        let error = read::<ChangeNode>(row.clone()).unwrap_err();
+        assert!(error.to_string().contains("seven"), "{error}");
+        row.clear();
+        assert!(
+            read::<ChangeNode>(row)
+                .unwrap_err()
+                .to_string()
+                .contains("revision")
+        );
+    }
+}
