@@ -15,9 +15,9 @@ use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
 };
 use albireo_wire::{
-    BatchCompression, ConfigChanged, Desired, FleetKeys, Heartbeat, NodeKeys, NodeStatus,
-    PullRequest, ReportAnswer, ReportBatch, StatusMessage, TargetMessage, ThresholdChange,
-    ThresholdMessage, read, stream_of_token,
+    BatchCompression, ConfigChanged, Desired, Heartbeat, NodeKeys, NodeStatus, PullRequest,
+    ReportAnswer, ReportBatch, StatusMessage, TargetMessage, ThresholdChange, ThresholdMessage,
+    read, stream_of_token,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -246,14 +246,14 @@ pub fn names(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));
     let _ = stream_of_token(&text);
-    let _ = FleetKeys::node_of(&text);
-    let (Ok(fleet), Ok(keys)) = (FleetKeys::new(prefix, node), NodeKeys::new(prefix, node)) else {
+    let _ = NodeKeys::node_of(&text);
+    let Ok(keys) = NodeKeys::new(prefix, node) else {
         return false;
     };
-    let status = fleet.status();
+    let status = keys.status();
     let key = KeyExpr::new(status.as_str()).expect("Zenoh takes the key");
     assert!(!key.is_wild(), "{key}");
-    assert_eq!(FleetKeys::node_of(&status), Some(node));
+    assert_eq!(NodeKeys::node_of(&status), Some(node));
     if let Ok(camera) = keys.camera(node) {
         let key = KeyExpr::new(camera.frame()).expect("Zenoh takes the key");
         assert!(!key.is_wild(), "{key}");

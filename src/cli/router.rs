@@ -74,7 +74,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
         level: arguments.log_level,
     };
     let mut findings = Findings::default();
-    http.check(&mut findings);
+    http.check(&[], &mut findings);
     log.check(&mut findings);
     if let Some(finding) = findings.into_vec().first() {
         bail!("{finding}");

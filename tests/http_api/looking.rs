@@ -107,13 +107,14 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 #[tokio::test]
 async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
     let node = Served::start().await;
-    let opening = (node.board.readiness()).latch("zenoh", "the session is not open yet");
+    let zenoh = node.board.readiness().part("zenoh");
+    zenoh.not_ready("the session is not open yet");
     let starting = problem(node.get("/readyz").await, 503).await;
     assert_eq!(starting["ready"], false);
     assert_eq!(starting["provider"], json!(null));
     assert_eq!(starting["requested_providers"], json!(["cuda", "cpu"]));
     assert_eq!(starting["reasons"].as_array().unwrap().len(), 2);
-    drop(opening);
+    zenoh.works();
     node.ready();
     let ready = node.json("/readyz").await;
     assert_eq!(ready["provider"], "cpu");

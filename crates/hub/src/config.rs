@@ -12,7 +12,7 @@ pub use tuning::{LocalChange, TuningConfig};
 use albireo_service::config::{
     Configuration, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig, ZenohMode,
 };
-use albireo_wire::FleetKeys;
+use albireo_wire::NodeKeys;
 use serde::de::{DeserializeOwned, Deserializer, Error as _};
 use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -111,8 +111,8 @@ impl HubConfig {
     ///
     /// # Errors
     /// When the prefix cannot be used; a configuration that passed its check has one that can.
-    pub(crate) fn keys(&self) -> Result<FleetKeys, albireo_wire::KeyError> {
-        FleetKeys::all(&self.hub.prefix)
+    pub(crate) fn keys(&self) -> Result<NodeKeys, albireo_wire::KeyError> {
+        NodeKeys::all(&self.hub.prefix)
     }
 }
 
@@ -137,12 +137,11 @@ impl Configuration for HubConfig {
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
-        if let Err(error) = FleetKeys::all(&self.hub.prefix) {
+        if let Err(error) = NodeKeys::all(&self.hub.prefix) {
             findings.add("hub.prefix", error.to_string());
         }
-        self.zenoh.check("zenoh", MAX_PAYLOAD_BYTES, &mut findings);
-        self.http.check_beside(&self.tokens, &mut findings);
-        NamedToken::check(&self.tokens, &mut findings);
+        self.zenoh.check(MAX_PAYLOAD_BYTES, &mut findings);
+        self.http.check(&self.tokens, &mut findings);
         self.database.check(&mut findings);
         self.ingest.check(&mut findings);
         self.presence.check(&mut findings);

@@ -26,7 +26,7 @@ pub(crate) use writer::{WriterSetup, start};
 
 use crate::config::IngestConfig;
 use crate::per_node::Place;
-use albireo_wire::{FleetKeys, RefusalReason};
+use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
 use limits::{Admission, NodeLimits};
 use std::sync::Arc;
@@ -90,7 +90,7 @@ impl ReportQueue {
     /// Takes a query over. Never waits.
     pub(crate) fn take(&self, mut query: Query) {
         let now = Instant::now();
-        let node = FleetKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
+        let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
             // It is no node, and is not answered.

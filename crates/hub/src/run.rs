@@ -26,7 +26,7 @@ use zenoh::Session;
 /// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
 /// router busy for half a minute, and a session that is lost then declares everything again and makes it longer. Room
 /// for nodes that connect to the hub itself: the default refuses the thousand-and-first without a word.
-const SESSION: session::Settings<'static> = &[
+const SESSION: &[(&str, &str)] = &[
     ("transport/link/tx/lease", "60000"),
     ("transport/unicast/max_sessions", "12000"),
     ("transport/unicast/accept_pending", "2000"),
@@ -320,15 +320,8 @@ async fn open_session(
     readiness: &Readiness,
     shutdown: &CancellationToken,
 ) -> Result<Option<Session>, HubError> {
-    Ok(session::open_patiently(
-        &config.zenoh,
-        MAX_PAYLOAD_BYTES,
-        SESSION,
-        shutdown,
-        |error| {
-            tracing::warn!(%error, "trying again");
-            readiness.hold("zenoh", &error.to_string());
-        },
-    )
-    .await?)
+    let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
+        readiness.hold("zenoh", &error.to_string());
+    });
+    Ok(shutdown.run_until_cancelled(opening).await.transpose()?)
 }

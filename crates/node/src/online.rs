@@ -9,7 +9,7 @@ use albireo_service::session;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
 use albireo_vision::screen::ScreenHandle;
-use albireo_wire::FleetKeys;
+use albireo_wire::NodeKeys;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Sender, channel};
@@ -60,7 +60,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
             report(&key, try_source(config, camera).await);
         }
     }
-    let fleet = config.keys().map(|keys| keys.fleet());
+    let fleet = config.keys();
     if config.uplink.is_set() {
         let uplink = config.uplink.clone();
         let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
@@ -186,7 +186,7 @@ async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String
 /// Whether somebody takes reports behind the session.
 async fn hub_answer(
     opened: Result<Session, String>,
-    keys: Result<FleetKeys, albireo_wire::KeyError>,
+    keys: Result<NodeKeys, albireo_wire::KeyError>,
 ) -> Result<String, String> {
     let session = opened?;
     let keys = keys.map_err(|error| error.to_string())?;

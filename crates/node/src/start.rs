@@ -12,7 +12,7 @@ use crate::state::counters::Counters;
 use crate::state::readiness;
 use crate::state::target::{TargetKey, TargetTask};
 use albireo_core::policy::{Policy, PolicyConfigError};
-use albireo_service::readiness::{Fault, Latch};
+use albireo_service::readiness::Fault;
 use albireo_service::session;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
@@ -56,8 +56,6 @@ pub struct Node {
 /// A node before it is started: its board can be shown already, and says that it is not ready.
 pub struct PreparedNode {
     board: Arc<Board>,
-    /// Keeps the node from being ready until the cameras are heard.
-    starting: Latch,
     detector_status: watch::Sender<DetectorStatus>,
     policies: PolicyMaker,
 }
@@ -78,13 +76,11 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
         let board = Board::new(BoardSetup::from_config(config, status)?);
-        let starting = board
-            .readiness()
-            .latch(readiness::CAMERAS, "the cameras are not subscribed to yet");
+        let cameras = board.readiness().part(readiness::CAMERAS);
+        cameras.not_ready("the cameras are not subscribed to yet");
         let policy = config.policy.clone();
         Ok(Self {
             board,
-            starting,
             detector_status,
             policies: Arc::new(move |_| policy.build()),
         })
@@ -131,7 +127,6 @@ impl PreparedNode {
     ) -> Result<Node, NodeError> {
         let Self {
             board,
-            starting,
             detector_status,
             policies,
         } = self;
@@ -249,19 +244,19 @@ impl PreparedNode {
         let alive = NodeName::default();
         let holding = alive.clone().hold(
             session.clone(),
-            keys.fleet().alive(),
+            keys.alive(),
             board.readiness().part_of(readiness::ZENOH, "name"),
         );
         tasks.until_shutdown("name", tracing::info_span!("name"), holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             config: config.clone(),
-            keys: keys.fleet(),
+            keys: keys.clone(),
             desired: DesiredKeeper::open(board.outbox()),
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
         tasks.until_shutdown("uplink", tracing::info_span!("uplink"), ended);
-        drop(starting);
+        board.readiness().part(readiness::CAMERAS).works();
         Ok(Node {
             session,
             detector,

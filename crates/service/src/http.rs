@@ -3,7 +3,6 @@
 
 mod auth;
 mod caller;
-mod connections;
 mod error;
 mod index;
 mod page;

@@ -7,10 +7,10 @@ pub use tail::{LogLine, conceal, last_lines, lines_after};
 use crate::config::{LogConfig, LogFormat, check_level};
 use std::io::IsTerminal;
 use tracing::Subscriber;
-use tracing_subscriber::filter::{LevelFilter, ParseError};
-use tracing_subscriber::layer::{Identity, SubscriberExt};
+use tracing_subscriber::filter::ParseError;
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer, Registry};
+use tracing_subscriber::{EnvFilter, Layer};
 
 /// What libraries say at a level where it concerns only who debugs them: ONNX Runtime lists every node of
 /// a model at INFO, Zenoh every session and link. A directive of the user's own for the same target wins.
@@ -44,23 +44,6 @@ pub enum LogError {
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
-    start_beside(config, nothing())
-}
-
-/// A layer that wants nothing: one without a filter wants everything, also what libraries trace for every message.
-fn nothing() -> impl Layer<Registry> + Send + Sync {
-    Identity::new().with_filter(LevelFilter::OFF)
-}
-
-/// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log. It has a
-/// filter: without one every line of every library is made ready for it.
-///
-/// # Errors
-/// As there.
-pub(crate) fn start_beside(
-    config: &LogConfig,
-    beside: impl Layer<Registry> + Send + Sync,
-) -> Result<(), LogError> {
     let variable = std::env::var("RUST_LOG")
         .ok()
         .filter(|variable| !variable.is_empty());
@@ -68,7 +51,7 @@ pub(crate) fn start_beside(
         check_level(variable).map_err(LogError::Variable)?;
     }
     let level = variable.as_deref().unwrap_or(&config.level);
-    subscriber(level, config.format, beside)?
+    subscriber(level, config.format)?
         .try_init()
         .map_err(|error| LogError::Taken(error.to_string()))?;
     crate::panics::log_panics();
@@ -76,11 +59,7 @@ pub(crate) fn start_beside(
 }
 
 /// What the log of that level consists of.
-fn subscriber(
-    level: &str,
-    format: LogFormat,
-    beside: impl Layer<Registry> + Send + Sync,
-) -> Result<impl Subscriber + Send + Sync, ParseError> {
+fn subscriber(level: &str, format: LogFormat) -> Result<impl Subscriber + Send + Sync, ParseError> {
     let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let written = match format {
         LogFormat::Human => written
@@ -94,7 +73,6 @@ fn subscriber(
             .boxed(),
     };
     Ok(tracing_subscriber::registry()
-        .with(beside)
         .with(written)
         .with(tail::layer().with_filter(filter(tail_level(level))?)))
 }
@@ -116,13 +94,13 @@ fn filter(level: &str) -> Result<EnvFilter, ParseError> {
 
 #[cfg(test)]
 mod tests {
-    use super::{filter, nothing, subscriber, tail_level};
+    use super::{filter, subscriber, tail_level};
     use crate::config::LogFormat;
     use tracing::{Level, subscriber::with_default};
 
     #[test]
     fn what_nobody_reads_is_not_made() {
-        let log = subscriber("warn", LogFormat::Human, nothing()).unwrap();
+        let log = subscriber("warn", LogFormat::Human).unwrap();
         with_default(log, || {
             assert!(tracing::enabled!(Level::INFO));
             assert!(tracing::enabled!(target: "zenoh", Level::WARN));

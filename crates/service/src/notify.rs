@@ -31,25 +31,6 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(5);
 /// The longest text that is sent.
 const LONGEST: usize = 400;
 
-/// Where messages go: the manager, or a test.
-trait Manager {
-    fn notify(&mut self, messages: &[NotifyState<'_>]);
-}
-
-struct Systemd {
-    failed: bool,
-}
-
-impl Manager for Systemd {
-    fn notify(&mut self, messages: &[NotifyState<'_>]) {
-        let sent = sd_notify::notify(messages);
-        if let (Err(error), false) = (&sent, self.failed) {
-            tracing::warn!(%error, "the service manager cannot be notified");
-        }
-        self.failed = sent.is_err();
-    }
-}
-
 /// Reports the service's state to the service manager until `shutdown`, then that it stops. `read` is called at least once
 /// per half of the watchdog's period; it must neither wait nor take long.
 pub async fn run(read: impl Fn() -> ServiceState + Send, shutdown: CancellationToken) {
@@ -57,11 +38,19 @@ pub async fn run(read: impl Fn() -> ServiceState + Send, shutdown: CancellationT
         return;
     }
     let period = sd_notify::watchdog_enabled().map(|watchdog| watchdog / 2);
-    watch_state(&mut Systemd { failed: false }, period, read, shutdown).await;
+    let mut failed = false;
+    let send = |messages: &[NotifyState<'_>]| {
+        let sent = sd_notify::notify(messages);
+        if let (Err(error), false) = (&sent, failed) {
+            tracing::warn!(%error, "the service manager cannot be notified");
+        }
+        failed = sent.is_err();
+    };
+    watch_state(send, period, read, shutdown).await;
 }
 
 async fn watch_state(
-    manager: &mut impl Manager,
+    mut send: impl FnMut(&[NotifyState<'_>]),
     watchdog: Option<Duration>,
     read: impl Fn() -> ServiceState,
     shutdown: CancellationToken,
@@ -72,7 +61,7 @@ async fn watch_state(
     let mut ticks = interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let begun = Instant::now();
-    let (mut started, mut last_status, mut starving) = (false, None, false);
+    let (mut started, mut starving) = (false, false);
     loop {
         tokio::select! {
             biased;
@@ -81,13 +70,10 @@ async fn watch_state(
         }
         let state = read();
         let status = status(&state);
-        let mut messages = Vec::new();
+        let mut messages = vec![NotifyState::Status(&status)];
         if !started && (state.ready || begun.elapsed() >= STARTED_AFTER) {
             started = true;
             messages.push(NotifyState::Ready);
-        }
-        if last_status.as_deref() != Some(&*status) {
-            messages.push(NotifyState::Status(&status));
         }
         if watchdog.is_some() && state.stuck.is_none() {
             messages.push(NotifyState::Watchdog);
@@ -96,12 +82,9 @@ async fn watch_state(
             tracing::error!(reason, "the watchdog is not fed any more");
         }
         starving = state.stuck.is_some();
-        if !messages.is_empty() {
-            manager.notify(&messages);
-        }
-        last_status = Some(status);
+        send(&messages);
     }
-    manager.notify(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
+    send(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
 }
 
 /// One line for `systemctl status`.
@@ -117,14 +100,8 @@ fn status(state: &ServiceState) -> String {
 
 /// The text in one line, not too long: a line break would end the message.
 fn line(text: &str) -> String {
-    let text: String = text
-        .chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect();
-    match text.char_indices().nth(LONGEST) {
-        Some((cut, _)) => format!("{}…", &text[..cut]),
-        None => text,
-    }
+    let plain = text.chars().map(|c| if c.is_control() { ' ' } else { c });
+    plain.take(LONGEST).collect()
 }
 
 #[cfg(test)]
@@ -135,13 +112,6 @@ mod tests {
 
     #[derive(Clone, Default)]
     struct Recorder(Arc<Mutex<Vec<String>>>);
-
-    impl Manager for Recorder {
-        fn notify(&mut self, messages: &[NotifyState<'_>]) {
-            let mut recorded = self.0.lock();
-            recorded.extend(messages.iter().map(ToString::to_string));
-        }
-    }
 
     impl Recorder {
         fn count(&self, message: &str) -> usize {
@@ -166,10 +136,13 @@ mod tests {
             Arc::new(Mutex::new(read)),
             CancellationToken::new(),
         );
-        let (mut manager, state, stop) = (recorded.clone(), Arc::clone(&read), shutdown.clone());
+        let (messages, state, stop) = (recorded.0.clone(), Arc::clone(&read), shutdown.clone());
         let task = tokio::spawn(async move {
             let period = Some(Duration::from_secs(1));
-            watch_state(&mut manager, period, || state.lock().clone(), stop).await;
+            let send = |sent: &[NotifyState<'_>]| {
+                messages.lock().extend(sent.iter().map(ToString::to_string));
+            };
+            watch_state(send, period, || state.lock().clone(), stop).await;
         });
         (recorded, read, shutdown, task)
     }
@@ -187,7 +160,7 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(10_500)).await;
         assert_eq!(recorded.count("READY=1"), 1);
         assert_eq!(recorded.count("WATCHDOG=1"), 11);
-        assert_eq!(recorded.count("STATUS="), 1);
+        assert!(recorded.count("STATUS=every part works") > 0);
         shutdown.cancel();
         task.await.unwrap();
         assert_eq!(recorded.count("STOPPING=1"), 1);
@@ -205,7 +178,7 @@ mod tests {
             (recorded.count("READY=1"), recorded.count("WATCHDOG=1")),
             (0, 30)
         );
-        assert_eq!(recorded.count("STATUS=not ready: zenoh: no router"), 1);
+        assert!(recorded.count("STATUS=not ready: zenoh: no router") > 0);
         tokio::time::sleep(Duration::from_secs(1)).await;
         assert_eq!(recorded.count("READY=1"), 1);
         *read.lock() = well();
@@ -223,7 +196,7 @@ mod tests {
         let fed = recorded.count("WATCHDOG=1");
         tokio::time::sleep(Duration::from_secs(5)).await;
         assert_eq!(recorded.count("WATCHDOG=1"), fed);
-        assert_eq!(recorded.count("STATUS=stuck: the detector"), 1);
+        assert!(recorded.count("STATUS=stuck: the detector") > 0);
         read.lock().stuck = None;
         tokio::time::sleep(Duration::from_secs(2)).await;
         assert_eq!(recorded.count("WATCHDOG=1"), fed + 2);

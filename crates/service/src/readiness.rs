@@ -2,8 +2,7 @@
 //!
 //! Two effects, and the rule for choosing: a fault that keeps the service from what it is there for makes it
 //! *not ready* (`/readyz` answers 503); one it works beside makes it *degraded* (`/readyz` answers 200 with the
-//! reasons). A part reports its faults as they come ([`Part`]), or is asked each time ([`Readiness::probe`]); what
-//! is still starting holds a [`Latch`].
+//! reasons). A part reports its faults as they come ([`Part`]), or is asked each time ([`Readiness::probe`]).
 
 use albireo_wire::{HealthState, HealthStatus};
 use parking_lot::Mutex;
@@ -98,22 +97,15 @@ impl Health {
     /// The same as it goes over the wire: one reason a part.
     pub fn status(&self) -> HealthStatus {
         let mut reasons = BTreeMap::<String, String>::new();
-        for PartFault {
-            part,
-            subject,
-            fault,
-            ..
-        } in &self.faults
-        {
-            let shown = reasons.entry(part.to_string()).or_default();
+        for one in &self.faults {
+            let shown = reasons.entry(one.part.to_string()).or_default();
             if !shown.is_empty() {
                 shown.push_str("; ");
             }
-            if !subject.is_empty() {
-                shown.push_str(subject);
-                shown.push_str(": ");
+            if !one.subject.is_empty() {
+                shown.push_str(&format!("{}: ", one.subject));
             }
-            shown.push_str(&fault.reason);
+            shown.push_str(&one.fault.reason);
         }
         HealthStatus {
             state: self.state(),
@@ -125,13 +117,9 @@ impl Health {
 type Key = (Cow<'static, str>, Cow<'static, str>);
 type Look = dyn Fn() -> Option<Fault> + Send + Sync;
 
-struct Known {
-    fault: Fault,
-    since: Instant,
-}
-
 struct Inner {
-    faults: Mutex<BTreeMap<Key, Known>>,
+    /// What is wrong with each part, and since when it is at fault.
+    faults: Mutex<BTreeMap<Key, (Fault, Instant)>>,
     probes: Mutex<Vec<(Key, Arc<Look>)>>,
     changes: watch::Sender<HealthStatus>,
 }
@@ -177,13 +165,6 @@ impl Readiness {
         }
     }
 
-    /// Not ready for that reason until the latch is dropped.
-    pub fn latch(&self, part: impl Into<Cow<'static, str>>, reason: impl Into<String>) -> Latch {
-        let part = self.part(part);
-        part.not_ready(reason);
-        Latch(part)
-    }
-
     /// Asks `look` at each look at the whole. It must neither wait nor take long.
     pub fn probe(
         &self,
@@ -199,25 +180,23 @@ impl Readiness {
     pub fn health(&self) -> Health {
         // The probes are asked without a lock: one may itself report a part.
         let probes = self.0.probes.lock().clone();
-        let probed: Vec<_> = probes
-            .into_iter()
+        let probed: Vec<_> = (probes.into_iter())
             .map(|(key, probe)| (key, probe()))
             .collect();
-        let mut faults = self.0.faults.lock();
+        let mut known = self.0.faults.lock();
         for (key, fault) in probed {
-            put(&mut faults, key, fault);
+            put(&mut known, key, fault);
         }
-        let now = Instant::now();
+        let faults = known
+            .iter()
+            .map(|((part, subject), (fault, since))| PartFault {
+                part: part.clone(),
+                subject: subject.clone(),
+                fault: fault.clone(),
+                lasted: since.elapsed(),
+            });
         let health = Health {
-            faults: faults
-                .iter()
-                .map(|((part, subject), known)| PartFault {
-                    part: part.clone(),
-                    subject: subject.clone(),
-                    fault: known.fault.clone(),
-                    lasted: now.saturating_duration_since(known.since),
-                })
-                .collect(),
+            faults: faults.collect(),
         };
         // Under the lock, so that of two concurrent reads the later one is sent last.
         let status = health.status();
@@ -256,28 +235,23 @@ impl Readiness {
     }
 }
 
-fn put(faults: &mut BTreeMap<Key, Known>, key: Key, fault: Option<Fault>) {
-    match (faults.get_mut(&key), fault) {
-        (_, None) => drop(faults.remove(&key)),
-        (Some(known), Some(fault)) => known.fault = fault,
-        (None, Some(fault)) => {
-            let since = Instant::now();
-            faults.insert(key, Known { fault, since });
+fn put(faults: &mut BTreeMap<Key, (Fault, Instant)>, key: Key, fault: Option<Fault>) {
+    match fault {
+        None => drop(faults.remove(&key)),
+        Some(fault) => {
+            let since = faults.get(&key).map_or_else(Instant::now, |known| known.1);
+            faults.insert(key, (fault, since));
         }
     }
 }
 
 fn log(status: &HealthStatus) {
-    let reasons = || {
-        let shown: Vec<_> = (status.reasons.iter())
-            .map(|(part, reason)| format!("{part}: {reason}"))
-            .collect();
-        shown.join("; ")
-    };
+    let shown = (status.reasons.iter()).map(|(part, reason)| format!("{part}: {reason}"));
+    let reasons = shown.collect::<Vec<_>>().join("; ");
     match status.state {
         HealthState::Ready => tracing::info!("every part works"),
-        HealthState::Degraded => tracing::warn!("degraded: {}", reasons()),
-        HealthState::NotReady => tracing::warn!("not ready: {}", reasons()),
+        HealthState::Degraded => tracing::warn!("degraded: {reasons}"),
+        HealthState::NotReady => tracing::warn!("not ready: {reasons}"),
     }
 }
 
@@ -310,17 +284,6 @@ impl Part {
     }
 }
 
-/// Keeps a service from being ready until it is dropped.
-#[derive(Debug)]
-#[must_use = "dropped at once it holds nothing"]
-pub struct Latch(Part);
-
-impl Drop for Latch {
-    fn drop(&mut self) {
-        self.0.works();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -349,18 +312,6 @@ mod tests {
         );
         front.works();
         assert_eq!(readiness.health().state(), HealthState::Degraded);
-    }
-
-    #[tokio::test]
-    async fn a_latch_that_is_dropped_makes_ready() {
-        let readiness = Readiness::default();
-        let latch = readiness.latch("zenoh", "the session is being opened");
-        assert_eq!(
-            readiness.health().status().reasons["zenoh"],
-            "the session is being opened"
-        );
-        drop(latch);
-        assert_eq!(readiness.health(), Health::default());
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,10 +1,10 @@
 //! Opens the Zenoh sessions a service or a tool talks through. Opening waits for the network, so it never runs on an
 //! async worker.
 
-use super::config::{UplinkConfig, ZenohConfig, ZenohMode};
+use super::config::{UplinkConfig, ZenohConfig};
+use std::fmt::Display;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
-use tokio_util::sync::CancellationToken;
 use zenoh::{Session, Wait};
 
 /// First and longest pause between two attempts of a client to reach its router, without the jitter.
@@ -22,18 +22,12 @@ pub enum SessionError {
         reason: String,
     },
     /// An endpoint cannot be reached or listened on.
-    #[error("Zenoh session not opened ({place}): {reason}")]
+    #[error("{what} ({place}): {reason}")]
     NotOpened {
+        /// What is missing.
+        what: &'static str,
         /// The endpoints that were tried, or the file that names them.
         place: String,
-        /// What Zenoh says.
-        reason: String,
-    },
-    /// No router of the hub can be reached.
-    #[error("the hub's router cannot be reached ({endpoints}): {reason}")]
-    Uplink {
-        /// The endpoints that were tried.
-        endpoints: String,
         /// What Zenoh says.
         reason: String,
     },
@@ -47,6 +41,19 @@ impl SessionError {
         let section = "zenoh";
         Self::Configuration { section, reason }
     }
+}
+
+/// Puts settings in Zenoh's own terms, as `("transport/link/tx/lease", 60000)`, into a configuration of it.
+///
+/// # Errors
+/// What Zenoh does not accept, in words.
+pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Result<(), String> {
+    for (key, value) in settings {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| format!("{key} = {value}: {}", plain(&error)))?;
+    }
+    Ok(())
 }
 
 /// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
@@ -63,9 +70,39 @@ pub async fn open(
         .to_zenoh(max_payload_bytes)
         .map_err(SessionError::zenoh)?;
     // Of what Zenoh is given, as a file of its own settings has a mode of its own.
-    let is_client = (zenoh.get_json("mode").ok())
-        .and_then(|mode| serde_json::from_str::<ZenohMode>(&mode).ok())
-        == Some(ZenohMode::Client);
+    let is_client = zenoh
+        .get_json("mode")
+        .is_ok_and(|mode| mode == "\"client\"");
+    attempts(config, zenoh, is_client, |error| {
+        waiting(&format!("the router cannot be reached: {error}"));
+    })
+    .await
+}
+
+/// Opens a session with more `settings` than the section has, and tries again until it is open, whatever its mode: a router
+/// that is not there yet is no reason to end. Drop the future to give up. Each failure is given to `failed`.
+///
+/// # Errors
+/// When the configuration makes no sense to Zenoh: that does not pass by itself.
+pub async fn open_patiently(
+    config: &ZenohConfig,
+    max_payload_bytes: usize,
+    settings: &[(&str, &str)],
+    failed: impl FnMut(&SessionError),
+) -> Result<Session, SessionError> {
+    let zenoh = config.to_zenoh(max_payload_bytes).and_then(|mut zenoh| {
+        set(&mut zenoh, settings)?;
+        Ok(zenoh)
+    });
+    attempts(config, zenoh.map_err(SessionError::zenoh)?, true, failed).await
+}
+
+async fn attempts(
+    config: &ZenohConfig,
+    zenoh: zenoh::Config,
+    again: bool,
+    mut failed: impl FnMut(&SessionError),
+) -> Result<Session, SessionError> {
     let mut pause = RETRY.0;
     loop {
         let attempt = zenoh.clone();
@@ -74,59 +111,12 @@ pub async fn open(
             Ok(session) => return Ok(session),
             Err(error) => not_opened(config, &error),
         };
-        if !is_client {
+        if !again {
             return Err(error);
         }
         tracing::warn!("{error}; tried again");
-        waiting(&format!("the router cannot be reached: {error}"));
-        tokio::time::sleep(jittered(pause)).await;
-        pause = (pause * 2).min(RETRY.1);
-    }
-}
-
-/// What [`open_patiently`] sets beyond the `[zenoh]` section: settings in Zenoh's own terms, as
-/// `("transport/link/tx/lease", "60000")`.
-pub type Settings<'a> = &'a [(&'a str, &'a str)];
-
-/// Opens a session as [`open`] does, with more settings, on a separate thread (opening may block for seconds), and
-/// tries again until it is open: a router that is not there yet is no reason to end. Each failure is given to
-/// `failed`. `None` when `shutdown` is cancelled first.
-///
-/// # Errors
-/// When the configuration makes no sense to Zenoh: that does not pass by itself.
-pub async fn open_patiently(
-    config: &ZenohConfig,
-    max_payload_bytes: usize,
-    settings: Settings<'_>,
-    shutdown: &CancellationToken,
-    mut failed: impl FnMut(&SessionError),
-) -> Result<Option<Session>, SessionError> {
-    let mut zenoh = config
-        .to_zenoh(max_payload_bytes)
-        .map_err(SessionError::zenoh)?;
-    for (key, value) in settings {
-        zenoh
-            .insert_json5(key, value)
-            .map_err(|error| SessionError::zenoh(format!("{key} = {value}: {error}")))?;
-    }
-    let mut pause = Duration::from_millis(500);
-    loop {
-        let attempt = zenoh.clone();
-        let opening = tokio::task::spawn_blocking(move || zenoh::open(attempt).wait());
-        let opened = tokio::select! {
-            opened = opening => opened,
-            () = shutdown.cancelled() => return Ok(None),
-        };
-        let error = match opened {
-            Ok(Ok(session)) => return Ok(Some(session)),
-            Ok(Err(error)) => not_opened(config, &error),
-            Err(error) => error.into(),
-        };
         failed(&error);
-        tokio::select! {
-            () = tokio::time::sleep(jittered(pause)) => {}
-            () = shutdown.cancelled() => return Ok(None),
-        }
+        tokio::time::sleep(jittered(pause)).await;
         pause = (pause * 2).min(RETRY.1);
     }
 }
@@ -144,8 +134,9 @@ pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
         })?;
     zenoh::open(config)
         .wait()
-        .map_err(|error| SessionError::Uplink {
-            endpoints: uplink.connect.join(", "),
+        .map_err(|error| SessionError::NotOpened {
+            what: "the hub's router cannot be reached",
+            place: uplink.connect.join(", "),
             reason: plain(&error),
         })
 }
@@ -155,8 +146,11 @@ fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
         Some(file) => format!("configuration file {}", file.display()),
         None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
     };
-    let reason = plain(error);
-    SessionError::NotOpened { place, reason }
+    SessionError::NotOpened {
+        what: "Zenoh session not opened",
+        place,
+        reason: plain(error),
+    }
 }
 
 /// Between half and one and a half of a pause, so that many nodes do not come together.
@@ -192,6 +186,7 @@ pub fn without_places(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::ZenohMode;
 
     #[test]
     fn an_error_of_zenoh_is_told_without_the_paths_of_its_sources() {

@@ -1,9 +1,9 @@
 //! Ctrl-C and SIGTERM.
 
-use std::io;
-use std::sync::mpsc;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 use std::time::{Duration, Instant};
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use std::{io, process, thread};
 use tokio_util::sync::CancellationToken;
 
 /// What to say when the signals cannot be listened to.
@@ -38,79 +38,42 @@ pub fn shutdown_within(limit: Duration) -> io::Result<CancellationToken> {
 fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
-    let (started, setup) = mpsc::channel();
-    // A thread with a runtime of its own: a signal is heard although every worker of the program's is blocked.
-    std::thread::Builder::new()
+    let mut signals = Signals::new([SIGTERM, SIGINT])?;
+    // A thread of its own: a signal is heard although every worker of the program's is blocked.
+    thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build();
-            let runtime = match runtime {
-                Ok(runtime) => runtime,
-                Err(error) => return drop(started.send(Err(error))),
-            };
-            runtime.block_on(async {
-                let signals = async {
-                    Ok((
-                        signal(SignalKind::terminate())?,
-                        signal(SignalKind::interrupt())?,
-                    ))
+            let mut first: Option<Instant> = None;
+            for signal in signals.forever() {
+                let name = if signal == SIGTERM {
+                    "SIGTERM"
+                } else {
+                    "Ctrl-C"
                 };
-                match signals.await {
-                    Ok((terminate, interrupt)) => {
-                        let _ = started.send(Ok(()));
-                        follow(terminate, interrupt, &cancelled, limit).await;
+                match first {
+                    None => {
+                        first = Some(Instant::now());
+                        tracing::info!("{name}: stopping");
+                        cancelled.cancel();
+                        if let Some(limit) = limit {
+                            end_after(limit);
+                        }
                     }
-                    Err(error) => drop(started.send(Err(error))),
+                    Some(at) if at.elapsed() >= ONE_REQUEST => {
+                        tracing::warn!("{name} again: ended at once");
+                        process::exit(TWICE);
+                    }
+                    Some(_) => {}
                 }
-            });
+            }
         })?;
-    setup
-        .recv()
-        .unwrap_or_else(|_| Err(io::Error::other("the thread for signals ended")))?;
     Ok(token)
 }
 
-async fn follow(
-    mut terminate: Signal,
-    mut interrupt: Signal,
-    token: &CancellationToken,
-    limit: Option<Duration>,
-) {
-    let first = next(&mut terminate, &mut interrupt).await;
-    tracing::info!("{first}: stopping");
-    token.cancel();
-    let too_long = async {
-        match limit {
-            Some(limit) => tokio::time::sleep(limit).await,
-            None => std::future::pending().await,
-        }
-    };
-    let first_at = Instant::now();
-    let again = async {
-        loop {
-            let signal = next(&mut terminate, &mut interrupt).await;
-            if first_at.elapsed() >= ONE_REQUEST {
-                return signal;
-            }
-        }
-    };
-    tokio::select! {
-        second = again => {
-            tracing::warn!("{second} again: ended at once");
-            std::process::exit(TWICE);
-        }
-        () = too_long => {
-            tracing::error!("not stopped within {limit:?}: ended");
-            std::process::exit(TOO_LONG);
-        }
-    }
-}
-
-async fn next(terminate: &mut Signal, interrupt: &mut Signal) -> &'static str {
-    tokio::select! {
-        _ = terminate.recv() => "SIGTERM",
-        _ = interrupt.recv() => "Ctrl-C",
-    }
+fn end_after(limit: Duration) {
+    thread::spawn(move || {
+        thread::sleep(limit);
+        tracing::error!("not stopped within {limit:?}: ended");
+        process::exit(TOO_LONG);
+    });
 }

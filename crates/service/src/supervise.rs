@@ -1,20 +1,17 @@
 //! Watches a service's tasks: one that dies ends the service in order, or, where that is declared, is restarted after a pause.
 
-mod tally;
 #[cfg(test)]
 mod tests;
 
-pub use tally::{TaskCounts, TaskTally};
-
 use crate::panics::message;
-use crate::readiness::{Effect, Fault, Part, Readiness};
-use std::collections::HashMap;
+use crate::readiness::{Effect, Fault, Readiness};
+use futures_util::FutureExt;
+use parking_lot::Mutex;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
-use std::future::Future;
-use std::pin::Pin;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use tally::Count;
-use tokio::task::{Id, JoinError, JoinSet};
+use tokio::task::JoinSet;
 use tokio::time::{Duration, sleep};
 use tokio_util::sync::CancellationToken;
 use tracing::{Instrument, Span};
@@ -31,9 +28,16 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 /// A task that has run so long since its restart counts as well again.
 const CALM: Duration = Duration::from_secs(60);
 
-/// How a task ended by itself.
+/// How a task ended by itself: with the reason of its failure, if it has one.
 #[derive(Debug, Default)]
 pub struct TaskEnd(Option<String>);
+
+impl TaskEnd {
+    fn reason(self) -> String {
+        self.0
+            .unwrap_or_else(|| "ended before the shutdown".to_owned())
+    }
+}
 
 impl From<()> for TaskEnd {
     fn from((): ()) -> Self {
@@ -43,7 +47,7 @@ impl From<()> for TaskEnd {
 
 impl<E: Display> From<Result<(), E>> for TaskEnd {
     fn from(ended: Result<(), E>) -> Self {
-        Self(ended.err().map(|error| error.to_string()))
+        Self(ended.err().map(|error| format!("failed: {error}")))
     }
 }
 
@@ -57,39 +61,38 @@ pub struct TaskFailed {
     pub reason: String,
 }
 
-type Run = dyn Fn() -> Pin<Box<dyn Future<Output = TaskEnd> + Send>> + Send + Sync;
-
-/// What is known about a task.
-struct Task {
-    name: String,
-    span: Span,
-    part: Part,
-    count: Count,
-    after: After,
-    pause: Duration,
+/// What is counted of one task.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TaskCounts {
+    /// Times it panicked, failed, or ended unasked.
+    pub failures: u64,
+    /// Times it was restarted.
+    pub restarts: u64,
 }
 
-/// What happens when a task has failed.
-#[derive(Clone)]
-enum After {
-    /// It is restarted; meanwhile the service is not ready, or degraded.
-    Restart(Arc<Run>, Effect),
-    /// The service ends.
-    End,
-}
+/// The counts of all tasks of a service, by name. Clones are of the same service.
+#[derive(Clone, Debug, Default)]
+pub struct TaskTally(Arc<Mutex<BTreeMap<String, TaskCounts>>>);
 
-/// How one run of a task ended by itself.
-struct Ended {
-    end: TaskEnd,
-    /// It ran long enough for earlier failures to be forgotten.
-    was_calm: bool,
+impl TaskTally {
+    fn add(&self, name: &str, failures: u64, restarts: u64) {
+        let mut tasks = self.0.lock();
+        let counts = tasks.entry(name.to_owned()).or_default();
+        counts.failures += failures;
+        counts.restarts += restarts;
+    }
+
+    /// Every task ever started, with its counts.
+    pub fn counts(&self) -> Vec<(String, TaskCounts)> {
+        self.0.lock().clone().into_iter().collect()
+    }
 }
 
 /// The tasks of a service. Somebody must poll [`watch`](Self::watch) while the service runs, and
 /// [`finish`](Self::finish) at its end. When it is dropped, so are the tasks.
 pub struct Supervisor {
-    running: JoinSet<Ended>,
-    tasks: HashMap<Id, Task>,
+    running: JoinSet<(String, TaskEnd)>,
+    names: BTreeSet<String>,
     readiness: Readiness,
     tally: TaskTally,
     shutdown: CancellationToken,
@@ -100,7 +103,7 @@ impl Supervisor {
     pub fn new(readiness: Readiness, tally: TaskTally, shutdown: CancellationToken) -> Self {
         Self {
             running: JoinSet::new(),
-            tasks: HashMap::new(),
+            names: BTreeSet::new(),
             readiness,
             tally,
             shutdown,
@@ -118,12 +121,41 @@ impl Supervisor {
     ) where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
-        let run: Arc<Run> = Arc::new(move || {
-            let task = task();
-            Box::pin(async move { task.await.into() })
+        let name = name.into();
+        let part = self.readiness.part_of(PART, name.clone());
+        let (tally, shutdown) = (self.tally.clone(), self.shutdown.clone());
+        self.essential(name.clone(), span, async move {
+            let mut pause = FIRST_PAUSE;
+            loop {
+                // Made inside, so that a panic in the making counts as one of the task.
+                let run = end_of(async { task().await });
+                tokio::pin!(run);
+                let end = tokio::select! {
+                    end = &mut run => end,
+                    () = sleep(CALM) => {
+                        part.works();
+                        pause = FIRST_PAUSE;
+                        run.await
+                    }
+                };
+                if shutdown.is_cancelled() {
+                    return end;
+                }
+                let reason = end.reason();
+                tally.add(&name, 1, 0);
+                tracing::error!(task = name, "the task {reason}");
+                let reason = format!("{reason}; it is restarted");
+                part.fault(Fault { effect, reason });
+                let waited = shutdown.run_until_cancelled(sleep(pause)).await;
+                if waited.is_none() {
+                    return TaskEnd::default();
+                }
+                pause = (pause * 2).min(LONGEST_PAUSE);
+                tally.add(&name, 0, 1);
+                tracing::info!("the task runs again");
+                part.degraded("failed and was restarted; well again when it has run for a minute");
+            }
         });
-        let task = self.task(name.into(), span, After::Restart(run, effect));
-        self.start(task, Duration::ZERO);
     }
 
     /// Runs `task` in `span`; when that ends before the shutdown, or panics, the service ends.
@@ -131,15 +163,11 @@ impl Supervisor {
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
-        let known = self.task(name.into(), span, After::End);
-        let run = async move {
-            Ended {
-                end: task.await.into(),
-                was_calm: false,
-            }
-        };
-        let id = self.running.spawn(run.instrument(known.span.clone())).id();
-        self.tasks.insert(id, known);
+        let name = name.into();
+        self.tally.add(&name, 0, 0);
+        self.names.insert(name.clone());
+        let run = async move { (name, end_of(task).await) };
+        self.running.spawn(run.instrument(span));
     }
 
     /// As [`essential`](Self::essential), for a part that outlives the other tasks: from the shutdown on, `ended` is not
@@ -155,65 +183,6 @@ impl Supervisor {
         });
     }
 
-    fn task(&self, name: String, span: Span, after: After) -> Task {
-        Task {
-            part: self.readiness.part_of(PART, name.clone()),
-            count: self.tally.of(&name),
-            pause: FIRST_PAUSE,
-            name,
-            span,
-            after,
-        }
-    }
-
-    /// Starts a task that is restarted, after `pause`.
-    fn start(&mut self, task: Task, pause: Duration) {
-        let After::Restart(run, _) = task.after.clone() else {
-            return;
-        };
-        let again = pause > Duration::ZERO;
-        let (part, count, shutdown) =
-            (task.part.clone(), task.count.clone(), self.shutdown.clone());
-        let running = async move {
-            if again {
-                tokio::select! {
-                    () = shutdown.cancelled() => return Ended { end: TaskEnd::default(), was_calm: false },
-                    () = sleep(pause) => {}
-                }
-                count.restarted();
-                tracing::info!("the task runs again");
-                part.degraded("failed and was restarted; well again when it has run for a minute");
-            }
-            // Made here, so that a panic in the making counts as one of the task.
-            let task = run();
-            tokio::pin!(task);
-            let early = tokio::select! {
-                end = &mut task => Some(end),
-                () = sleep(CALM) => None,
-            };
-            match early {
-                Some(end) => Ended {
-                    end,
-                    was_calm: false,
-                },
-                None => {
-                    if again {
-                        part.works();
-                    }
-                    Ended {
-                        end: task.await,
-                        was_calm: true,
-                    }
-                }
-            }
-        };
-        let id = self
-            .running
-            .spawn(running.instrument(task.span.clone()))
-            .id();
-        self.tasks.insert(id, task);
-    }
-
     /// Watches the tasks until the shutdown.
     ///
     /// # Errors
@@ -224,82 +193,48 @@ impl Supervisor {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => return Ok(()),
-                Some(ended) = self.running.join_next_with_id() => self.ended(ended)?,
-                // No task, or none left: nothing to watch until the shutdown.
-                else => {
-                    shutdown.cancelled().await;
-                    return Ok(());
-                }
+                Some(Ok((name, end))) = self.running.join_next() => self.ended(name, end)?,
             }
         }
     }
 
-    fn ended(&mut self, ended: Result<(Id, Ended), JoinError>) -> Result<(), TaskFailed> {
-        let (id, ended) = match ended {
-            Ok((id, ended)) => (id, Ok(ended)),
-            Err(error) => (error.id(), Err(error)),
-        };
-        let Some(mut task) = self.tasks.remove(&id) else {
-            return Ok(());
-        };
+    fn ended(&mut self, task: String, end: TaskEnd) -> Result<(), TaskFailed> {
+        self.names.remove(&task);
         let stopping = self.shutdown.is_cancelled();
-        let (reason, was_calm) = match ended {
-            Ok(Ended {
-                end: TaskEnd(None), ..
-            }) if stopping => return Ok(()),
-            Ok(Ended { end, was_calm }) => {
-                let reason = end.0.map_or_else(
-                    || "ended before the shutdown".to_owned(),
-                    |reason| format!("failed: {reason}"),
-                );
-                (reason, was_calm)
-            }
-            Err(error) => (panicked(error), false),
-        };
-        task.count.failed();
-        tracing::error!(parent: &task.span, task = task.name, "the task {reason}");
-        match &task.after {
-            _ if stopping => Ok(()),
-            After::Restart(_, effect) => {
-                if was_calm {
-                    task.pause = FIRST_PAUSE;
-                }
-                let (pause, effect) = (task.pause, *effect);
-                task.pause = (pause * 2).min(LONGEST_PAUSE);
-                let reason = format!("{reason}; it is restarted");
-                task.part.fault(Fault { effect, reason });
-                self.start(task, pause);
-                Ok(())
-            }
-            After::End => {
-                task.part.not_ready(reason.clone());
-                Err(TaskFailed {
-                    task: task.name,
-                    reason,
-                })
-            }
+        if stopping && end.0.is_none() {
+            return Ok(());
         }
+        let reason = end.reason();
+        self.tally.add(&task, 1, 0);
+        tracing::error!(task, "the task {reason}");
+        if stopping {
+            return Ok(());
+        }
+        let part = self.readiness.part_of(PART, task.clone());
+        part.not_ready(reason.clone());
+        Err(TaskFailed { task, reason })
     }
 
     /// Waits until every task has ended. To be called after the shutdown.
     pub async fn finish(&mut self) {
-        while let Some(ended) = self.running.join_next_with_id().await {
-            // An error is of one that is not restarted, and has been logged.
-            let _ = self.ended(ended);
+        while let Some(ended) = self.running.join_next().await {
+            if let Ok((name, end)) = ended {
+                // An error has been logged.
+                let _ = self.ended(name, end);
+            }
         }
     }
 
     /// The tasks that still run, by name: who is being waited for.
     pub fn still_running(&self) -> Vec<&str> {
-        let mut names: Vec<_> = self.tasks.values().map(|task| task.name.as_str()).collect();
-        names.sort_unstable();
-        names
+        self.names.iter().map(String::as_str).collect()
     }
 }
 
-fn panicked(error: JoinError) -> String {
-    match error.try_into_panic() {
-        Ok(payload) => format!("panicked: {}", message(&*payload)),
-        Err(error) => error.to_string(),
+/// Runs a task to its end; a panic is one.
+async fn end_of(task: impl Future<Output: Into<TaskEnd>>) -> TaskEnd {
+    match AssertUnwindSafe(task).catch_unwind().await {
+        Ok(end) => end.into(),
+        Err(payload) => TaskEnd(Some(format!("panicked: {}", message(&*payload)))),
     }
 }

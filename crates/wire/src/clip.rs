@@ -226,43 +226,40 @@ impl ClipReport {
     /// beyond are noise that compresses badly.
     pub fn round(&mut self) {
         let energy = &mut self.energy;
-        let sums = [
+        let (total, detector) = (&mut self.total_latency_ms, &mut self.detector_latency_ms);
+        let mut six = vec![
+            &mut self.detector_used_ms,
+            &mut self.duration_s,
+            &mut self.skip_rate,
+            &mut energy.coverage,
+        ];
+        let energies = [
             &mut energy.joules,
             &mut energy.node_joules,
             &mut energy.saved_joules_estimated,
             &mut energy.edp,
         ];
-        for value in sums.into_iter().flatten() {
-            round_to(value, 6);
-        }
+        six.extend(energies.into_iter().flatten());
+        let mut four: Vec<_> = [total, detector]
+            .into_iter()
+            .flat_map(|one| [&mut one.mean, &mut one.p50, &mut one.p95, &mut one.p99])
+            .collect();
         for domain in &mut energy.domains {
-            round_to(&mut domain.joules, 6);
-            round_to(&mut domain.mean_watts, 4);
-            if let Some(peak) = &mut domain.peak_watts {
-                round_to(peak, 4);
+            six.push(&mut domain.joules);
+            four.push(&mut domain.mean_watts);
+            four.extend(&mut domain.peak_watts);
+        }
+        four.extend(self.audit.as_mut().and_then(|audit| audit.joules.as_mut()));
+        for (values, digits) in [(six, 6), (four, 4)] {
+            for value in values {
+                *value = significant(*value, digits);
             }
-        }
-        for latency in [&mut self.total_latency_ms, &mut self.detector_latency_ms] {
-            round_to(&mut latency.mean, 4);
-            round_to(&mut latency.p50, 4);
-            round_to(&mut latency.p95, 4);
-            round_to(&mut latency.p99, 4);
-        }
-        round_to(&mut self.detector_used_ms, 6);
-        round_to(&mut self.duration_s, 6);
-        round_to(&mut self.skip_rate, 6);
-        round_to(&mut energy.coverage, 6);
-        if let Some(joules) = self.audit.as_mut().and_then(|audit| audit.joules.as_mut()) {
-            round_to(joules, 4);
         }
     }
 }
 
-/// Rounds to this many significant digits.
-fn round_to(value: &mut f64, digits: usize) {
-    if let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>()
-        && rounded.is_finite()
-    {
-        *value = rounded;
-    }
+/// A number rounded to that many significant digits, for messages.
+pub fn significant(value: f64, digits: usize) -> f64 {
+    let rounded = format!("{value:.*e}", digits.saturating_sub(1)).parse();
+    rounded.unwrap_or(value)
 }

@@ -43,7 +43,8 @@ fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> 
     })
 }
 
-/// The keys of one node.
+/// The keys of one node. In those between it and a hub the kind comes before the node: with the node first, a router would
+/// match every message against all nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeKeys {
     prefix: String,
@@ -62,48 +63,6 @@ impl NodeKeys {
             prefix: prefix.to_owned(),
             node: node.to_owned(),
         })
-    }
-
-    /// The node's keys toward a hub.
-    pub fn fleet(&self) -> FleetKeys {
-        FleetKeys {
-            prefix: self.prefix.clone(),
-            node: self.node.clone(),
-        }
-    }
-
-    /// The keys of `camera`.
-    ///
-    /// # Errors
-    /// [`KeyError`] when the name cannot be used.
-    pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
-        check_segment("camera name", camera)?;
-        Ok(CameraKeys {
-            root: format!("{}/{}/{camera}", self.prefix, self.node),
-        })
-    }
-
-    /// [`TargetMessage`](super::TargetMessage)s in by put and query, [`TargetReport`](super::TargetReport)s out by query.
-    pub fn target(&self) -> String {
-        format!("{}/{}/target", self.prefix, self.node)
-    }
-}
-
-/// Keys between a node and a hub. The kind comes before the node: with the node first, a router would match every
-/// message against all nodes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FleetKeys {
-    prefix: String,
-    node: String,
-}
-
-impl FleetKeys {
-    /// The keys of `node` under `prefix`.
-    ///
-    /// # Errors
-    /// [`KeyError`] when either name cannot be used.
-    pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
-        Ok(NodeKeys::new(prefix, node)?.fleet())
     }
 
     /// The keys of all nodes under `prefix`, as a hub subscribes to them.
@@ -145,6 +104,11 @@ impl FleetKeys {
     /// The liveliness token: there while the node lives.
     pub fn alive(&self) -> String {
         self.key("@alive")
+    }
+
+    /// [`TargetMessage`](super::TargetMessage)s in by put and query, [`TargetReport`](super::TargetReport)s out by query.
+    pub fn target(&self) -> String {
+        format!("{}/{}/target", self.prefix, self.node)
     }
 
     /// The counters of all cameras of the node, for subscribers that watch it.
@@ -246,15 +210,15 @@ mod tests {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
         assert_eq!(node.target(), "albireo/car-7/target");
-        assert_eq!(node.fleet().alive(), "albireo/@alive/car-7");
-        assert_eq!(node.fleet().report(), "albireo/@report/car-7");
+        assert_eq!(node.alive(), "albireo/@alive/car-7");
+        assert_eq!(node.report(), "albireo/@report/car-7");
         assert_eq!(
-            FleetKeys::all("albireo").unwrap().status(),
+            NodeKeys::all("albireo").unwrap().status(),
             "albireo/@status/*"
         );
-        assert_eq!(FleetKeys::node_of("albireo/@status/car-7"), Some("car-7"));
-        assert_eq!(FleetKeys::node_of("albireo/@status/*"), None);
-        assert_eq!(FleetKeys::node_of("albireo/@status/a\0b"), None);
+        assert_eq!(NodeKeys::node_of("albireo/@status/car-7"), Some("car-7"));
+        assert_eq!(NodeKeys::node_of("albireo/@status/*"), None);
+        assert_eq!(NodeKeys::node_of("albireo/@status/a\0b"), None);
         assert_eq!(camera.frame(), "albireo/car-7/front/frame");
         assert_eq!(camera.detections(), "albireo/car-7/front/detections");
         assert_eq!(camera.clip(), "albireo/car-7/front/clip");
@@ -264,8 +228,7 @@ mod tests {
         let token = stream_token(&camera.frame(), 7);
         assert_eq!(token, "albireo/car-7/front/frame/@stream/7");
         assert_eq!(stream_of_token(&token), Some(7));
-        let every = FleetKeys::new("albireo", "car-7").unwrap().all_counters();
-        assert_eq!(every, "albireo/car-7/*/counters");
+        assert_eq!(node.all_counters(), "albireo/car-7/*/counters");
     }
 
     #[test]

@@ -26,7 +26,7 @@ pub use albireo_core::target::{KnobRange, Target, TargetError, TargetState, Targ
 pub use audit::{AuditFigures, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
-    Percentiles,
+    Percentiles, significant,
 };
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{ConfigChanged, Desired, DesiredSetting, PullRequest};
@@ -34,8 +34,7 @@ pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
 pub use keys::{
-    CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token,
-    stream_tokens,
+    CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token, stream_tokens,
 };
 pub use report::{
     BatchCompression, BatchError, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES,

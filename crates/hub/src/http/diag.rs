@@ -4,12 +4,11 @@ use super::HubView;
 use crate::config::HubConfig;
 use crate::presence::PresenceState;
 use crate::store::{Store, StoreError};
+use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config;
-use albireo_service::{archive, logging};
 use axum::extract::State;
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use serde_json::{Value, json};
 use std::cmp::Reverse;
 use std::sync::Arc;
@@ -73,9 +72,6 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "nodes": states,
     });
     let metrics = super::metrics::page(&view, view.sessions().await);
-    let log: String = (logging::last_lines().iter())
-        .map(|line| format!("{line}\n"))
-        .collect();
     let files = [
         ("about.json", text(&about)),
         ("configuration.json", text(&view.config)),
@@ -83,16 +79,8 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         ("events.json", text(&events)),
         ("changes.json", text(&changes)),
         ("metrics.txt", metrics.into_text().into_bytes()),
-        ("log.txt", log.into_bytes()),
     ];
-    let headers = [
-        (CONTENT_TYPE, "application/x-tar".to_owned()),
-        (
-            CONTENT_DISPOSITION,
-            format!("attachment; filename=\"albireo-hub-{now_s}.tar\""),
-        ),
-    ];
-    (headers, archive::tar(&files, now_s)).into_response()
+    archive::diagnostics("albireo-hub", &files, now_s)
 }
 
 fn text(value: &Value) -> Vec<u8> {

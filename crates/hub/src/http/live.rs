@@ -5,7 +5,7 @@ use super::HubView;
 use super::nodes::unknown;
 use crate::presence::Notifier;
 use albireo_service::http::Problem;
-use albireo_wire::{CountersMessage, FleetKeys, check_segment};
+use albireo_wire::{CountersMessage, NodeKeys, check_segment};
 use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
@@ -90,7 +90,7 @@ pub(super) async fn live(
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     let reach = view.reach()?.clone();
-    let keys = FleetKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
+    let keys = NodeKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
     view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
@@ -151,7 +151,7 @@ pub(super) async fn picture(
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
     let reach = view.reach()?.clone();
-    let keys = FleetKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
+    let keys = NodeKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
     view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     check_segment("camera name", &camera)
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?;

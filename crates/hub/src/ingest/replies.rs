@@ -2,7 +2,7 @@
 
 use super::IngestCounters;
 use crate::per_node::{PerNode, Place};
-use albireo_wire::{FleetKeys, RefusalReason, ReportRefusal, VERSION};
+use albireo_wire::{NodeKeys, RefusalReason, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -77,7 +77,7 @@ impl Replies {
         let Ok(payload) = serde_json::to_vec(message) else {
             return self.counters.answer_lost();
         };
-        let node = FleetKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+        let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
         let Some(place) = self.places.place(node) else {
             return self.counters.answer_lost();
         };

@@ -11,7 +11,7 @@ use crate::per_node::{PerNode, Place};
 use crate::readiness::Readiness;
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{
-    ConfigChanged, FleetKeys, Heartbeat, PullRequest, RefusalReason, StatusMessage, VERSION,
+    ConfigChanged, Heartbeat, NodeKeys, PullRequest, RefusalReason, StatusMessage, VERSION,
 };
 use bytes::Bytes;
 use std::collections::HashSet;
@@ -146,7 +146,7 @@ pub(crate) async fn listen(
         is_client,
         shutdown,
     } = setup;
-    let keys = FleetKeys::all(prefix)?;
+    let keys = NodeKeys::all(prefix)?;
     let (sender, messages) = mpsc::channel(QUEUE);
     let notifier = start_notifier(session.clone(), prefix.to_owned())
         .map_err(HubError::system("the thread of notices cannot be started"))?;
@@ -169,7 +169,7 @@ pub(crate) async fn listen(
     let status = session
         .declare_subscriber(keys.status())
         .callback(move |sample| {
-            let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) else {
+            let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) else {
                 return;
             };
             if sample.payload().len() > LARGEST_STATUS {
@@ -189,7 +189,7 @@ pub(crate) async fn listen(
             .declare_subscriber(keys.alive())
             .history(true)
             .callback(move |sample| {
-                if let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) {
+                if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
                     // A token that is not taken costs time only: the status has the rest.
                     inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
                 }
@@ -209,7 +209,7 @@ pub(crate) async fn listen(
                 .payload()
                 .map(|payload| payload.to_bytes().into_owned());
             let request = payload.as_deref().map(albireo_wire::read::<PullRequest>);
-            let node = FleetKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
+            let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
             match (request, node) {
                 (Some(Ok(_)), Some(node)) => {
                     let mut desired = desires.of(&node);
@@ -245,7 +245,7 @@ fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier>
         .spawn(move || {
             let mut sent = 0_usize;
             while let Ok((node, revision)) = notices.recv() {
-                let Ok(keys) = FleetKeys::new(&prefix, &node) else {
+                let Ok(keys) = NodeKeys::new(&prefix, &node) else {
                     continue;
                 };
                 let notice = ConfigChanged {

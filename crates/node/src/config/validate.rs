@@ -6,7 +6,7 @@ use crate::input::Delivery;
 use crate::input::source::SourceKind;
 use albireo_core::policy::{Albireo, ExpectedLoss, Knob, LatePolicy, Policy};
 use albireo_core::target::{KnobRange, Target};
-use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
+use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
 use albireo_vision::detector::ClassNames;
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
@@ -148,11 +148,10 @@ impl Configuration for NodeConfig {
         let mut findings = Findings::default();
         self.check_names(&mut findings);
         self.zenoh
-            .check("zenoh", self.frame.max_payload_bytes, &mut findings);
-        self.uplink.check("uplink", &mut findings);
+            .check(self.frame.max_payload_bytes, &mut findings);
+        self.uplink.check(&mut findings);
         findings.count("outbox.gather_s", self.outbox.gather_s, 0, 86_400);
-        self.http.check_beside(&self.tokens, &mut findings);
-        NamedToken::check(&self.tokens, &mut findings);
+        self.http.check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
         self.log.check(&mut findings);

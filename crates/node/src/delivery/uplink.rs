@@ -19,7 +19,7 @@ use crate::state::readiness;
 use albireo_service::clock::Now;
 use albireo_service::session;
 use albireo_wire::{
-    BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
+    BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
 use backoff::Backoff;
 pub(super) use query::HubReply;
@@ -65,7 +65,7 @@ pub(crate) struct UplinkSetup {
     /// How they are delivered, and what the hub gets to know and to see.
     pub config: NodeConfig,
     /// Keys toward the hub.
-    pub keys: FleetKeys,
+    pub keys: NodeKeys,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
     /// The local session, where the hub is found by it too; else a separate one is opened, and again when it is stale.

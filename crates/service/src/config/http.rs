@@ -90,13 +90,9 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
-    /// Notes what is wrong with the section.
-    pub fn check(&self, findings: &mut Findings) {
-        self.check_beside(&[], findings);
-    }
-
-    /// As [`Self::check`], for a service that has named tokens too.
-    pub fn check_beside(&self, tokens: &[NamedToken], findings: &mut Findings) {
+    /// Notes what is wrong with the section, and with the named tokens beside it.
+    pub fn check(&self, tokens: &[NamedToken], findings: &mut Findings) {
+        NamedToken::check(tokens, findings);
         if let Some(fault) = self.token.as_ref().and_then(Token::fault) {
             findings.add("http.token", fault);
         }

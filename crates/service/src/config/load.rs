@@ -2,9 +2,10 @@
 
 use super::{ConfigError, Finding};
 use figment::Figment;
+use figment::error::{Kind, OneOf};
 use figment::providers::{Env, Format, Serialized, Toml};
-use figment::value::{Dict, Value};
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 use std::path::Path;
 
 /// What environment variables begin with. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
@@ -77,9 +78,7 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
         findings.extend((config.findings().into_iter()).filter(|finding| !reported(&finding.key)));
     }
     for finding in &mut findings {
-        if finding.source.is_none() {
-            finding.source = source(&figment, &finding.key);
-        }
+        finding.source = source(&figment, &finding.key);
         finding.key = by_name(&figment, &finding.key);
     }
     (config, findings)
@@ -89,116 +88,64 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
 /// the rest is read again: so everything is found in one go. `None` when the rest cannot be read either.
 fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     let mut findings: Vec<Finding> = Vec::new();
-    let mut values = match figment.extract::<Dict>() {
-        Ok(values) => values,
-        Err(error) => {
-            let findings = error.into_iter().map(|error| finding(error, C::REMOVED));
-            return (None, findings.collect());
-        }
-    };
+    // The first time as it is, for its errors know where they come from.
+    let mut read = figment.extract::<C>();
+    let mut values: Value = figment.extract().unwrap_or_default();
     loop {
-        // The first time as it is, for its errors know where they come from.
-        let read = if findings.is_empty() {
-            figment.extract::<C>()
-        } else {
-            Figment::from(Serialized::defaults(&values)).extract::<C>()
-        };
         let errors = match read {
             Ok(config) => return (Some(config), findings),
             Err(errors) => errors,
         };
         for error in errors {
             let mut path = error.path.clone();
-            let mended = match &error.kind {
-                figment::error::Kind::UnknownField(name, _) => {
-                    if path.last() != Some(name) {
-                        path.push(name.clone());
-                    }
-                    left_out(&mut values, &path)
-                }
-                figment::error::Kind::MissingField(name) => {
-                    path.push(name.to_string());
-                    named(&mut values, &path)
-                }
-                _ => left_out(&mut values, &path),
-            };
-            let mut noted = finding(error, C::REMOVED);
-            if noted.source.is_none() {
-                noted.source = source(figment, &path.join("."));
+            if let Kind::UnknownField(name, _) = &error.kind
+                && path.last() != Some(name)
+            {
+                path.push(name.clone());
             }
-            findings.push(noted);
-            if !mended || findings.len() >= MOST_FINDINGS {
+            findings.push(finding(&error.kind, &path, C::REMOVED));
+            if !mend(&mut values, &path, &error.kind) || findings.len() >= MOST_FINDINGS {
                 return (None, findings);
             }
         }
+        read = Figment::from(Serialized::defaults(&values)).extract::<C>();
     }
 }
 
-/// Takes the value at `path` out; false when there is none.
-fn left_out(values: &mut Dict, path: &[String]) -> bool {
-    let Some((last, table)) = path.split_last() else {
-        return false;
-    };
-    match inside(values, table) {
-        Some(Inside::Table(table)) => table.remove(last).is_some(),
-        Some(Inside::List(list)) => match last.parse::<usize>() {
-            Ok(index) if index < list.len() => {
-                list.remove(index);
-                true
-            }
-            _ => false,
-        },
-        None => false,
+/// Takes the value at `path` out, or gives the table there a name where one is missing, so that the rest can be read; false
+/// when that cannot be done.
+fn mend(values: &mut Value, path: &[String], error: &Kind) -> bool {
+    if let Kind::MissingField(name) = error {
+        let table = values.pointer_mut(&pointer(path));
+        return table.and_then(Value::as_object_mut).is_some_and(|table| {
+            let unnamed = format!("unnamed-{}", path.join("-"));
+            table.insert(name.to_string(), unnamed.into()).is_none()
+        });
     }
-}
-
-/// Gives a name where one is missing, so that the rest can be read; false when that cannot be done.
-fn named(values: &mut Dict, path: &[String]) -> bool {
-    let Some((last, table)) = path.split_last() else {
+    let Some((last, parent)) = path.split_last() else {
         return false;
     };
-    match inside(values, table) {
-        Some(Inside::Table(found)) => {
-            let name = format!("unnamed-{}", table.join("-"));
-            found.insert(last.clone(), Value::from(name)).is_none()
+    match (values.pointer_mut(&pointer(parent)), last.parse::<usize>()) {
+        (Some(Value::Object(table)), _) => table.remove(last).is_some(),
+        (Some(Value::Array(list)), Ok(index)) if index < list.len() => {
+            list.remove(index);
+            true
         }
         _ => false,
     }
 }
 
-enum Inside<'a> {
-    Table(&'a mut Dict),
-    List(&'a mut Vec<Value>),
-}
-
-/// The table or list at `path`.
-fn inside<'a>(values: &'a mut Dict, path: &[String]) -> Option<Inside<'a>> {
-    let Some((first, rest)) = path.split_first() else {
-        return Some(Inside::Table(values));
-    };
-    let mut value = values.get_mut(first)?;
-    for part in rest {
-        value = match value {
-            Value::Dict(_, table) => table.get_mut(part)?,
-            Value::Array(_, list) => list.get_mut(part.parse::<usize>().ok()?)?,
-            _ => return None,
-        };
-    }
-    match value {
-        Value::Dict(_, table) => Some(Inside::Table(table)),
-        Value::Array(_, list) => Some(Inside::List(list)),
-        _ => None,
-    }
+/// A path as a JSON pointer (RFC 6901).
+fn pointer(path: &[String]) -> String {
+    let escaped = |part: &String| format!("/{}", part.replace('~', "~0").replace('/', "~1"));
+    path.iter().map(escaped).collect()
 }
 
 /// The environment variable that the value of `key` comes from, when it is not the file.
 fn source(figment: &Figment, key: &str) -> Option<String> {
-    let path = key.replace('[', ".").replace(']', "");
-    let metadata = figment.find_metadata(&path)?;
-    metadata
-        .name
-        .contains("environment")
-        .then(|| variable(&path))
+    let metadata = figment.find_metadata(key)?;
+    let is_variable = metadata.name.contains("environment");
+    is_variable.then(|| variable(key))
 }
 
 /// `camera[1].rate` as `camera.cabin.rate`, where the second camera is named `cabin`.
@@ -206,16 +153,9 @@ fn by_name(figment: &Figment, key: &str) -> String {
     let named = || {
         let (list, rest) = key.split_once('[')?;
         let (index, rest) = rest.split_once(']')?;
-        let mut values = figment.extract::<Dict>().ok()?;
-        let table = inside(&mut values, &[list.to_owned(), index.to_owned()])?;
-        let Inside::Table(table) = table else {
-            return None;
-        };
-        let name = table
-            .get("name")?
-            .as_str()
-            .filter(|name| !name.is_empty())?;
-        Some(format!("{list}.{name}{rest}"))
+        let values: Value = figment.extract_inner(list).ok()?;
+        let name = values.pointer(&format!("/{index}/name"))?.as_str()?;
+        (!name.is_empty()).then(|| format!("{list}.{name}{rest}"))
     };
     named().unwrap_or_else(|| key.to_owned())
 }
@@ -246,41 +186,27 @@ fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) ->
         .collect()
 }
 
-fn finding(error: figment::Error, removed: &[(&str, &str)]) -> Finding {
-    let mut key = String::new();
-    for part in &error.path {
+/// What is wrong with the value at `path`. Of removed keys and values it says what became of them, of whichever camera:
+/// `camera[1].ring` is `camera.ring`.
+fn finding(error: &Kind, path: &[String], removed: &[(&str, &str)]) -> Finding {
+    let (mut key, mut of_any) = (String::new(), Vec::new());
+    for part in path {
         if part.bytes().all(|byte| byte.is_ascii_digit()) {
             key.push_str(&format!("[{part}]"));
         } else {
-            if !key.is_empty() {
-                key.push('.');
-            }
+            key.push_str(if key.is_empty() { "" } else { "." });
             key.push_str(part);
+            of_any.push(part.as_str());
         }
     }
-    // Of whichever camera: `camera[1].ring` is `camera.ring`.
-    let without_places = |key: &str| {
-        let parts = key.split('.');
-        let names = parts.map(|part| part.split('[').next().unwrap_or_default());
-        names.collect::<Vec<_>>().join(".")
+    let gone = match error {
+        Kind::UnknownField(..) => of_any.join("."),
+        Kind::UnknownVariant(value, _) => format!("{} = {value}", of_any.join(".")),
+        _ => String::new(),
     };
-    let removed = |wanted: &str| {
-        let wanted = without_places(wanted);
-        removed.iter().find(|(name, _)| *name == wanted)
-    };
-    let removed = match &error.kind {
-        figment::error::Kind::UnknownField(..) => removed(&key),
-        figment::error::Kind::UnknownVariant(value, _) => removed(&format!("{key} = {value}")),
-        _ => None,
-    };
-    let reason = match removed {
-        Some((_, became)) => format!("was removed: {became}"),
-        None => reason(&error.kind),
-    };
-    Finding {
-        key,
-        reason,
-        source: None,
+    match removed.iter().find(|(name, _)| *name == gone) {
+        Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
+        None => Finding::new(key, reason(error)),
     }
 }
 
@@ -302,8 +228,7 @@ fn closest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     (distance <= 2).then_some(closest)
 }
 
-fn reason(kind: &figment::error::Kind) -> String {
-    use figment::error::{Kind, OneOf};
+fn reason(kind: &Kind) -> String {
     match kind {
         Kind::UnknownField(name, known) => match closest(name, known) {
             Some(meant) => format!("unknown key `{name}`; did you mean `{meant}`?"),

@@ -34,7 +34,7 @@ pub struct NamedToken {
 
 impl NamedToken {
     /// Notes what is wrong with the sections.
-    pub fn check(tokens: &[Self], findings: &mut Findings) {
+    pub(super) fn check(tokens: &[Self], findings: &mut Findings) {
         for (index, token) in tokens.iter().enumerate() {
             let key = |name: &str| format!("token[{index}].{name}");
             if token.name.is_empty() {

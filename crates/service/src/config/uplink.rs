@@ -2,7 +2,9 @@
 
 use super::Findings;
 use super::zenoh::check_endpoints;
+use crate::session;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -69,65 +71,48 @@ impl UplinkConfig {
     /// What Zenoh does not accept, in words.
     pub(crate) fn to_zenoh(&self, first_retry: Duration) -> Result<::zenoh::Config, String> {
         let mut config = ::zenoh::Config::default();
-        let mut insert = |key: &str, value: serde_json::Value| {
-            config
-                .insert_json5(key, &value.to_string())
-                .map_err(|error| format!("{key}: {error}"))
-        };
-        insert("mode", "client".into())?;
-        insert("connect/endpoints", self.connect.clone().into())?;
-        // One attempt: pauses and jitter are ours. Once open, Zenoh connects again by itself.
-        insert("connect/timeout_ms", 0.into())?;
-        let first = u64::try_from(first_retry.as_millis())
-            .unwrap_or(1000)
-            .max(1);
-        let retry = serde_json::json!({
-            "period_init_ms": first,
+        let first = u64::try_from(first_retry.as_millis()).unwrap_or(1000);
+        let retry = json!({
+            "period_init_ms": first.max(1),
             "period_max_ms": self.retry_max_ms.max(first),
             "period_increase_factor": 2,
         });
-        insert("connect/retry", retry)?;
-        insert("scouting/multicast/enabled", false.into())?;
-        insert("scouting/gossip/enabled", false.into())?;
-        // A link that carries a few kilobytes a minute needs no more.
-        insert("transport/link/tx/batch_size", 8192.into())?;
-        insert("transport/link/rx/buffer_size", 8192.into())?;
-        insert("transport/link/rx/max_message_size", (1 << 20).into())?;
-        // A few kilobytes a minute, to another machine.
-        insert("transport/shared_memory/enabled", false.into())?;
-        insert("transport/link/tx/lease", LEASE_MS.into())?;
-        let mut tls = serde_json::Map::new();
-        for (key, file) in [
-            ("root_ca_certificate", &self.root_ca_certificate),
-            ("connect_certificate", &self.certificate),
-            ("connect_private_key", &self.private_key),
-        ] {
-            if let Some(file) = file {
-                tls.insert(key.to_owned(), file.display().to_string().into());
-            }
-        }
-        if !tls.is_empty() {
-            tls.insert("enable_mtls".to_owned(), self.certificate.is_some().into());
-            tls.insert("verify_name_on_connect".to_owned(), true.into());
-            insert("transport/link/tls", tls.into())?;
-        }
+        let tls = json!({
+            "root_ca_certificate": self.root_ca_certificate,
+            "connect_certificate": self.certificate,
+            "connect_private_key": self.private_key,
+            "enable_mtls": self.certificate.is_some(),
+            "verify_name_on_connect": true,
+        });
+        let settings = [
+            ("mode", json!("client")),
+            ("connect/endpoints", json!(self.connect)),
+            // One attempt: pauses and jitter are ours. Once open, Zenoh connects again by itself.
+            ("connect/timeout_ms", json!(0)),
+            ("connect/retry", retry),
+            ("scouting/multicast/enabled", json!(false)),
+            ("scouting/gossip/enabled", json!(false)),
+            // A link that carries a few kilobytes a minute, to another machine, needs no more.
+            ("transport/link/tx/batch_size", json!(8192)),
+            ("transport/link/rx/buffer_size", json!(8192)),
+            ("transport/link/rx/max_message_size", json!(1 << 20)),
+            ("transport/shared_memory/enabled", json!(false)),
+            ("transport/link/tx/lease", json!(LEASE_MS)),
+            ("transport/link/tls", tls),
+        ];
+        session::set(&mut config, &settings)?;
         Ok(config)
     }
 
-    /// Notes what is wrong with the section, called `section` in the file.
-    pub fn check(&self, section: &str, findings: &mut Findings) {
-        let key = |name: &str| format!("{section}.{name}");
-        check_endpoints(&key("connect"), &self.connect, findings);
-        for (name, file) in [
-            ("root_ca_certificate", &self.root_ca_certificate),
-            ("certificate", &self.certificate),
-            ("private_key", &self.private_key),
-        ] {
-            findings.path(&key(name), file.as_deref());
+    /// Notes what is wrong with the section.
+    pub fn check(&self, findings: &mut Findings) {
+        check_endpoints("uplink.connect", &self.connect, findings);
+        for (key, file) in self.files() {
+            findings.path(key, Some(file));
         }
         if self.certificate.is_some() != self.private_key.is_some() {
             findings.add(
-                key("private_key"),
+                "uplink.private_key",
                 "and certificate belong together: name both, or neither",
             );
         }
@@ -149,7 +134,7 @@ mod tests {
         };
         uplink.to_zenoh(Duration::from_millis(700)).unwrap();
         let mut findings = Findings::default();
-        uplink.check("uplink", &mut findings);
+        uplink.check(&mut findings);
         assert!(findings.is_empty());
     }
 }

@@ -1,33 +1,15 @@
 //! The `[zenoh]` section of the configuration.
 
 use super::Findings;
+use crate::session;
 use ::zenoh::config::EndPoint;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::path::PathBuf;
 
-/// The part a node plays among Zenoh's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ZenohMode {
-    /// Talks to others directly, and through routers.
-    #[default]
-    Peer,
-    /// Talks through one router.
-    Client,
-    /// Routes for others too.
-    Router,
-}
-
-impl ZenohMode {
-    /// The name in Zenoh's own configuration.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Peer => "peer",
-            Self::Client => "client",
-            Self::Router => "router",
-        }
-    }
-}
+/// The part a node plays among Zenoh's: `peer` talks to others directly and through routers, `client` through one router,
+/// `router` routes for others too.
+pub use ::zenoh::config::WhatAmI as ZenohMode;
 
 /// How a node reaches Zenoh.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -73,22 +55,6 @@ impl ZenohConfig {
                 .map_err(|error| format!("config_file {}: {error}", file.display()));
         }
         let mut config = ::zenoh::Config::default();
-        let mut insert = |key: &str, value: serde_json::Value| {
-            config
-                .insert_json5(key, &value.to_string())
-                .map_err(|error| format!("{key} = {value}: {error}"))
-        };
-        insert("mode", self.mode.as_str().into())?;
-        insert("connect/endpoints", self.connect.clone().into())?;
-        insert("listen/endpoints", self.listen.clone().into())?;
-        insert("scouting/multicast/enabled", self.multicast_scouting.into())?;
-        insert("transport/shared_memory/enabled", self.shared_memory.into())?;
-        // What others place is read; what the node itself sends goes as bytes: Zenoh's own placing of what is large can
-        // lose a race (eclipse-zenoh/zenoh#2628).
-        insert(
-            "transport/shared_memory/transport_optimization/enabled",
-            false.into(),
-        )?;
         // Zenoh drops what is above its own bound without a word: with room above ours, a frame that is too large
         // comes this far and is counted.
         let largest = max_payload_bytes
@@ -96,34 +62,41 @@ impl ZenohConfig {
             .min(256 << 20)
             .max(max_payload_bytes)
             .saturating_add(64 << 10);
-        insert("transport/link/rx/max_message_size", largest.into())?;
+        let settings = [
+            ("mode", json!(self.mode)),
+            ("connect/endpoints", json!(self.connect)),
+            ("listen/endpoints", json!(self.listen)),
+            ("scouting/multicast/enabled", json!(self.multicast_scouting)),
+            ("transport/shared_memory/enabled", json!(self.shared_memory)),
+            // What others place is read; what the node itself sends goes as bytes: Zenoh's own placing of what is large can
+            // lose a race (eclipse-zenoh/zenoh#2628).
+            (
+                "transport/shared_memory/transport_optimization/enabled",
+                json!(false),
+            ),
+            ("transport/link/rx/max_message_size", json!(largest)),
+        ];
+        session::set(&mut config, &settings)?;
         Ok(config)
     }
 
-    /// Notes what is wrong with the section, called `section` in the file.
-    pub fn check(&self, section: &str, max_payload_bytes: usize, findings: &mut Findings) {
-        let key = |name: &str| format!("{section}.{name}");
+    /// Notes what is wrong with the section.
+    pub fn check(&self, max_payload_bytes: usize, findings: &mut Findings) {
         let before = findings.len();
-        for (name, endpoints) in [
-            (key("connect"), &self.connect),
-            (key("listen"), &self.listen),
-        ] {
-            check_endpoints(&name, endpoints, findings);
+        check_endpoints("zenoh.connect", &self.connect, findings);
+        check_endpoints("zenoh.listen", &self.listen, findings);
+        findings.path("zenoh.config_file", self.config_file.as_deref());
+        if self.config_file.is_some() {
+            return;
         }
-        findings.path(&key("config_file"), self.config_file.as_deref());
         if findings.len() == before
-            && self.config_file.is_none()
             && let Err(error) = self.to_zenoh(max_payload_bytes)
         {
-            findings.add(section, error);
+            findings.add("zenoh", error);
         }
-        if self.mode == ZenohMode::Client
-            && self.connect.is_empty()
-            && self.config_file.is_none()
-            && !self.multicast_scouting
-        {
+        if self.mode == ZenohMode::Client && self.connect.is_empty() && !self.multicast_scouting {
             findings.add(
-                key("connect"),
+                "zenoh.connect",
                 "is empty: a client needs a router to connect to (or multicast_scouting = true)",
             );
         }
@@ -136,24 +109,16 @@ const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
 /// Notes endpoints that Zenoh cannot read or this program cannot open.
 pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) {
     for endpoint in endpoints {
-        match endpoint.parse::<EndPoint>() {
-            Err(error) => findings.add(
-                key,
-                format!("`{endpoint}` is no endpoint such as `tcp/127.0.0.1:7447`: {error}"),
+        let fault = match endpoint.parse::<EndPoint>() {
+            Err(error) => format!("is no endpoint such as `tcp/127.0.0.1:7447`: {error}"),
+            Ok(parsed) if TRANSPORTS.contains(&parsed.protocol().as_str()) => continue,
+            Ok(parsed) => format!(
+                "has the transport `{}`, which is not built in; there are {}",
+                parsed.protocol(),
+                TRANSPORTS.join(", ")
             ),
-            Ok(parsed) => {
-                let transport = parsed.protocol().as_str().to_owned();
-                if !TRANSPORTS.contains(&transport.as_str()) {
-                    findings.add(
-                        key,
-                        format!(
-                            "`{endpoint}`: transport `{transport}` is not built in; there are {}",
-                            TRANSPORTS.join(", ")
-                        ),
-                    );
-                }
-            }
-        }
+        };
+        findings.add(key, format!("`{endpoint}` {fault}"));
     }
 }
 
@@ -175,11 +140,13 @@ mod tests {
             ..ZenohConfig::default()
         };
         let mut findings = Findings::default();
-        zenoh.check("zenoh", 1 << 20, &mut findings);
+        zenoh.check(1 << 20, &mut findings);
         let findings = findings.into_vec();
         assert_eq!(findings.len(), 3, "{findings:?}");
         assert!(
-            findings[0].to_string().contains("`quic` is not built in"),
+            findings[0]
+                .to_string()
+                .contains("`quic`, which is not built in"),
             "{}",
             findings[0]
         );

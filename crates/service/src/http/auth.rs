@@ -10,14 +10,12 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use parking_lot::RwLock;
-use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
-use tokio_util::sync::CancellationToken;
 
 /// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
 /// of the interface with the page that reads it, which are the same wherever this version runs and reveal nothing of this
@@ -39,23 +37,10 @@ fn is_open(path: &str) -> bool {
 
 /// Why a token file cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub enum TokenError {
-    /// It cannot be read.
-    #[error("token_file {file}: {source}")]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// Its first line is no token.
-    #[error("token_file {file}: the first line {fault}")]
-    Unusable {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        fault: &'static str,
-    },
+#[error("token_file {file}: {fault}")]
+pub struct TokenError {
+    file: PathBuf,
+    fault: String,
 }
 
 /// Decides who may pass.
@@ -83,16 +68,9 @@ impl Caller {
 /// Interval at which the token files are read again.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// A token, whose it is, and the file it comes from.
-struct TokenEntry {
-    caller: Caller,
-    token: Token,
-    file: Option<PathBuf>,
-}
-
 enum Rule {
     /// Requests must carry one of the tokens.
-    Tokens(RwLock<Vec<TokenEntry>>),
+    Tokens(RwLock<Vec<(Caller, Token)>>),
     /// Only programs of this machine reach the listener. A web page could still have its own name point
     /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` header shows
     /// that.
@@ -113,7 +91,7 @@ impl Guard {
         listener: &TcpListener,
     ) -> Result<Self, HttpError> {
         let address = listener.local_addr().map_err(HttpError::Listener)?;
-        let tokens = tokens(config, named)?;
+        let tokens = read_tokens(config, named)?;
         let rule = if !tokens.is_empty() {
             Rule::Tokens(RwLock::new(tokens))
         } else if config.allow_unauthenticated {
@@ -129,121 +107,99 @@ impl Guard {
         })
     }
 
-    /// Takes over what is written to the token files, until `shutdown`: a token is exchanged without a restart. A file
-    /// that cannot be used leaves the token that was good.
-    pub(crate) async fn follow_files(self, shutdown: CancellationToken) {
+    /// Takes over what is written to the token files: a token is exchanged without a restart. A file that cannot be used
+    /// leaves the tokens that were good.
+    pub(crate) async fn follow_files(self, config: HttpConfig, named: Vec<NamedToken>) {
+        let has_file = |token: &NamedToken| token.token_file.is_some();
         let Rule::Tokens(tokens) = &*self.rule else {
             return;
         };
-        let files: BTreeSet<PathBuf> =
-            (tokens.read().iter().filter_map(|entry| entry.file.clone())).collect();
-        if files.is_empty() {
+        if config.token_file.is_none() && !named.iter().any(has_file) {
             return;
         }
-        let mut faults: BTreeMap<PathBuf, String> = BTreeMap::new();
+        let read = Arc::new(move || read_tokens(&config, &named));
+        let mut fault = None;
         loop {
-            tokio::select! {
-                () = shutdown.cancelled() => return,
-                () = tokio::time::sleep(LOOK_EVERY) => {}
-            }
-            for file in &files {
-                let place = file.clone();
-                let Ok(found) = tokio::task::spawn_blocking(move || read(&place)).await else {
-                    continue;
-                };
-                match found {
-                    Ok(token) => {
-                        faults.remove(file);
-                        let mut tokens = tokens.write();
-                        let others = tokens.iter_mut().filter(|entry| {
-                            entry.file.as_ref() == Some(file) && entry.token != token
-                        });
-                        for entry in others {
-                            crate::logging::conceal(token.secret());
-                            entry.token = token.clone();
-                            tracing::info!(token = &*entry.caller.name, "the token was exchanged");
-                        }
-                    }
-                    Err(error) => {
-                        let error = error.to_string();
-                        if faults.insert(file.clone(), error.clone()).as_ref() != Some(&error) {
-                            tracing::error!(error, "the token that was good stays in force");
-                        }
+            tokio::time::sleep(LOOK_EVERY).await;
+            let read = Arc::clone(&read);
+            match tokio::task::spawn_blocking(move || read()).await {
+                Ok(Ok(found)) => {
+                    fault = None;
+                    if *tokens.read() != found {
+                        *tokens.write() = found;
+                        tracing::info!("a token was exchanged");
                     }
                 }
+                Ok(Err(error)) => {
+                    let error = error.to_string();
+                    if fault.as_ref() != Some(&error) {
+                        tracing::error!(error, "the tokens that were good stay in force");
+                        fault = Some(error);
+                    }
+                }
+                Err(error) => tracing::error!(%error, "the token files were not read"),
             }
         }
     }
 
-    /// Who may pass, or the answer to a request that may not.
-    fn admit(&self, request: &Request) -> Result<Caller, Box<Response>> {
-        let headers = request.headers();
+    /// Who may pass, or why a request may not.
+    fn admit(&self, request: &Request) -> Result<Caller, Problem> {
+        let (headers, method) = (request.headers(), request.method());
         let anonymous = |role| Caller {
             name: Caller::ANONYMOUS.into(),
             role,
         };
-        let looks = matches!(
-            *request.method(),
-            Method::GET | Method::HEAD | Method::OPTIONS
-        );
-        match &*self.rule {
-            Rule::Anybody | Rule::ThisMachine
-                if !looks && self.is_from_another_site(headers) =>
-            {
-                Err(Box::new(Problem::new(
-                    StatusCode::FORBIDDEN,
-                    "without a token a page of another site may not change anything: set a token, or name the page's \
-                     origin in http.cors_origins",
-                )
-                .into_response()))
-            }
-            // The other content types are those that a browser sends to another site without asking it.
-            Rule::Anybody | Rule::ThisMachine
-                if *request.method() == Method::POST && !is_json(headers) =>
-            {
-                Err(Box::new(Problem::new(
-                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                    "without a token the content type of a POST must be `application/json`; \
-                     with curl: -H 'content-type: application/json'",
-                )
-                .allowing(["application/json"])
-                .into_response()))
-            }
-            Rule::Anybody => Ok(anonymous(Role::Tune)),
-            Rule::ThisMachine if called_by_address(request) => Ok(anonymous(Role::Tune)),
-            Rule::ThisMachine => Err(Box::new(Problem::new(
-                StatusCode::MISDIRECTED_REQUEST,
-                "without a token this interface answers only when called by address or as `localhost`; \
-                 to reach it under another name set a token, or http.allow_unauthenticated = true",
-            )
-            .into_response())),
+        let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+        let (status, detail) = match &*self.rule {
             Rule::Tokens(tokens) => {
-                let holder = tokens
-                    .read()
-                    .iter()
-                    .find(|entry| carries(headers, &entry.token))
-                    .map(|entry| entry.caller.clone());
-                if holder.is_none() && headers.contains_key(AUTHORIZATION) {
-                    log_wrong_token();
-                }
+                let tokens = tokens.read();
+                let holder = tokens.iter().find(|(_, token)| carries(headers, token));
                 match holder {
-                    Some(caller) if looks || caller.role == Role::Tune => Ok(caller),
-                    Some(caller) => {
+                    Some((caller, _)) if looks || caller.role == Role::Tune => {
+                        return Ok(caller.clone());
+                    }
+                    Some((caller, _)) => {
                         let detail = format!(
                             "the token `{}` may look and not change: this needs one with the role `tune`",
                             caller.name
                         );
-                        Err(Box::new(Problem::new(StatusCode::FORBIDDEN, detail).into_response()))
+                        return Err(Problem::new(StatusCode::FORBIDDEN, detail));
                     }
-                    None if is_open(request.uri().path()) => Ok(anonymous(Role::Read)),
-                    None => Err(Box::new(unauthorized())),
+                    None if headers.contains_key(AUTHORIZATION) => log_wrong_token(),
+                    None => {}
                 }
+                if is_open(request.uri().path()) {
+                    return Ok(anonymous(Role::Read));
+                }
+                (
+                    StatusCode::UNAUTHORIZED,
+                    "this needs the header `Authorization: Bearer TOKEN` with the node's token",
+                )
             }
-        }
+            _ if !looks && self.is_from_another_site(headers) => (
+                StatusCode::FORBIDDEN,
+                "without a token a page of another site may not change anything: set a token, or name the page's \
+                 origin in http.cors_origins",
+            ),
+            // The other content types are those that a browser sends to another site without asking it.
+            _ if *method == Method::POST && !is_json(headers) => {
+                return Err(Problem::new(
+                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                    "without a token the content type of a POST must be `application/json`; \
+                     with curl: -H 'content-type: application/json'",
+                )
+                .allowing(["application/json"]));
+            }
+            Rule::ThisMachine if !called_by_address(request) => (
+                StatusCode::MISDIRECTED_REQUEST,
+                "without a token this interface answers only when called by address or as `localhost`; \
+                 to reach it under another name set a token, or http.allow_unauthenticated = true",
+            ),
+            Rule::Anybody | Rule::ThisMachine => return Ok(anonymous(Role::Tune)),
+        };
+        Err(Problem::new(status, detail))
     }
-}
 
-impl Guard {
     /// Whether a browser sent the request for a page of another site. Newer browsers say so in `Sec-Fetch-Site`, and all name
     /// the page's origin with what changes something; other clients send neither.
     fn is_from_another_site(&self, headers: &HeaderMap) -> bool {
@@ -275,44 +231,23 @@ fn log_wrong_token() {
     LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
 }
 
-fn unauthorized() -> Response {
-    let detail = "this needs the header `Authorization: Bearer TOKEN` with the node's token";
-    let mut response = Problem::new(StatusCode::UNAUTHORIZED, detail).into_response();
-    response
-        .headers_mut()
-        .insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-    response
-}
-
-fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<TokenEntry>, TokenError> {
-    let own = (
-        Arc::from("token"),
-        Role::Tune,
-        &config.token,
-        &config.token_file,
-    );
-    let named = named.iter().map(|one| {
-        (
-            one.name.as_str().into(),
-            one.role,
-            &one.token,
-            &one.token_file,
-        )
-    });
+fn read_tokens(
+    config: &HttpConfig,
+    named: &[NamedToken],
+) -> Result<Vec<(Caller, Token)>, TokenError> {
+    let own = ("token", Role::Tune, &config.token, &config.token_file);
+    let named = (named.iter()).map(|one| (&*one.name, one.role, &one.token, &one.token_file));
     let mut tokens = Vec::new();
     for (name, role, token, file) in std::iter::once(own).chain(named) {
         let token = match file {
             Some(file) => Some(read(file)?),
             None => token.clone(),
         };
-        if let Some(token) = &token {
+        if let Some(token) = token {
             crate::logging::conceal(token.secret());
+            let name = name.into();
+            tokens.push((Caller { name, role }, token));
         }
-        tokens.extend(token.map(|token| TokenEntry {
-            caller: Caller { name, role },
-            token,
-            file: file.clone(),
-        }));
     }
     Ok(tokens)
 }
@@ -323,17 +258,15 @@ pub fn token_file_fault(file: &Path) -> Option<String> {
 }
 
 fn read(file: &Path) -> Result<Token, TokenError> {
-    let text = std::fs::read_to_string(file).map_err(|source| TokenError::Unreadable {
+    let wrong = |fault| TokenError {
         file: file.to_owned(),
-        source,
-    })?;
+        fault,
+    };
+    let text = std::fs::read_to_string(file).map_err(|error| wrong(error.to_string()))?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
     match token.fault() {
         None => Ok(token),
-        Some(fault) => Err(TokenError::Unusable {
-            file: file.to_owned(),
-            fault,
-        }),
+        Some(fault) => Err(wrong(format!("the first line {fault}"))),
     }
 }
 
@@ -382,13 +315,19 @@ pub(super) async fn guard(
     mut request: Request,
     next: Next,
 ) -> Response {
-    match guard.admit(&request) {
+    let problem = match guard.admit(&request) {
         Ok(caller) => {
             request.extensions_mut().insert(caller);
-            next.run(request).await
+            return next.run(request).await;
         }
-        Err(response) => *response,
+        Err(problem) => problem,
+    };
+    let mut response = problem.into_response();
+    if response.status() == StatusCode::UNAUTHORIZED {
+        let scheme = HeaderValue::from_static("Bearer");
+        response.headers_mut().insert(WWW_AUTHENTICATE, scheme);
     }
+    response
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use axum::http::header::{
     ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE,
     REFERRER_POLICY, VARY, X_CONTENT_TYPE_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use rust_embed::Embed;
@@ -46,52 +46,37 @@ pub enum Page {
 }
 
 impl Page {
-    const fn file(self) -> &'static str {
-        match self {
-            Self::Node => "node.html",
-            Self::Hub => "hub.html",
-        }
-    }
-
     /// Adds the page at `/`, and what it loads.
     pub fn serve_on<S>(self, router: Router<S>) -> Router<S>
     where
         S: Clone + Send + Sync + 'static,
     {
+        let page = move |headers: HeaderMap| async move { self.answer(&headers) };
         router
-            .route(
-                "/",
-                get(move |headers: HeaderMap| async move { self.answer(&headers) }),
-            )
+            .route("/", get(page))
             .route("/assets/{file}", get(asset))
     }
 
     fn answer(self, headers: &HeaderMap) -> Response {
-        let mut response = file(self.file(), headers, "no-cache").unwrap_or_else(|| {
-            let html = HeaderValue::from_static("text/html; charset=utf-8");
-            ([(CONTENT_TYPE, html)], MISSING).into_response()
+        let name = match self {
+            Self::Node => "node.html",
+            Self::Hub => "hub.html",
+        };
+        let page = file(name, headers, "no-cache").unwrap_or_else(|| {
+            ([(CONTENT_TYPE, "text/html; charset=utf-8")], MISSING).into_response()
         });
-        let more: [(HeaderName, &str); 2] = [
+        let policy = [
             (CONTENT_SECURITY_POLICY, POLICY),
             (REFERRER_POLICY, "no-referrer"),
         ];
-        for (name, value) in more {
-            response
-                .headers_mut()
-                .insert(name, HeaderValue::from_static(value));
-        }
-        response
+        (policy, page).into_response()
     }
 }
 
 /// A part of a page. Its name changes with its contents, so that a cached copy never expires.
 async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    file(
-        &format!("assets/{name}"),
-        &headers,
-        "public, max-age=31536000, immutable",
-    )
-    .ok_or_else(|| {
+    let name = format!("assets/{name}");
+    file(&name, &headers, "public, max-age=31536000, immutable").ok_or_else(|| {
         let detail = "this version has no such part of a page; reload the page";
         Problem::new(StatusCode::NOT_FOUND, detail)
     })
@@ -99,25 +84,19 @@ async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response,
 
 /// An embedded file, compressed as it was built where the client takes that; `None` when there is none of that name.
 fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Response> {
-    let media_type = media_type(name)?;
-    let compressed = takes_gzip(headers)
-        .then(|| Built::get(&format!("{name}.gz")))
-        .flatten();
-    let encoding = compressed.is_some().then_some("gzip");
-    let found = compressed.or_else(|| Built::get(name))?;
-    let mut response = ([(CONTENT_TYPE, media_type)], found.data).into_response();
-    let headers = response.headers_mut();
-    for (name, value) in [
+    let told = [
+        (CONTENT_TYPE, media_type(name)?),
         (CACHE_CONTROL, caching),
         (VARY, "accept-encoding"),
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
-    ] {
-        headers.insert(name, HeaderValue::from_static(value));
-    }
-    if let Some(encoding) = encoding {
-        headers.insert(CONTENT_ENCODING, HeaderValue::from_static(encoding));
-    }
-    Some(response)
+    ];
+    let packed = takes_gzip(headers)
+        .then(|| Built::get(&format!("{name}.gz")))
+        .flatten();
+    Some(match packed {
+        Some(packed) => (told, [(CONTENT_ENCODING, "gzip")], packed.data).into_response(),
+        None => (told, Built::get(name)?.data).into_response(),
+    })
 }
 
 /// The kinds of files that pages are made of; no other is served.
@@ -133,20 +112,16 @@ fn media_type(name: &str) -> Option<&'static str> {
 
 /// Whether `Accept-Encoding` has gzip, and not only to refuse it.
 fn takes_gzip(headers: &HeaderMap) -> bool {
-    headers
-        .get_all(ACCEPT_ENCODING)
-        .iter()
+    let values = headers.get_all(ACCEPT_ENCODING).iter();
+    let codings = values
         .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .any(|coding| {
-            let mut parts = coding.split(';').map(str::trim);
-            let is_gzip = parts
-                .next()
-                .is_some_and(|name| name.eq_ignore_ascii_case("gzip"));
-            let refused = parts
-                .filter_map(|part| part.strip_prefix("q="))
-                .any(|weight| weight.parse() == Ok(0.0_f32));
-            is_gzip && !refused
+        .flat_map(|value| value.split(','));
+    codings
+        .map(|coding| coding.split_once(';').unwrap_or((coding, "")))
+        .any(|(name, weight)| {
+            let weight = weight.trim().strip_prefix("q=");
+            let refused = weight.is_some_and(|weight| weight.parse() == Ok(0.0_f32));
+            name.trim().eq_ignore_ascii_case("gzip") && !refused
         })
 }
 

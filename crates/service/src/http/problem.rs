@@ -1,10 +1,10 @@
 //! Errors as problem documents (RFC 9457), also those the framework makes.
 
 use albireo_wire::{Knob, KnobError};
-use axum::body::{Body, to_bytes};
+use axum::body::to_bytes;
 use axum::extract::{Request, State};
-use axum::http::header::{ALLOW, CONTENT_TYPE};
-use axum::http::{HeaderValue, StatusCode};
+use axum::http::StatusCode;
+use axum::http::header::{ALLOW, CONTENT_LENGTH, CONTENT_TYPE};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -72,9 +72,8 @@ impl Problem {
 
 /// A response with a problem document as its body; `body` is a [`Problem`] or one with more members.
 pub fn response(status: StatusCode, body: &impl Serialize) -> Response {
-    let media_type = HeaderValue::from_static(MEDIA_TYPE);
     let bytes = serde_json::to_vec(body).unwrap_or_default();
-    (status, [(CONTENT_TYPE, media_type)], bytes).into_response()
+    (status, [(CONTENT_TYPE, MEDIA_TYPE)], bytes).into_response()
 }
 
 impl IntoResponse for Problem {
@@ -113,39 +112,32 @@ pub(super) async fn translate(
     }
     let (mut parts, body) = response.into_parts();
     let problem = if status == StatusCode::METHOD_NOT_ALLOWED {
-        let allowed: Vec<String> = parts
+        let allowed = parts
             .headers
             .get(ALLOW)
-            .and_then(|value| value.to_str().ok())
-            .map(|list| list.split(',').map(|word| word.trim().to_owned()).collect())
-            .unwrap_or_default();
-        Problem::new(
-            status,
-            format!(
-                "{method} is not possible here; possible: {}",
-                allowed.join(", ")
-            ),
-        )
-        .allowing(allowed)
+            .and_then(|value| value.to_str().ok());
+        let allowed: Vec<_> = (allowed.unwrap_or_default().split(','))
+            .map(str::trim)
+            .collect();
+        let detail = format!(
+            "{method} is not possible here; possible: {}",
+            allowed.join(", ")
+        );
+        Problem::new(status, detail).allowing(allowed)
     } else {
-        let body_text = to_bytes(body, 4096).await.unwrap_or_default();
-        let body_text = String::from_utf8_lossy(&body_text);
-        let detail = match (body_text.trim(), status) {
+        let text = to_bytes(body, 4096).await.unwrap_or_default();
+        let detail = match (String::from_utf8_lossy(&text).trim(), status) {
             ("", StatusCode::REQUEST_TIMEOUT) => {
                 format!("the request did not end within {limit:?}")
             }
             ("", StatusCode::NOT_FOUND) => nothing_at(&path),
             ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
-            (body_text, _) => body_text.to_owned(),
+            (text, _) => text.to_owned(),
         };
         Problem::new(status, detail)
     };
-    parts
-        .headers
-        .insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
-    parts.headers.remove(axum::http::header::CONTENT_LENGTH);
-    Response::from_parts(
-        parts,
-        Body::from(serde_json::to_vec(&problem).unwrap_or_default()),
-    )
+    // The answer's own headers stay, such as the list of methods.
+    parts.headers.remove(CONTENT_TYPE);
+    parts.headers.remove(CONTENT_LENGTH);
+    (parts.headers, problem).into_response()
 }

@@ -2,21 +2,26 @@
 
 use super::HttpError;
 use super::auth::{Guard, guard};
-use super::connections::{Connections, Limits};
 use super::problem;
 use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
+use axum::body::Body;
 use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE};
 use axum::http::{HeaderValue, Method, StatusCode};
 use axum::middleware::from_fn_with_state;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use std::collections::VecDeque;
 use std::time::Duration;
-use tokio::net::TcpListener;
-use tokio::task::JoinSet;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::{AbortHandle, JoinSet};
 use tokio_util::sync::CancellationToken;
 use tower_http::cors::CorsLayer;
 use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
+use tower_service::Service;
 
 /// Largest body of a request, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
@@ -60,15 +65,14 @@ pub async fn run_with_tokens(
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let allowed = Guard::new(config, tokens, &listener)?;
-    let following = tokio::spawn(allowed.clone().follow_files(shutdown.clone()));
+    let following = allowed
+        .clone()
+        .follow_files(config.clone(), tokens.to_vec());
+    let following = tokio::spawn(following);
     let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
-    let mut connections = Connections::new(Limits {
-        most: config.max_connections,
-        head: idle,
-        stalled: idle,
-    });
     let mut serving = JoinSet::new();
+    let mut oldest_first: VecDeque<AbortHandle> = VecDeque::new();
     loop {
         let accepted = tokio::select! {
             biased;
@@ -78,9 +82,16 @@ pub async fn run_with_tokens(
         };
         match accepted {
             Ok((stream, _)) => {
-                // Events are short and should not wait for company.
-                let _ = stream.set_nodelay(true);
-                serving.spawn(connections.serve(stream, router.clone(), shutdown.clone()));
+                oldest_first.retain(|open| !open.is_finished());
+                // So clients that only hold connections never keep others out, and a page whose event stream is cut opens
+                // it again.
+                if oldest_first.len() >= config.max_connections
+                    && let Some(oldest) = oldest_first.pop_front()
+                {
+                    oldest.abort();
+                }
+                let connection = serve(stream, idle, router.clone(), shutdown.clone());
+                oldest_first.push_back(serving.spawn(connection));
             }
             // The other side closed before it was accepted, or there are no descriptors left.
             Err(error) => {
@@ -96,6 +107,35 @@ pub async fn run_with_tokens(
         tracing::warn!("HTTP connections still open after {GRACE:?} were cut off");
     }
     Ok(())
+}
+
+/// Serves a connection until it ends, is idle for too long, or the request in progress after `shutdown` has ended.
+async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: CancellationToken) {
+    // Events are short and should not wait for company.
+    let _ = stream.set_nodelay(true);
+    // Has the system end a connection whose other side takes nothing of what is sent.
+    let limit_ms = u32::try_from(idle.as_millis()).unwrap_or(u32::MAX);
+    if let Err(error) = rustix::net::sockopt::set_tcp_user_timeout(&stream, limit_ms) {
+        tracing::debug!(%error, "an HTTP connection has no write limit");
+    }
+    let service = service_fn(move |request: Request<hyper::body::Incoming>| {
+        router.clone().call(request.map(Body::new))
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(idle)
+        .serve_connection(TokioIo::new(stream), service);
+    tokio::pin!(connection);
+    let ended = tokio::select! {
+        ended = connection.as_mut() => ended,
+        () = shutdown.cancelled() => {
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = ended {
+        tracing::debug!(%error, "HTTP connection given up");
+    }
 }
 
 fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Guard) -> Router {

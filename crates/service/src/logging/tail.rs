@@ -3,6 +3,7 @@
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::VecDeque;
+use std::time::{Duration, UNIX_EPOCH};
 use std::{fmt, io};
 use tracing::{Level, Metadata, Subscriber};
 use tracing_subscriber::Layer;
@@ -41,7 +42,8 @@ pub struct LogLine {
 
 impl fmt::Display for LogLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let at = crate::clock::rfc3339(self.at_ms);
+        let at = UNIX_EPOCH + Duration::from_millis(self.at_ms.unsigned_abs());
+        let at = humantime::format_rfc3339_millis(at);
         write!(f, "{at} {:>5} {}: {}", self.level, self.target, self.text)
     }
 }

@@ -1,13 +1,12 @@
 //! Diagnostics of a node as one archive.
 
 use super::{RouteState, cameras, metrics, node, states};
+use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
-use albireo_service::{archive, logging};
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use serde::Serialize;
 use serde_json::json;
 
@@ -50,9 +49,6 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     let Json(cameras) = cameras::list(State(shared.clone())).await;
     let Json(counters) = states::all(State(shared.clone())).await;
     let metrics = metrics::written(&shared)?;
-    let log: String = (logging::last_lines().iter())
-        .map(|line| format!("{line}\n"))
-        .collect();
     let files = [
         ("about.json", text(&about)),
         ("configuration.json", text(&*shared.view.config)),
@@ -61,14 +57,7 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
         ("frame-states.json", text(&counters)),
         ("clips.json", text(&clips)),
         ("metrics.txt", metrics.into_bytes()),
-        ("log.txt", log.into_bytes()),
     ];
-    let headers = [
-        (CONTENT_TYPE, "application/x-tar".to_owned()),
-        (
-            CONTENT_DISPOSITION,
-            format!("attachment; filename=\"albireo-node-{name}-{now_s}.tar\""),
-        ),
-    ];
-    Ok((headers, archive::tar(&files, now_s)).into_response())
+    let name = format!("albireo-node-{name}");
+    Ok(archive::diagnostics(&name, &files, now_s))
 }

@@ -155,16 +155,15 @@ fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
         detector: DetectorFacts::default(),
         detector_status,
     });
-    let latch = board
-        .readiness()
-        .latch(readiness::ZENOH, "the session is not open yet");
+    let zenoh = board.readiness().part(readiness::ZENOH);
+    zenoh.not_ready("the session is not open yet");
     let reasons = || board.readiness().health().status().reasons;
     assert_eq!(reasons().len(), 2);
     status.send_replace(DetectorStatus::Ready {
         provider: ExecutionProvider::Cpu,
     });
     assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
-    drop(latch);
+    zenoh.works();
     assert!(board.readiness().health().is_ready());
     let provider = ExecutionProvider::Cpu;
     let reason = "a run took too long".to_owned();

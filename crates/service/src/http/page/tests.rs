@@ -1,4 +1,5 @@
 use super::*;
+use axum::http::{HeaderName, HeaderValue};
 
 fn asking(name: HeaderName, value: &'static str) -> HeaderMap {
     HeaderMap::from_iter([(name, HeaderValue::from_static(value))])
