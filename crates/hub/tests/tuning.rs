@@ -27,6 +27,7 @@ pub(crate) fn fleet(nodes: usize) -> Options {
         clip_s: 0.2,
         gather: 1,
         drain: Duration::from_secs(10),
+        seed: 1,
         ..Options::default()
     }
 }

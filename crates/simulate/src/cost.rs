@@ -1,6 +1,6 @@
 //! Processor time and memory of processes, as the kernel reports them.
 
-use rustix::param::{clock_ticks_per_second, page_size};
+use procfs::{ProcResult, page_size, ticks_per_second};
 use serde::Serialize;
 use std::fmt;
 use std::time::Instant;
@@ -8,7 +8,7 @@ use std::time::Instant;
 /// A process whose cost is followed.
 #[derive(Debug)]
 pub(crate) struct Process {
-    pub(crate) name: String,
+    name: String,
     pid: u32,
     first: Option<Sample>,
     last: Option<Sample>,
@@ -36,36 +36,35 @@ pub struct ProcessCost {
 }
 
 impl Process {
-    pub(crate) fn new(name: impl Into<String>, pid: u32) -> Self {
+    /// Counting begins now, so that starting up is not counted.
+    pub(crate) fn begin(name: impl Into<String>, pid: u32) -> Self {
+        let first = read(pid).ok();
         Self {
             name: name.into(),
             pid,
-            first: None,
-            last: None,
-            largest: 0,
+            first,
+            last: first,
+            largest: first.map_or(0, |first| first.resident),
         }
     }
 
-    /// Reads it. Returns the share of a core since the last time.
-    pub(crate) fn sample(&mut self) -> Option<f64> {
-        let sample = read(self.pid)?;
-        self.largest = self.largest.max(sample.resident);
-        let before = self.last.replace(sample).or(self.first);
-        self.first.get_or_insert(sample);
-        before.and_then(|before| share(before, sample))
-    }
-
-    /// Counting begins now, so that starting up is not counted.
-    pub(crate) fn begin(&mut self) {
-        self.first = read(self.pid);
-        self.last = self.first;
+    /// Reads it.
+    pub(crate) fn sample(&mut self) {
+        if let Ok(sample) = read(self.pid) {
+            self.largest = self.largest.max(sample.resident);
+            self.first.get_or_insert(sample);
+            self.last = Some(sample);
+        }
     }
 
     pub(crate) fn cost(&self) -> ProcessCost {
-        let both = self.first.zip(self.last);
+        let share = |(first, last): (Sample, Sample)| {
+            let seconds = (last.at - first.at).as_secs_f64();
+            (seconds > 0.0).then(|| (last.cpu_s - first.cpu_s) / seconds)
+        };
         ProcessCost {
             name: self.name.clone(),
-            cores: both.and_then(|(first, last)| share(first, last)),
+            cores: self.first.zip(self.last).and_then(share),
             resident: self.last.map(|s| s.resident),
             largest: self.last.map(|_| self.largest),
         }
@@ -85,25 +84,12 @@ impl fmt::Display for ProcessCost {
     }
 }
 
-fn share(before: Sample, after: Sample) -> Option<f64> {
-    let seconds = (after.at - before.at).as_secs_f64();
-    (seconds > 0.0).then(|| (after.cpu_s - before.cpu_s) / seconds)
-}
-
-fn read(pid: u32) -> Option<Sample> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The name is in brackets and may have anything in it.
-    let (_, fields) = stat.rsplit_once(')')?;
-    let fields: Vec<u64> = fields
-        .split_whitespace()
-        .map(|f| f.parse().unwrap_or(0))
-        .collect();
-    // proc_pid_stat(5): utime 14, stime 15, rss 24; the third field is the first here.
-    let ticks = fields.get(11)? + fields.get(12)?;
-    Some(Sample {
+fn read(pid: u32) -> ProcResult<Sample> {
+    let stat = procfs::process::Process::new(pid.cast_signed())?.stat()?;
+    Ok(Sample {
         at: Instant::now(),
-        cpu_s: ticks as f64 / clock_ticks_per_second() as f64,
-        resident: fields.get(21)? * page_size() as u64,
+        cpu_s: (stat.utime + stat.stime) as f64 / ticks_per_second() as f64,
+        resident: stat.rss * page_size(),
     })
 }
 
@@ -113,8 +99,7 @@ mod tests {
 
     #[test]
     fn the_cost_of_this_process_can_be_read_and_that_of_none_is_absent() {
-        let mut own = Process::new("own", std::process::id());
-        own.begin();
+        let mut own = Process::begin("own", std::process::id());
         let mut spent = 0u64;
         let until = Instant::now() + std::time::Duration::from_millis(60);
         while Instant::now() < until {
@@ -125,8 +110,8 @@ mod tests {
         let cost = own.cost();
         assert!(cost.cores.unwrap() > 0.05, "{cost:?}");
         assert!(cost.resident.unwrap() > 1 << 20 && cost.largest >= cost.resident);
-        let mut none = Process::new("none", u32::MAX);
-        none.begin();
-        assert_eq!((none.sample(), none.cost().cores), (None, None));
+        let mut none = Process::begin("none", u32::MAX);
+        none.sample();
+        assert_eq!((none.cost().cores, none.cost().resident), (None, None));
     }
 }

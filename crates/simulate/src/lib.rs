@@ -1,30 +1,31 @@
-//! Plays a fleet of nodes to a hub over real Zenoh sessions: status, reports with their cursors, reactions to what is
+//! Plays a fleet of nodes to a hub over real Zenoh sessions: status, reports, reactions to what is
 //! desired. It reports what it sent, what was acknowledged, and what it and other processes cost.
 
 mod cost;
 mod error;
 mod node;
 mod options;
-mod session;
+mod play;
 mod summary;
 mod totals;
 
 pub use cost::ProcessCost;
 pub use error::SimulateError;
-pub use options::{Behaviour, LONGEST, MOST_NODES, Options};
+pub use options::{Behaviour, Options};
 pub use summary::Summary;
-pub use totals::DelaySummary;
+pub use totals::{Counts, DelaySummary};
 
 use cost::Process;
 use node::SimNode;
-use session::Player;
+use play::Player;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use totals::{Totals, read};
+use totals::Totals;
+use zenoh::Session;
 
 /// Sessions that are opened at the same time.
 const OPEN_AT_ONCE: usize = 64;
@@ -44,28 +45,29 @@ pub async fn run(
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
-    let players = tokio::select! {
-        players = open_all(&options, &totals) => players?,
+    let sessions = tokio::select! {
+        sessions = open_all(&options) => sessions?,
         () = shutdown.cancelled() => return Err(SimulateError::Stopped),
     };
     let opened_s = opening.elapsed().as_secs_f64();
     progress(format!(
         "{} sessions open after {opened_s:.1} s",
-        players.len()
+        sessions.len()
     ));
 
-    let mut processes = vec![Process::new("simulator", std::process::id())];
-    processes.extend(
-        options
-            .watch
-            .iter()
-            .map(|(name, pid)| Process::new(name, *pid)),
-    );
-    processes.iter_mut().for_each(Process::begin);
+    let mut processes = vec![Process::begin("simulator", std::process::id())];
+    let watched = options.watch.iter();
+    processes.extend(watched.map(|(name, pid)| Process::begin(name, *pid)));
     let (end, stop) = (CancellationToken::new(), CancellationToken::new());
-    let began = Instant::now();
+    let (began, started_ns) = (Instant::now(), options::now_ns());
     let mut playing = JoinSet::new();
-    for player in players {
+    for (index, session) in (0..options.nodes).zip(sessions.iter().cycle()) {
+        let mut node = SimNode::new(index, &options, started_ns);
+        if options.backlog == 0 {
+            node.begin_within(options.gather);
+        }
+        let (options, totals) = (Arc::clone(&options), Arc::clone(&totals));
+        let player = Player::new(session.clone(), node, options, totals)?;
         playing.spawn(player.play(began, end.clone(), stop.clone()));
     }
 
@@ -92,78 +94,57 @@ pub async fn run(
         tokio::time::sleep(drain).await;
         stopper.cancel();
     });
-    let (mut made, mut acknowledged) = (0, 0);
     while let Some(ended) = playing.join_next().await {
-        let (more, of_them) = ended?;
-        made += more;
-        acknowledged += of_them;
+        ended??;
     }
+    for session in sessions {
+        if let Err(error) = session.close().await {
+            tracing::debug!(%error, "session not closed");
+        }
+    }
+    let counts = *totals.counts.lock();
     Ok(Summary {
         nodes: options.nodes,
         sessions: options.sessions,
         opened_s,
         played_s,
         drained_s: draining.elapsed().as_secs_f64(),
-        made,
-        acknowledged,
-        statuses: read(&totals.statuses),
-        batches: read(&totals.batches),
-        batch_bytes: read(&totals.bytes),
-        pulls: read(&totals.pulls),
-        busy: read(&totals.busy),
-        refused: read(&totals.refused),
-        no_reply: read(&totals.no_reply),
+        counts,
         answers: totals.answers.summary(),
         settled: totals.settled.summary(),
         costs,
     })
 }
 
-/// Opens every session, a few at a time, with its share of the nodes.
-async fn open_all(
-    options: &Arc<Options>,
-    totals: &Arc<Totals>,
-) -> Result<Vec<Player>, SimulateError> {
-    let started_ns = session::now_ns();
+/// Opens every session, a few at a time.
+async fn open_all(options: &Arc<Options>) -> Result<Vec<Session>, SimulateError> {
     let places = Arc::new(Semaphore::new(OPEN_AT_ONCE));
     let mut opening = JoinSet::new();
     for index in 0..options.sessions {
-        let (options, totals, places) =
-            (Arc::clone(options), Arc::clone(totals), Arc::clone(&places));
+        let (options, places) = (Arc::clone(options), Arc::clone(&places));
         opening.spawn(async move {
             // Never closed, so there is always a place in the end.
             let _place = places.acquire_owned().await;
-            let session = session::open(&options, index).await?;
-            let nodes = (index..options.nodes).step_by(options.sessions);
-            let nodes = nodes
-                .map(|node| {
-                    let mut node = SimNode::new(node, &options, started_ns);
-                    if options.backlog == 0 {
-                        node.begin_within(options.gather);
-                    }
-                    node
-                })
-                .collect();
-            Player::new(session, nodes, options, totals).await
+            play::open(&options, index).await
         });
     }
-    let mut players = Vec::with_capacity(options.sessions);
+    let mut sessions = Vec::with_capacity(options.sessions);
     while let Some(opened) = opening.join_next().await {
-        players.push(opened??);
+        sessions.push(opened??);
     }
-    Ok(players)
+    Ok(sessions)
 }
 
 fn line(began: Instant, totals: &Totals, processes: &mut [Process]) -> String {
-    let answers = totals.answers.summary();
+    let (counts, answers) = (*totals.counts.lock(), totals.answers.summary());
     let mut text = format!(
         "{:>5.0} s  {} status, {} made, {} acknowledged, {} busy, {} unanswered, p99 {:.0} ms",
         began.elapsed().as_secs_f64(),
-        read(&totals.statuses),
-        read(&totals.made),
-        read(&totals.acknowledged),
-        read(&totals.busy),
-        read(&totals.no_reply),
+        counts.statuses,
+        counts.made,
+        counts.acknowledged,
+        counts.busy,
+        counts.no_reply,
         answers.p99_ms,
     );
     for process in processes {

@@ -387,7 +387,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn node(options: Options) -> SimNode {
-        SimNode::new(3, &options, 1_000_000_000_000_000_000)
+        SimNode::new(
+            3,
+            &Options { seed: 1, ..options },
+            1_000_000_000_000_000_000,
+        )
     }
 
     fn desired(revision: u64, value: f64) -> Desired {
@@ -465,7 +469,7 @@ mod tests {
         let behaviour = Behaviour {
             spoilt_above: Some(4e-4),
             spoilt_by: 1.5,
-            ..Behaviour::default()
+            ..Options::default().behaviour
         };
         let mut node = node(Options {
             behaviour,

@@ -1,92 +1,116 @@
 //! The options of a simulated fleet, and their bounds.
 
-use serde::Serialize;
+use clap::Parser;
 use std::net::ToSocketAddrs;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Most nodes of a run.
-pub const MOST_NODES: usize = 1_000_000;
+const MOST_NODES: usize = 1_000_000;
 /// Most sessions of a run: each is a connection with threads' worth of state on both ends.
-pub(crate) const MOST_SESSIONS: usize = 20_000;
+const MOST_SESSIONS: usize = 20_000;
 /// Longest run.
-pub const LONGEST: Duration = Duration::from_secs(86_400);
+const LONGEST: Duration = Duration::from_secs(86_400);
+
+/// Headings of the help.
+const REPORTS: &str = "Reports";
+const FAULTS: &str = "What goes wrong";
 
 /// How the nodes' figures depend on the threshold.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, clap::Args)]
 pub struct Behaviour {
-    /// Above this threshold a clip costs more energy and time; nowhere when absent.
+    /// Above this threshold clips cost more energy and time.
+    #[arg(long, help_heading = FAULTS, value_name = "U")]
     pub spoilt_above: Option<f64>,
     /// How many times as much.
+    #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
     pub spoilt_by: f64,
     /// Whether the reports call their made-up energy measured; otherwise estimated.
+    #[arg(skip)]
     pub measured: bool,
 }
 
-impl Default for Behaviour {
-    fn default() -> Self {
-        Self {
-            spoilt_above: None,
-            spoilt_by: 1.3,
-            measured: false,
-        }
-    }
-}
-
-/// What is to be played.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// What is to be played: the options of `albireo simulate`.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
 pub struct Options {
     /// Nodes.
+    #[arg(long, default_value_t = 100)]
     pub nodes: usize,
-    /// Zenoh sessions that they share.
+    /// Zenoh sessions that they share; at most one a node.
+    #[arg(long, default_value_t = 4)]
     pub sessions: usize,
-    /// Endpoint of the router or hub, on this machine.
+    /// Endpoint of a hub or router on this machine.
+    #[arg(long, default_value = "tcp/127.0.0.1:7448", value_name = "ENDPOINT")]
     pub connect: String,
     /// A Zenoh configuration to begin with, for TLS.
+    #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
     /// What the nodes' names begin with.
+    #[arg(long, default_value = "sim-")]
     pub name: String,
-    /// How long, once all sessions are open.
+    /// How long, seconds, from when all sessions are open.
+    #[arg(long = "seconds", alias = "for", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Duration,
-    /// Time between two heartbeats, seconds.
+    /// Seconds between two heartbeats.
+    #[arg(long = "status-seconds", help_heading = REPORTS, alias = "status-s", default_value_t = 30.0)]
     pub status_s: f64,
     /// Length of a clip, seconds.
+    #[arg(long = "clip-seconds", help_heading = REPORTS, alias = "clip-s", default_value_t = 40.0)]
     pub clip_s: f64,
     /// Reports that a node gathers before it sends them.
+    #[arg(long, help_heading = REPORTS, default_value_t = 12)]
     pub gather: u64,
-    /// Reports that every node has when it starts, as after an outage.
+    /// Reports that every node has to deliver when it starts.
+    #[arg(long, help_heading = REPORTS, default_value_t = 0)]
     pub backlog: u64,
-    /// Whether each node listens to its notice.
+    /// Nodes do not listen for notices: they learn of a value from the answer to a report.
+    #[arg(long = "no-notices", action = clap::ArgAction::SetFalse)]
     pub notices: bool,
     /// How figures depend on the threshold.
+    #[command(flatten)]
     pub behaviour: Behaviour,
-    /// How long to go on at the end until everything is acknowledged.
+    /// How long to go on in the end until everything is acknowledged, seconds.
+    #[arg(long, help_heading = REPORTS, default_value = "30", value_name = "SECONDS", value_parser = seconds)]
     pub drain: Duration,
-    /// Draws instances, figures and times; two runs of one seed are the same nodes.
+    /// Seed of the times and figures; random by default.
+    #[arg(long, default_value_t = now_ns(), hide_default_value = true)]
     pub seed: u64,
-    /// Processes whose cost is reported beside the simulator's own.
+    /// A process whose cost is reported too, `hub=4711`; may be given several times.
+    #[arg(long = "pid", value_name = "NAME=PID", value_parser = named_pid)]
     pub watch: Vec<(String, u32)>,
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().map_err(|_| "no number".to_owned())?;
+    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
+}
+
+fn named_pid(text: &str) -> Result<(String, u32), String> {
+    let (name, pid) = text
+        .split_once('=')
+        .ok_or("write NAME=PID, such as hub=4711")?;
+    let pid = pid
+        .parse()
+        .map_err(|_| format!("`{pid}` is no process number"))?;
+    Ok((name.to_owned(), pid))
+}
+
+/// Nanoseconds since the Unix epoch.
+pub(crate) fn now_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| {
+        u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+    })
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self {
-            nodes: 100,
-            sessions: 4,
-            connect: "tcp/127.0.0.1:7448".to_owned(),
-            zenoh_config: None,
-            name: "sim-".to_owned(),
-            duration: Duration::from_secs(60),
-            status_s: 30.0,
-            clip_s: 40.0,
-            gather: 12,
-            backlog: 0,
-            notices: true,
-            behaviour: Behaviour::default(),
-            drain: Duration::from_secs(30),
-            seed: 1,
-            watch: Vec::new(),
+        #[derive(Parser)]
+        struct Defaults {
+            #[command(flatten)]
+            options: Options,
         }
+        Defaults::parse_from(["simulate"]).options
     }
 }
 
@@ -95,32 +119,23 @@ impl Options {
     ///
     /// # Errors
     /// What is wrong and what would do.
-    pub fn check(&self) -> Result<(), String> {
-        let within = |what: &str, value: usize, most: usize| {
-            if (1..=most).contains(&value) {
-                Ok(())
-            } else {
-                Err(format!("{what} must be from 1 to {most}, not {value}"))
-            }
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let within = |what: &str, value: f64, least: f64, most: f64| {
+            let is_within = (least..=most).contains(&value);
+            (is_within.then_some(()))
+                .ok_or_else(|| format!("{what} must be from {least} to {most}, not {value}"))
         };
-        within("nodes", self.nodes, MOST_NODES)?;
-        within("sessions", self.sessions, MOST_SESSIONS.min(self.nodes))?;
+        let (nodes, sessions) = (self.nodes as f64, self.sessions as f64);
+        within("nodes", nodes, 1.0, MOST_NODES as f64)?;
+        within("sessions", sessions, 1.0, nodes.min(MOST_SESSIONS as f64))?;
+        within("status-seconds", self.status_s, 0.1, 86_400.0)?;
+        within("clip-seconds", self.clip_s, 0.1, 86_400.0)?;
+        // More would not fit into the largest batch that a hub takes.
+        within("gather", self.gather as f64, 1.0, 500.0)?;
         if self.duration > LONGEST || self.drain > LONGEST {
             return Err("no time may be longer than a day".to_owned());
         }
-        for (what, seconds) in [("status", self.status_s), ("clip", self.clip_s)] {
-            if !(0.1..=86_400.0).contains(&seconds) {
-                return Err(format!(
-                    "the time of a {what} must be from 0.1 to 86400 seconds"
-                ));
-            }
-        }
-        // More would not fit into the largest batch that a hub takes.
-        if !(1..=500).contains(&self.gather) {
-            return Err("gather must be from 1 to 500".to_owned());
-        }
-        let on_this_machine = endpoint_host(&self.connect).is_some_and(is_loopback);
-        if !on_this_machine {
+        if !is_on_this_machine(&self.connect) {
             return Err(format!(
                 "`{}` is not on this machine: a simulated fleet is played over loopback only (tcp/127.0.0.1:7448)",
                 self.connect
@@ -130,17 +145,12 @@ impl Options {
     }
 }
 
-/// Host and port of `tcp/127.0.0.1:7448`.
-fn endpoint_host(endpoint: &str) -> Option<&str> {
-    let (_, address) = endpoint.split_once('/')?;
-    address.split(['?', '#']).next()
-}
-
-fn is_loopback(address: &str) -> bool {
-    match address.to_socket_addrs() {
-        Ok(mut addresses) => addresses.all(|address| address.ip().is_loopback()),
-        Err(_) => false,
-    }
+/// Whether an endpoint such as `tcp/127.0.0.1:7448` is.
+fn is_on_this_machine(endpoint: &str) -> bool {
+    let address = endpoint.split_once('/').map(|(_, address)| address);
+    let host = address.and_then(|address| address.split(['?', '#']).next());
+    let addresses = host.and_then(|host| host.to_socket_addrs().ok());
+    addresses.is_some_and(|mut all| all.all(|address| address.ip().is_loopback()))
 }
 
 #[cfg(test)]

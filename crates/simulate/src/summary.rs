@@ -1,7 +1,7 @@
 //! The summary of a run, as a table and as JSON.
 
 use super::cost::ProcessCost;
-use super::totals::DelaySummary;
+use super::totals::{Counts, DelaySummary};
 use serde::Serialize;
 use std::fmt;
 
@@ -18,24 +18,9 @@ pub struct Summary {
     pub played_s: f64,
     /// Seconds that the end took until everything was acknowledged, or it was given up.
     pub drained_s: f64,
-    /// Reports made, those of the backlog included.
-    pub made: u64,
-    /// Reports acknowledged.
-    pub acknowledged: u64,
-    /// Status messages sent.
-    pub statuses: u64,
-    /// Batches sent, those sent again included.
-    pub batches: u64,
-    /// Their bytes.
-    pub batch_bytes: u64,
-    /// Pulls sent.
-    pub pulls: u64,
-    /// Batches that the hub was too busy for.
-    pub busy: u64,
-    /// Batches that the hub refused for another reason.
-    pub refused: u64,
-    /// Batches that nobody answered.
-    pub no_reply: u64,
+    /// What was sent and answered.
+    #[serde(flatten)]
+    pub counts: Counts,
     /// Delay from sending a batch to its acknowledgement.
     pub answers: DelaySummary,
     /// The same without two floods that only this program makes: all nodes begin at once, and send what they have at once
@@ -43,13 +28,6 @@ pub struct Summary {
     pub settled: DelaySummary,
     /// What processes cost while the load ran.
     pub costs: Vec<ProcessCost>,
-}
-
-impl Summary {
-    /// Whether every report made was acknowledged.
-    pub const fn is_drained(&self) -> bool {
-        self.made == self.acknowledged
-    }
 }
 
 impl fmt::Display for Summary {
@@ -60,10 +38,11 @@ impl fmt::Display for Summary {
             opened_s,
             played_s,
             drained_s,
+            counts,
             ..
         } = self;
-        let bytes = self.batch_bytes / self.batches.max(1);
-        let (busy, refused, no_reply) = (self.busy, self.refused, self.no_reply);
+        let bytes = counts.batch_bytes / counts.batches.max(1);
+        let (busy, refused, no_reply) = (counts.busy, counts.refused, counts.no_reply);
         writeln!(
             f,
             "{nodes} nodes, {sessions} sessions (open after {opened_s:.1} s), {played_s:.0} s\n\
@@ -71,9 +50,9 @@ impl fmt::Display for Summary {
              reports made     {:>10}\n  \
              acknowledged   {:>10}  the last {drained_s:.1} s after the end\n\
              batches sent     {:>10}  {bytes} B each; {busy} busy, {refused} refused, {no_reply} unanswered",
-            self.statuses, self.made, self.acknowledged, self.batches
+            counts.statuses, counts.made, counts.acknowledged, counts.batches
         )?;
-        let settled = crate::session::SETTLED.as_secs();
+        let settled = crate::play::SETTLED.as_secs();
         for (from, of) in [(0, &self.answers), (settled, &self.settled)] {
             writeln!(
                 f,

@@ -2,7 +2,6 @@
 
 use parking_lot::Mutex;
 use serde::Serialize;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Delays as they were measured, microseconds.
@@ -45,29 +44,36 @@ impl Delays {
     }
 }
 
-/// All counters of a run.
+/// What was sent and answered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Reports made, those of the backlog included.
+    pub made: u64,
+    /// Reports acknowledged.
+    pub acknowledged: u64,
+    /// Status messages sent.
+    pub statuses: u64,
+    /// Batches sent, those sent again included.
+    pub batches: u64,
+    /// Their bytes.
+    pub batch_bytes: u64,
+    /// Pulls sent.
+    pub pulls: u64,
+    /// Batches that the hub was too busy for.
+    pub busy: u64,
+    /// Batches that the hub refused for another reason.
+    pub refused: u64,
+    /// Batches that nobody answered.
+    pub no_reply: u64,
+}
+
+/// All figures of a run.
 #[derive(Debug, Default)]
 pub(crate) struct Totals {
-    pub(crate) statuses: AtomicU64,
-    pub(crate) pulls: AtomicU64,
-    pub(crate) made: AtomicU64,
-    pub(crate) batches: AtomicU64,
-    pub(crate) bytes: AtomicU64,
-    pub(crate) acknowledged: AtomicU64,
-    pub(crate) busy: AtomicU64,
-    pub(crate) refused: AtomicU64,
-    pub(crate) no_reply: AtomicU64,
+    pub(crate) counts: Mutex<Counts>,
     pub(crate) answers: Delays,
     /// Those between the floods of the beginning and of the end.
     pub(crate) settled: Delays,
-}
-
-pub(crate) fn count(counter: &AtomicU64, more: u64) {
-    counter.fetch_add(more, Ordering::Relaxed);
-}
-
-pub(crate) fn read(counter: &AtomicU64) -> u64 {
-    counter.load(Ordering::Relaxed)
 }
 
 #[cfg(test)]

@@ -1,0 +1,329 @@
+//! Plays one node on a Zenoh session that it shares with others.
+
+use super::error::SimulateError;
+use super::node::{SimNode, mix, unit};
+use super::options::{Options, now_ns};
+use super::totals::{Counts, Totals};
+use albireo_wire::{
+    BatchCompression, ConfigChanged, Desired, NodeKeys, PullRequest, RefusalReason, ReportAnswer,
+    ReportRefusal, VERSION, read,
+};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Notify;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until};
+use tokio_util::sync::CancellationToken;
+use zenoh::bytes::Encoding;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+use zenoh::{Session, Wait};
+
+/// How long an answer to a batch or a pull is awaited.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+/// First and longest pause after a batch that was not acknowledged.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+/// Most reports of a batch.
+const MOST_REPORTS: u64 = 90;
+/// First part of every key.
+const PREFIX: &str = "albireo";
+/// Within this time all nodes send their first status.
+const FIRST_STATUSES: Duration = Duration::from_secs(5);
+
+/// So long after the beginning the flood that all nodes make by beginning at once is over.
+pub(crate) const SETTLED: Duration = Duration::from_secs(20);
+
+/// What was asked of the hub, with its good or bad answer, if one came.
+enum Asked {
+    Desired(Option<Answer>),
+    /// A batch of so many reports, and how long the answer took.
+    Batch(u64, Duration, Option<Answer>),
+}
+
+type Answer = Result<Vec<u8>, Vec<u8>>;
+
+/// Opens a client session to the endpoint, with the buffers of a node's uplink.
+pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
+    let mut config = match &options.zenoh_config {
+        Some(file) => zenoh::Config::from_file(file)
+            .map_err(|error| SimulateError::zenoh(file.display().to_string(), error))?,
+        None => zenoh::Config::default(),
+    };
+    // Thousands that lost their router come back spread out.
+    let first_retry = 500 + mix(options.seed, index as u64) % 2_000;
+    let retry = serde_json::json!({"period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2});
+    for (key, value) in [
+        ("mode", serde_json::json!("client")),
+        ("connect/endpoints", serde_json::json!([options.connect])),
+        ("connect/timeout_ms", serde_json::json!(-1)),
+        ("connect/exit_on_failure", serde_json::json!(false)),
+        ("connect/retry", retry),
+        ("listen/endpoints", serde_json::json!([])),
+        ("scouting/multicast/enabled", serde_json::json!(false)),
+        ("scouting/gossip/enabled", serde_json::json!(false)),
+        // As a node's uplink.
+        ("transport/shared_memory/enabled", serde_json::json!(false)),
+        ("transport/link/tx/lease", serde_json::json!(120_000)),
+        ("transport/link/tx/batch_size", serde_json::json!(8_192)),
+        ("transport/link/rx/buffer_size", serde_json::json!(8_192)),
+    ] {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| SimulateError::zenoh(key, error))?;
+    }
+    zenoh::open(config)
+        .await
+        .map_err(|error| SimulateError::zenoh(format!("session {index}"), error))
+}
+
+/// A node that is played.
+pub(crate) struct Player {
+    session: Session,
+    node: SimNode,
+    keys: NodeKeys,
+    options: Arc<Options>,
+    totals: Arc<Totals>,
+    asked: JoinSet<Asked>,
+    /// A batch is under way.
+    sending: bool,
+    /// When a batch that was not acknowledged is sent again, and the pause after the next one.
+    again: Option<Instant>,
+    pause: Duration,
+    /// No more clips are made: what is left is sent, however little.
+    ending: bool,
+}
+
+impl Player {
+    pub(crate) fn new(
+        session: Session,
+        node: SimNode,
+        options: Arc<Options>,
+        totals: Arc<Totals>,
+    ) -> Result<Self, SimulateError> {
+        let keys = NodeKeys::new(PREFIX, &node.name)?;
+        totals.counts.lock().made += node.made;
+        Ok(Self {
+            session,
+            node,
+            keys,
+            options,
+            totals,
+            asked: JoinSet::new(),
+            sending: false,
+            again: None,
+            pause: FIRST_PAUSE,
+            ending: false,
+        })
+    }
+
+    /// Plays until `end`; then sends what is left until `stop`.
+    pub(crate) async fn play(
+        mut self,
+        began: Instant,
+        end: CancellationToken,
+        stop: CancellationToken,
+    ) -> Result<(), SimulateError> {
+        let notice = Arc::new(Notify::new());
+        let _notices = self
+            .options
+            .notices
+            .then(|| self.hear(&notice))
+            .transpose()?;
+        let status = Duration::from_secs_f64(self.options.status_s);
+        let clip = Duration::from_secs_f64(self.options.clip_s);
+        // Everybody's times are spread over the period.
+        let name = self.node.name.bytes();
+        let name = name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
+        let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
+        let mut next_status = began + spread(status.min(FIRST_STATUSES), 1);
+        let mut next_clip = began + spread(clip, 2);
+        self.pull();
+        while !(self.ending && self.node.waiting() == 0) {
+            let again = self.again;
+            tokio::select! {
+                Some(Ok(asked)) = self.asked.join_next() => self.answered(asked, began),
+                () = notice.notified() => self.pull(),
+                () = sleep_until(next_status), if !self.ending => {
+                    // All are known soon; from then on their times are spread over the whole period.
+                    let period = if next_status < began + FIRST_STATUSES { spread(status, 3) } else { status };
+                    next_status += period.max(FIRST_STATUSES.min(status));
+                    self.status();
+                }
+                () = sleep_until(next_clip), if !self.ending => {
+                    next_clip += clip;
+                    self.node.made += 1;
+                    self.count(|counts| counts.made += 1);
+                    self.send(self.options.gather);
+                }
+                () = sleep_until(again.unwrap_or(began)), if again.is_some() => {
+                    self.again = None;
+                    self.send(1);
+                }
+                () = end.cancelled(), if !self.ending => {
+                    self.ending = true;
+                    self.send(1);
+                }
+                () = stop.cancelled() => break,
+            }
+        }
+        Ok(())
+    }
+
+    fn count(&self, count: impl FnOnce(&mut Counts)) {
+        count(&mut self.totals.counts.lock());
+    }
+
+    /// Has `notice` told of each notice of the hub.
+    fn hear(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
+        let notice = Arc::clone(notice);
+        let notices = self
+            .session
+            .declare_subscriber(self.keys.changed())
+            .callback(move |sample| {
+                if read::<ConfigChanged>(&sample.payload().to_bytes()).is_ok() {
+                    notice.notify_one();
+                }
+            });
+        notices
+            .wait()
+            .map_err(|error| SimulateError::zenoh(format!("notice of {}", self.node.name), error))
+    }
+
+    fn answered(&mut self, asked: Asked, began: Instant) {
+        match asked {
+            Asked::Desired(answer) => {
+                if let Some(Ok(answer)) = answer
+                    && let Ok(desired) = read::<Desired>(&answer)
+                {
+                    self.take(&desired);
+                }
+            }
+            Asked::Batch(reports, took, answer) => {
+                self.sending = false;
+                let good = answer.as_ref().and_then(|answer| answer.as_ref().ok());
+                match good.and_then(|good| read::<ReportAnswer>(good).ok()) {
+                    Some(answer) => self.acknowledged(reports, took, &answer, began),
+                    None => {
+                        let Some(Ok(refusal) | Err(refusal)) = answer else {
+                            return self.send_later(None);
+                        };
+                        self.send_later(read::<ReportRefusal>(&refusal).ok());
+                    }
+                }
+            }
+        }
+    }
+
+    fn acknowledged(
+        &mut self,
+        reports: u64,
+        took: Duration,
+        answer: &ReportAnswer,
+        began: Instant,
+    ) {
+        self.totals.answers.add(took);
+        if !self.ending && began.elapsed() >= SETTLED {
+            self.totals.settled.add(took);
+        }
+        self.pause = FIRST_PAUSE;
+        self.node.answered(reports);
+        self.count(|counts| counts.acknowledged += reports);
+        self.send(if self.ending { 1 } else { self.options.gather });
+        if let Some(desired) = &answer.desired {
+            self.take(desired);
+        }
+    }
+
+    /// A batch was not acknowledged: again after a pause that grows.
+    fn send_later(&mut self, refusal: Option<ReportRefusal>) {
+        self.count(
+            |counts| match refusal.as_ref().map(|refusal| refusal.reason) {
+                Some(RefusalReason::Busy) => counts.busy += 1,
+                Some(_) => counts.refused += 1,
+                None => counts.no_reply += 1,
+            },
+        );
+        let wanted = refusal.and_then(|refusal| refusal.retry_after_ms);
+        let pause = self.pause.max(Duration::from_millis(wanted.unwrap_or(0)));
+        let spread = unit(mix(self.node.made, now_ns()));
+        self.pause = (self.pause * 2).min(LONGEST_PAUSE);
+        self.again = Some(Instant::now() + pause.mul_f64(0.5 + spread));
+    }
+
+    fn take(&mut self, desired: &Desired) {
+        if self.node.take(desired) && !self.ending {
+            // A change is reported at once.
+            self.status();
+        }
+    }
+
+    fn status(&mut self) {
+        let Ok(payload) = self.node.status_payload(now_ns()) else {
+            return;
+        };
+        let put = self
+            .session
+            .put(self.keys.status(), payload)
+            .encoding(Encoding::APPLICATION_JSON)
+            .congestion_control(CongestionControl::Drop);
+        match put.wait() {
+            Ok(()) => self.count(|counts| counts.statuses += 1),
+            Err(error) => tracing::debug!(%error, "status not sent"),
+        }
+    }
+
+    /// Sends the oldest reports if at least so many wait and none are under way.
+    fn send(&mut self, least: u64) {
+        if self.sending || self.node.waiting() < least {
+            return;
+        }
+        let Some(batch) = self.node.batch(MOST_REPORTS, now_ns()) else {
+            return;
+        };
+        // What a batch costs its sender is multiplied by all the nodes that are played here.
+        let Ok(payload) = batch.to_payload(BatchCompression::Quick) else {
+            return;
+        };
+        self.sending = true;
+        self.count(|counts| {
+            counts.batches += 1;
+            counts.batch_bytes += payload.len() as u64;
+        });
+        let answer = ask(self.session.clone(), self.keys.report(), payload);
+        let (reports, sent) = (batch.reports.len() as u64, Instant::now());
+        self.asked.spawn(async move {
+            let answer = answer.await;
+            Asked::Batch(reports, sent.elapsed(), answer)
+        });
+    }
+
+    fn pull(&mut self) {
+        let request = PullRequest {
+            v: VERSION,
+            revision: self.node.revision(),
+        };
+        if let Ok(payload) = serde_json::to_vec(&request) {
+            self.count(|counts| counts.pulls += 1);
+            let answer = ask(self.session.clone(), self.keys.pull(), payload);
+            self.asked.spawn(async { Asked::Desired(answer.await) });
+        }
+    }
+}
+
+/// A query with a payload and its first answer: good or error.
+async fn ask(session: Session, key: String, payload: Vec<u8>) -> Option<Answer> {
+    let replies = session
+        .get(key)
+        .payload(payload)
+        .encoding(Encoding::APPLICATION_JSON)
+        .congestion_control(CongestionControl::Drop)
+        .timeout(ANSWER_WITHIN)
+        .await
+        .ok()?;
+    let reply = replies.recv_async().await.ok()?;
+    Some(match reply.result() {
+        Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+        Err(error) => Err(error.payload().to_bytes().into_owned()),
+    })
+}
