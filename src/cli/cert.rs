@@ -1,10 +1,10 @@
 //! `albireo cert`: the certificates of a fleet.
 
 use albireo_router::authority::{Authority, DAY, Issued, Request, Role};
+use albireo_service::clock::unix_milliseconds;
 use anyhow::{Context, bail};
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "\
 The folder has the authority's key: who can read it can let any node in. Keep it
@@ -58,7 +58,7 @@ enum Command {
     Renew {
         /// Of which role; with the name.
         #[arg(requires = "name", required_unless_present = "within")]
-        role: Option<Kind>,
+        role: Option<Role>,
         /// Of whom.
         name: Option<String>,
         /// All that expire within this many days.
@@ -71,7 +71,7 @@ enum Command {
     /// Take a certificate out of the access control that is generated from now on.
     Revoke {
         /// Of which role.
-        role: Kind,
+        role: Role,
         /// Of whom.
         name: String,
     },
@@ -97,64 +97,44 @@ struct Members {
     days: u32,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Kind {
-    Node,
-    Hub,
-    Router,
-}
-
-impl From<Kind> for Role {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Node => Self::Node,
-            Kind::Hub => Self::Hub,
-            Kind::Router => Self::Router,
-        }
-    }
-}
-
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
-    if let Command::Authority { name, days } = &arguments.command {
-        Authority::create(folder, name, DAY * *days)?;
-        println!("the authority `{name}` is in {}", folder.display());
-        return Ok(());
-    }
-    let mut authority = Authority::open(folder).with_context(|| {
-        format!(
-            "no authority in {}; create one with `albireo cert authority`",
-            folder.display()
-        )
-    })?;
+    let shown = folder.display();
+    let open = || {
+        let missing =
+            || format!("no authority in {shown}; create one with `albireo cert authority`");
+        Authority::open(folder).with_context(missing)
+    };
     match &arguments.command {
-        // Done above.
-        Command::Authority { .. } => {}
-        Command::Node(members) => issue(&mut authority, Role::Node, members)?,
-        Command::Hub(members) => issue(&mut authority, Role::Hub, members)?,
+        Command::Authority { name, days } => {
+            Authority::create(folder, name, DAY * *days)?;
+            println!("the authority `{name}` is in {shown}");
+        }
+        Command::Node(members) => issue(&mut open()?, Role::Node, members)?,
+        Command::Hub(members) => issue(&mut open()?, Role::Hub, members)?,
         Command::Router(members) => {
             if members.hosts.is_empty() {
                 bail!("--host is missing: nodes check that the router's certificate names it");
             }
-            issue(&mut authority, Role::Router, members)?;
+            issue(&mut open()?, Role::Router, members)?;
         }
         Command::Renew {
             role,
             name,
             within,
             days,
-        } => renew(&mut authority, *role, name.as_deref(), *within, *days)?,
+        } => renew(&mut open()?, *role, name.as_deref(), *within, *days)?,
         Command::Revoke { role, name } => {
-            let revoked = authority.revoke((*role).into(), name)?;
+            let revoked = open()?.revoke(*role, name)?;
             println!(
                 "`{}` is revoked; generate the router's rules again with `albireo acl`, and restart it",
                 revoked.common_name()
             );
         }
         Command::List { json: true } => {
-            println!("{}", serde_json::to_string_pretty(authority.entries())?);
+            println!("{}", serde_json::to_string_pretty(open()?.entries())?);
         }
-        Command::List { json: false } => list(&authority),
+        Command::List { json: false } => list(&open()?),
     }
     Ok(())
 }
@@ -169,15 +149,15 @@ fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Re
 
 fn renew(
     authority: &mut Authority,
-    role: Option<Kind>,
+    role: Option<Role>,
     name: Option<&str>,
     within: Option<u32>,
     days: u32,
 ) -> anyhow::Result<()> {
     let who: Vec<(Role, String)> = match (role, name, within) {
-        (Some(role), Some(name), _) => vec![(role.into(), name.to_owned())],
+        (Some(role), Some(name), _) => vec![(role, name.to_owned())],
         (.., within) => {
-            let until = now() + i64::from(within.unwrap_or(0)) * 86_400;
+            let until = unix_milliseconds() / 1000 + i64::from(within.unwrap_or(0)) * 86_400;
             (authority.entries().iter())
                 .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until)
                 .map(|entry| (entry.role, entry.name.clone()))
@@ -203,7 +183,7 @@ fn print_issued(issued: &Issued) {
 }
 
 fn list(authority: &Authority) {
-    let now = now();
+    let now = unix_milliseconds() / 1000;
     for entry in authority.entries() {
         let state = match (entry.revoked_s, entry.ends_s - now) {
             (Some(_), _) => "revoked".to_owned(),
@@ -212,11 +192,4 @@ fn list(authority: &Authority) {
         };
         println!("{:<40} {state}", entry.common_name());
     }
-}
-
-fn now() -> i64 {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or(Duration::ZERO);
-    i64::try_from(since.as_secs()).unwrap_or(i64::MAX)
 }

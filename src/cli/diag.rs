@@ -1,17 +1,13 @@
 //! `albireo diag`: collects the diagnostics of a node or a hub into one archive.
 
 use super::block_on;
-use anyhow::{Context, anyhow, bail};
+use super::fleet::client::Client;
+use anyhow::{Context, bail};
+use reqwest::Response;
 use reqwest::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use reqwest::{Response, Url};
-use serde_json::Value;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-/// How long the archive may take.
-const WITHIN: Duration = Duration::from_secs(60);
 
 const EXAMPLES: &str = "\
 Examples:
@@ -40,31 +36,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
-    let Arguments { url, token, output } = arguments;
-    let url = Url::parse(url)
-        .and_then(|base| base.join("/api/v1/diag"))
-        .with_context(|| format!("`{url}` is not an address such as http://127.0.0.1:8080"))?;
-    let client = reqwest::Client::builder()
-        .connect_timeout(Duration::from_secs(5))
-        .timeout(WITHIN)
-        .redirect(reqwest::redirect::Policy::none())
-        .build()?;
-    let mut request = client.get(url.clone());
-    if let Some(token) = token {
-        request = request.bearer_auth(token);
-    }
-    let response = request
-        .send()
-        .await
-        .with_context(|| format!("{url} cannot be reached"))?;
-    if !response.status().is_success() {
-        return Err(refusal(response).await);
-    }
+    let client = Client::new(&arguments.url, arguments.token.clone())?;
+    let response = client.file("/api/v1/diag").await?;
     let is_archive = response.headers().get(CONTENT_TYPE);
     if is_archive.is_none_or(|kind| kind != "application/x-tar") {
-        bail!("{url} returned no archive; is it a node or a hub?");
+        bail!(
+            "{} returned no archive; is it a node or a hub?",
+            arguments.url
+        );
     }
-    let file = output.clone().or_else(|| named(&response));
+    let file = arguments.output.clone().or_else(|| named(&response));
     let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
     let archive = response
         .bytes()
@@ -93,14 +74,4 @@ fn named(response: &Response) -> Option<PathBuf> {
     let name = name.strip_suffix('"')?;
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     (name.chars().all(plain) && name.starts_with("albireo-")).then(|| name.into())
-}
-
-async fn refusal(response: Response) -> anyhow::Error {
-    let (status, url) = (response.status(), response.url().clone());
-    let body = response.text().await.unwrap_or_default();
-    let problem: Option<Value> = serde_json::from_str(&body).ok();
-    match problem.as_ref().and_then(|it| it["detail"].as_str()) {
-        Some(detail) => anyhow!("{detail}"),
-        None => anyhow!("{url} answers {status}; is it a node or a hub?"),
-    }
 }

@@ -1,6 +1,6 @@
 //! `albireo fleet`: a hub from the terminal. It is a client of the hub's HTTP interface and knows nothing else.
 
-mod client;
+pub(super) mod client;
 mod diag;
 mod nodes;
 mod runs;

@@ -6,7 +6,7 @@
 //! the rules for that direction go by role.
 
 use crate::authority::{AuthorityError, Entry, Role, subject};
-use albireo_wire::{FleetKeys, KeyError};
+use albireo_wire::{KeyError, NodeKeys};
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
@@ -67,7 +67,7 @@ pub fn access_control(
 }
 
 fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessError> {
-    let all = FleetKeys::all(prefix)?;
+    let all = NodeKeys::all(prefix)?;
     let queried = [all.report(), all.pull()];
     let published = [all.status(), format!("{prefix}/*/*/counters")];
     let changed = [all.changed()];
@@ -150,7 +150,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
             Role::Hub => hubs.clone(),
             Role::Router => routers.clone(),
             Role::Node => {
-                let keys = FleetKeys::new(prefix, name)?;
+                let keys = NodeKeys::new(prefix, name)?;
                 let counters = format!("{prefix}/{name}/*/counters");
                 let mut may = |what: &str, messages: &[&str], keys: &[String]| {
                     rule(&format!("{name} {what}"), "ingress", messages, keys)
@@ -263,7 +263,7 @@ mod tests {
             for policy in access["policies"].as_array().unwrap() {
                 let subject = policy["subjects"][0].as_str().unwrap();
                 for other in entries.iter().filter(|other| other.common_name() != subject) {
-                    let keys = FleetKeys::new(&prefix, &other.name).unwrap();
+                    let keys = NodeKeys::new(&prefix, &other.name).unwrap();
                     let own = [keys.status(), keys.report(), keys.pull(), keys.changed(), keys.alive()]
                         .map(|key| KeyExpr::new(key).unwrap());
                     let sent = rules.iter().filter(|rule| {

@@ -5,18 +5,18 @@
 //! it: the rules no longer name that common name, and the next certificate of the same name has the next issue. A
 //! renewed certificate has the issue of the old one, which stays good until it ends.
 
-mod files;
 mod list;
 
 pub use list::{Entry, Role};
 
-use files::write_private;
-pub use files::write_public;
 use list::List;
 use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
     Issuer, KeyPair, KeyUsagePurpose,
 };
+use std::fs::{self, Permissions};
+use std::io::Write;
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use x509_parser::pem::parse_x509_pem;
@@ -35,17 +35,9 @@ const REACH_BACK: Duration = DAY;
 /// Why something cannot be done with certificates.
 #[derive(Debug, thiserror::Error)]
 pub enum AuthorityError {
-    /// A file cannot be read or written.
-    #[error("{file}: {source}")]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// A file has something else in it than it should.
+    /// A file cannot be read or written, or has something else in it than it should.
     #[error("{file}: {reason}")]
-    Content {
+    File {
         /// The file.
         file: PathBuf,
         /// What is wrong with it.
@@ -81,6 +73,14 @@ pub enum AuthorityError {
     /// The certificate cannot be made.
     #[error("the certificate cannot be made: {0}")]
     Making(#[from] rcgen::Error),
+}
+
+/// For what goes wrong with a file.
+fn at<E: ToString>(file: &Path) -> impl Fn(E) -> AuthorityError + '_ {
+    |error| AuthorityError::File {
+        file: file.to_owned(),
+        reason: error.to_string(),
+    }
 }
 
 /// Whose certificate, and how long it is good.
@@ -149,7 +149,7 @@ impl Authority {
         if file.exists() || folder.join(AUTHORITY_KEY).exists() {
             return Err(AuthorityError::Exists(file));
         }
-        files::create_folder(folder)?;
+        create_folder(folder)?;
         let key = KeyPair::generate()?;
         let now = SystemTime::now();
         let mut params = authority_params(name);
@@ -157,14 +157,8 @@ impl Authority {
         let certificate = params.self_signed(&key)?;
         write_private(&folder.join(AUTHORITY_KEY), &key.serialize_pem())?;
         write_public(&file, &certificate.pem())?;
-        let list = List::open(folder)?;
-        list.write()?;
-        Ok(Self {
-            folder: folder.to_owned(),
-            name: name.to_owned(),
-            key,
-            list,
-        })
+        List::open(folder)?.write()?;
+        Self::open(folder)
     }
 
     /// Opens the authority in `folder`. Nobody else can change it meanwhile.
@@ -176,12 +170,7 @@ impl Authority {
         let file = folder.join(AUTHORITY);
         let (name, _) = subject(&file)?;
         let key_file = folder.join(AUTHORITY_KEY);
-        let key = KeyPair::from_pem(&files::read(&key_file)?).map_err(|error| {
-            AuthorityError::Content {
-                file: key_file,
-                reason: error.to_string(),
-            }
-        })?;
+        let key = KeyPair::from_pem(&read(&key_file)?).map_err(at(&key_file))?;
         Ok(Self {
             folder: folder.to_owned(),
             name,
@@ -230,9 +219,10 @@ impl Authority {
     /// # Errors
     /// When there is no good one, or the list cannot be written.
     pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, AuthorityError> {
-        let revoked = self.list.revoke(role, name)?;
-        self.list.write()?;
-        Ok(revoked)
+        let mut entry = self.list.good(role, name)?.clone();
+        entry.revoked_s = Some(seconds(SystemTime::now())?);
+        self.list.put(entry.clone())?;
+        Ok(entry)
     }
 
     fn make(&mut self, request: &Request<'_>, issue: u32) -> Result<Issued, AuthorityError> {
@@ -254,7 +244,7 @@ impl Authority {
         let own = authority_params(&self.name);
         let certificate = params.signed_by(&key, &Issuer::from_params(&own, &self.key))?;
         let folder = self.folder.join(role.as_str());
-        files::create_folder(&folder)?;
+        create_folder(&folder)?;
         let (certificate_file, key_file) = (
             folder.join(format!("{name}.pem")),
             folder.join(format!("{name}.key")),
@@ -270,8 +260,7 @@ impl Authority {
             ends_s: seconds(request.ends)?,
             revoked_s: None,
         };
-        self.list.put(entry.clone());
-        self.list.write()?;
+        self.list.put(entry.clone())?;
         Ok(Issued {
             certificate: certificate_file,
             key: key_file,
@@ -294,23 +283,55 @@ fn common_name(name: &str) -> DistinguishedName {
     distinguished
 }
 
+fn read(file: &Path) -> Result<String, AuthorityError> {
+    fs::read_to_string(file).map_err(at(file))
+}
+
+fn create_folder(folder: &Path) -> Result<(), AuthorityError> {
+    fs::DirBuilder::new()
+        .recursive(true)
+        .mode(0o750)
+        .create(folder)
+        .map_err(at(folder))
+}
+
+/// What only the owner may read.
+fn write_private(file: &Path, text: &str) -> Result<(), AuthorityError> {
+    write(file, text, 0o600).map_err(at(file))
+}
+
+/// Writes a file that anybody may read, whole or not at all, and synced.
+///
+/// # Errors
+/// When it cannot be written, with its name.
+pub fn write_public(file: &Path, text: &str) -> Result<(), AuthorityError> {
+    write(file, text, 0o644).map_err(at(file))
+}
+
+fn write(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
+    let folder = file.parent().filter(|folder| *folder != Path::new(""));
+    let mut new = tempfile::Builder::new()
+        .permissions(Permissions::from_mode(mode))
+        .tempfile_in(folder.unwrap_or(Path::new(".")))?;
+    new.write_all(text.as_bytes())?;
+    new.as_file().sync_all()?;
+    new.persist(file)?;
+    Ok(())
+}
+
 /// The common name of the certificate in a file, and when it ends, seconds since the Unix epoch.
 ///
 /// # Errors
 /// When the file has no certificate with a common name.
 pub(crate) fn subject(file: &Path) -> Result<(String, i64), AuthorityError> {
-    let text = files::read(file)?;
-    let wrong = |reason: String| AuthorityError::Content {
-        file: file.to_owned(),
-        reason,
-    };
-    let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(|error| wrong(error.to_string()))?;
-    let certificate = pem.parse_x509().map_err(|error| wrong(error.to_string()))?;
+    let text = read(file)?;
+    let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
+    let certificate = pem.parse_x509().map_err(at(file))?;
     let name = certificate
         .subject()
         .iter_common_name()
         .find_map(|name| name.as_str().ok())
-        .ok_or_else(|| wrong("the certificate has no common name".to_owned()))?;
+        .ok_or_else(|| at(file)("the certificate has no common name"))?;
     Ok((
         name.to_owned(),
         certificate.validity().not_after.timestamp(),

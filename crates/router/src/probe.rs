@@ -1,7 +1,9 @@
 //! Opens a session to the router from time to time, as a node would. A router can run and accept no session any more
 //! (zenoh#2735); only an attempt shows it.
 
+use albireo_service::session;
 use parking_lot::Mutex;
+use serde_json::json;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
@@ -99,7 +101,7 @@ impl Probes {
             };
             self.record(match outcome {
                 Ok(Ok(Ok(took))) => Ok(took),
-                Ok(Ok(Err(error))) => Err(albireo_service::session::plain(&error)),
+                Ok(Ok(Err(error))) => Err(session::plain(&error)),
                 Ok(Err(error)) => Err(error.to_string()),
                 Err(_) => Err(format!("none opened within {LIMIT:?}")),
             });
@@ -109,35 +111,31 @@ impl Probes {
 
 /// A client of `router`, with the router's own certificate.
 fn client(router: &Config, endpoint: &str) -> Result<Config, String> {
+    let own = |key: &str| -> serde_json::Value {
+        let text = router.get_json(&format!("transport/link/tls/{key}"));
+        text.map_or_else(
+            |_| json!(null),
+            |text| serde_json::from_str(&text).unwrap_or_default(),
+        )
+    };
+    let tls = json!({
+        "root_ca_certificate": own("root_ca_certificate"),
+        "connect_certificate": own("listen_certificate"),
+        "connect_private_key": own("listen_private_key"),
+        "enable_mtls": own("enable_mtls"),
+        // It is reached by an address that its certificate need not name.
+        "verify_name_on_connect": false,
+    });
+    let settings = [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([endpoint])),
+        ("connect/timeout_ms", json!(10_000)),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        ("transport/link/tls", tls),
+    ];
     let mut client = Config::default();
-    let mut insert = |key: &str, value: serde_json::Value| {
-        client
-            .insert_json5(key, &value.to_string())
-            .map_err(|error| format!("{key}: {error}"))
-    };
-    insert("mode", "client".into())?;
-    insert("connect/endpoints", serde_json::json!([endpoint]))?;
-    insert("connect/timeout_ms", 10_000.into())?;
-    insert("scouting/multicast/enabled", false.into())?;
-    insert("scouting/gossip/enabled", false.into())?;
-    let tls = |key: &str| -> Option<serde_json::Value> {
-        let text = router.get_json(&format!("transport/link/tls/{key}")).ok()?;
-        serde_json::from_str(&text)
-            .ok()
-            .filter(|value: &serde_json::Value| !value.is_null())
-    };
-    for (own, listens) in [
-        ("root_ca_certificate", "root_ca_certificate"),
-        ("connect_certificate", "listen_certificate"),
-        ("connect_private_key", "listen_private_key"),
-        ("enable_mtls", "enable_mtls"),
-    ] {
-        if let Some(value) = tls(listens) {
-            insert(&format!("transport/link/tls/{own}"), value)?;
-        }
-    }
-    // It is reached by an address that its certificate need not name.
-    insert("transport/link/tls/verify_name_on_connect", false.into())?;
+    session::set(&mut client, &settings)?;
     Ok(client)
 }
 

@@ -1,4 +1,4 @@
-//! Talks to a hub over HTTP.
+//! Talks to a hub or a node over HTTP.
 
 use anyhow::{Context, bail};
 use reqwest::header::{ACCEPT, AUTHORIZATION};
@@ -13,15 +13,15 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(30);
 /// Longest line of a stream.
 const LONGEST_LINE: usize = 1 << 20;
 
-/// A hub.
-pub(super) struct Client {
+/// A hub, or a node.
+pub(in crate::cli) struct Client {
     base: Url,
     token: Option<String>,
     http: reqwest::Client,
 }
 
 impl Client {
-    pub(super) fn new(hub: &str, token: Option<String>) -> anyhow::Result<Self> {
+    pub(in crate::cli) fn new(hub: &str, token: Option<String>) -> anyhow::Result<Self> {
         let base = Url::parse(hub)
             .with_context(|| format!("`{hub}` is no address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
@@ -53,7 +53,7 @@ impl Client {
         let response = request
             .send()
             .await
-            .with_context(|| format!("the hub at {} cannot be reached", self.base))?;
+            .with_context(|| format!("{} cannot be reached", self.base))?;
         let status = response.status();
         if status.is_success() {
             return Ok(response);
@@ -65,7 +65,7 @@ impl Client {
             .and_then(|problem| problem["detail"].as_str());
         match detail {
             Some(detail) => bail!("{detail}"),
-            None => bail!("{} answers {status}; is it a hub?", self.base),
+            None => bail!("{} answers {status}; is it a hub or a node?", self.base),
         }
     }
 
@@ -90,10 +90,9 @@ impl Client {
     }
 
     /// Fetches a file.
-    pub(super) async fn bytes(&self, path: &str) -> anyhow::Result<Vec<u8>> {
+    pub(in crate::cli) async fn file(&self, path: &str) -> anyhow::Result<Response> {
         let request = self.request(Method::GET, path, &[])?;
-        let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
-        Ok(response.bytes().await?.to_vec())
+        self.send(request.timeout(ANSWER_WITHIN)).await
     }
 
     /// Orders something.

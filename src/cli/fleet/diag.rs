@@ -12,7 +12,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) async fn fetch(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
-    let archive = context.client.bytes("/api/v1/diag").await?;
+    let archive = context.client.file("/api/v1/diag").await?.bytes().await?;
     crate::cli::diag::save(&arguments.output, &archive)?;
     let shown = arguments.output.display().to_string();
     let saved = serde_json::json!({ "file": shown, "bytes": archive.len() });

@@ -1,12 +1,11 @@
 //! The list of the certificates that an authority has issued.
 
-use super::AuthorityError;
-use super::files::{read, write_private};
+use super::{AuthorityError, at, read, write_private};
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 const LIST: &str = "list.json";
 const LOCK: &str = "list.lock";
@@ -15,7 +14,7 @@ const LOCK: &str = "list.lock";
 const VERSION: u32 = 1;
 
 /// What the holder of a certificate may do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Report under its own name.
@@ -68,10 +67,6 @@ pub struct Entry {
 }
 
 impl Entry {
-    fn is_of(&self, role: Role, name: &str) -> bool {
-        self.role == role && self.name == name
-    }
-
     /// Its common name.
     pub fn common_name(&self) -> String {
         self.role.common_name(&self.name, self.issue)
@@ -92,66 +87,56 @@ struct Stored {
 /// The list, with the lock that keeps others from changing it.
 pub(super) struct List {
     file: PathBuf,
-    issued: Vec<Entry>,
+    stored: Stored,
     /// Held while this lives.
     _lock: File,
 }
 
 impl List {
     pub(super) fn open(folder: &Path) -> Result<Self, AuthorityError> {
-        let lock = folder.join(LOCK);
-        let locked = File::create(&lock)
-            .and_then(|file| {
-                file.lock()?;
-                Ok(file)
-            })
-            .map_err(|source| AuthorityError::File { file: lock, source })?;
+        let lock_file = folder.join(LOCK);
+        let lock = File::create(&lock_file).map_err(at(&lock_file))?;
+        lock.lock().map_err(at(&lock_file))?;
         let file = folder.join(LIST);
-        let issued = if file.exists() {
-            let wrong = |reason| AuthorityError::Content {
-                file: file.clone(),
-                reason,
-            };
-            let stored: Stored =
-                serde_json::from_str(&read(&file)?).map_err(|error| wrong(error.to_string()))?;
-            if stored.v != VERSION {
-                return Err(wrong(format!(
-                    "version {} is not known; this program knows {VERSION}",
-                    stored.v
-                )));
-            }
-            stored.issued
+        let stored = if file.exists() {
+            serde_json::from_str(&read(&file)?).map_err(at(&file))?
         } else {
-            Vec::new()
+            Stored {
+                v: VERSION,
+                issued: Vec::new(),
+            }
         };
+        if stored.v != VERSION {
+            let found = stored.v;
+            return Err(at(&file)(format!(
+                "version {found} is not known; this program knows {VERSION}"
+            )));
+        }
         Ok(Self {
             file,
-            issued,
-            _lock: locked,
+            stored,
+            _lock: lock,
         })
     }
 
     pub(super) fn write(&self) -> Result<(), AuthorityError> {
-        let stored = Stored {
-            v: VERSION,
-            issued: self.issued.clone(),
-        };
-        let text =
-            serde_json::to_string_pretty(&stored).map_err(|error| AuthorityError::Content {
-                file: self.file.clone(),
-                reason: error.to_string(),
-            })?;
+        let text = serde_json::to_string_pretty(&self.stored).map_err(at(&self.file))?;
         write_private(&self.file, &(text + "\n"))
     }
 
     pub(super) fn entries(&self) -> &[Entry] {
-        &self.issued
+        &self.stored.issued
+    }
+
+    fn of(&self, role: Role, name: &str) -> impl Iterator<Item = &Entry> {
+        let of_it = move |entry: &&Entry| entry.role == role && entry.name == name;
+        self.stored.issued.iter().filter(of_it)
     }
 
     /// The one of that name that is not revoked.
     pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, AuthorityError> {
-        (self.issued.iter())
-            .find(|entry| entry.is_of(role, name) && entry.revoked_s.is_none())
+        self.of(role, name)
+            .find(|entry| entry.revoked_s.is_none())
             .ok_or_else(|| AuthorityError::Unknown {
                 role,
                 name: name.to_owned(),
@@ -160,30 +145,15 @@ impl List {
 
     /// The highest issue of that name; 0 when there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
-        (self.issued.iter())
-            .filter(|entry| entry.is_of(role, name))
-            .map(|entry| entry.issue)
-            .max()
-            .unwrap_or(0)
+        (self.of(role, name).map(|entry| entry.issue).max()).unwrap_or(0)
     }
 
-    /// Adds an entry; one with the same common name is replaced.
-    pub(super) fn put(&mut self, entry: Entry) {
-        let same =
-            |known: &Entry| known.is_of(entry.role, &entry.name) && known.issue == entry.issue;
-        self.issued.retain(|known| !same(known));
-        self.issued.push(entry);
-        self.issued
-            .sort_by(|a, b| (a.role, &a.name, a.issue).cmp(&(b.role, &b.name, b.issue)));
-    }
-
-    pub(super) fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, AuthorityError> {
-        let mut entry = self.good(role, name)?.clone();
-        let now = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
-        entry.revoked_s = Some(i64::try_from(now.as_secs()).unwrap_or(i64::MAX));
-        self.put(entry.clone());
-        Ok(entry)
+    /// Adds an entry, in place of one with the same common name, and writes the list.
+    pub(super) fn put(&mut self, entry: Entry) -> Result<(), AuthorityError> {
+        let issued = &mut self.stored.issued;
+        issued.retain(|known| known.common_name() != entry.common_name());
+        issued.push(entry);
+        issued.sort_by(|a, b| (a.role, &a.name, a.issue).cmp(&(b.role, &b.name, b.issue)));
+        self.write()
     }
 }
