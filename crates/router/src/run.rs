@@ -6,7 +6,8 @@ use albireo_service::config::HttpConfig;
 use albireo_service::http::HttpError;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::session::plain;
-use std::path::PathBuf;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -16,19 +17,32 @@ use zenoh::{Config, Wait};
 /// How long the session may take to close.
 const STOP_LIMIT: Duration = Duration::from_secs(4);
 
-/// What a router runs with.
-#[derive(Clone, Debug)]
+/// What a router runs with: options of `albireo router`.
+#[derive(Clone, Debug, clap::Args)]
 pub struct RouterOptions {
     /// Zenoh's configuration file: endpoints, certificates, limits.
-    pub config: PathBuf,
-    /// The section `access_control` that goes in it, as `albireo acl` writes it.
-    pub access: Option<PathBuf>,
-    /// Whether every certificate of the authority may do everything, revoked ones included.
-    pub no_access_control: bool,
-    /// Health and metrics.
-    pub http: HttpConfig,
-    /// Time between two attempts to open a session to itself.
-    pub probe_every: Duration,
+    #[arg(long, short, env = "ALBIREO_ROUTER_CONFIG", value_name = "FILE")]
+    config: PathBuf,
+    /// Who may do what, as `albireo acl` writes it.
+    #[arg(long, env = "ALBIREO_ROUTER_ACCESS", value_name = "FILE")]
+    access: Option<PathBuf>,
+    /// Run without access rules although certificates are asked for: every certificate may do everything.
+    #[arg(long, conflicts_with = "access")]
+    no_access_control: bool,
+    /// Where health and metrics are. Other than loopback needs a token.
+    #[arg(
+        long,
+        env = "ALBIREO_ROUTER_HTTP",
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:8095"
+    )]
+    http: SocketAddr,
+    /// File whose first line is the token that metrics need.
+    #[arg(long, env = "ALBIREO_ROUTER_HTTP_TOKEN_FILE", value_name = "FILE")]
+    http_token_file: Option<PathBuf>,
+    /// Seconds between two attempts of the router to open a session to itself, as a node would.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    probe_s: u64,
 }
 
 /// Why a router does not run.
@@ -63,21 +77,19 @@ impl RouterOptions {
     /// # Errors
     /// When a file cannot be read, or Zenoh does not take what is in it.
     pub fn zenoh(&self) -> Result<Config, RouterError> {
-        let wrong = |file: &PathBuf| {
-            let file = file.clone();
-            |reason: String| RouterError::File { file, reason }
+        let wrong = |file: &Path, reason| RouterError::File {
+            file: file.to_owned(),
+            reason,
         };
-        let mut config =
-            Config::from_file(&self.config).map_err(|error| wrong(&self.config)(plain(&error)))?;
-        config
-            .insert_json5("mode", "\"router\"")
-            .map_err(|error| wrong(&self.config)(plain(&error)))?;
+        let own = |error: zenoh::Error| wrong(&self.config, plain(&error));
+        let mut config = Config::from_file(&self.config).map_err(own)?;
+        config.insert_json5("mode", "\"router\"").map_err(own)?;
         if let Some(file) = &self.access {
             let text =
-                std::fs::read_to_string(file).map_err(|error| wrong(file)(error.to_string()))?;
+                std::fs::read_to_string(file).map_err(|error| wrong(file, error.to_string()))?;
             config
                 .insert_json5("access_control", &text)
-                .map_err(|error| wrong(file)(plain(&error)))?;
+                .map_err(|error| wrong(file, plain(&error)))?;
         }
         let is = |key: &str| config.get_json(key).is_ok_and(|value| value == "true");
         if is("transport/link/tls/enable_mtls")
@@ -87,6 +99,15 @@ impl RouterOptions {
             return Err(RouterError::NoAccessRules(self.config.clone()));
         }
         Ok(config)
+    }
+
+    /// Health and metrics.
+    pub fn http(&self) -> HttpConfig {
+        HttpConfig {
+            listen: self.http,
+            token_file: self.http_token_file.clone(),
+            ..HttpConfig::default()
+        }
     }
 }
 
@@ -99,7 +120,7 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), RouterError> {
-    let config = options.zenoh()?;
+    let (config, http) = (options.zenoh()?, options.http());
     let max_sessions = config
         .get_json("transport/unicast/max_sessions")
         .ok()
@@ -112,12 +133,8 @@ pub async fn run(
     };
     let serving = CancellationToken::new();
     let stopping = serving.clone().drop_guard();
-    let served = albireo_service::http::run(
-        &options.http,
-        http::routes(view.clone()),
-        listener,
-        serving.clone(),
-    );
+    let served =
+        albireo_service::http::run(&http, http::routes(view.clone()), listener, serving.clone());
     let routing = async {
         let routed = route(config, options, &view, &shutdown).await;
         drop(stopping);
@@ -142,19 +159,12 @@ async fn route(
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
     let of_router = config.clone();
-    let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
-    let session = match opened {
-        Ok(Ok(session)) => session,
-        Ok(Err(error)) => return Err(RouterError::NotOpened(plain(&error))),
-        Err(error) => return Err(RouterError::NotOpened(error.to_string())),
-    };
-    let endpoints: Vec<String> = session
-        .info()
-        .locators()
+    let session = tokio::task::spawn_blocking(move || zenoh::open(config).wait())
         .await
-        .iter()
-        .map(ToString::to_string)
-        .collect();
+        .map_err(|error| RouterError::NotOpened(error.to_string()))?
+        .map_err(|error| RouterError::NotOpened(plain(&error)))?;
+    let endpoints = session.info().locators().await;
+    let endpoints: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
     // It is opened once.
     let _ = view.session.set(session.clone());
     tracing::info!(
@@ -176,17 +186,15 @@ async fn route(
         tokio::spawn(view.probes.clone().run(
             of_router,
             endpoint.clone(),
-            options.probe_every,
+            Duration::from_secs(options.probe_s),
             shutdown.clone(),
         ))
     });
     shutdown.cancelled().await;
     let _ = notifier.await;
     let closing = tokio::task::spawn_blocking(move || session.close().wait());
-    if !matches!(
-        tokio::time::timeout(STOP_LIMIT, closing).await,
-        Ok(Ok(Ok(())))
-    ) {
+    let closed = tokio::time::timeout(STOP_LIMIT, closing).await;
+    if !matches!(closed, Ok(Ok(Ok(())))) {
         tracing::warn!("the router's session was not closed cleanly");
     }
     if let Some(probing) = probing {

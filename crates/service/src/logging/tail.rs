@@ -21,7 +21,7 @@ const MASK: &str = "(secret)";
 /// Shorter ones would be found in ordinary words.
 const SHORTEST_SECRET: usize = 4;
 
-static LAST: Mutex<Lines> = Mutex::new(Lines::new());
+static LAST: Mutex<VecDeque<LogLine>> = Mutex::new(VecDeque::new());
 static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
 
 /// One line of the log.
@@ -55,7 +55,7 @@ pub fn last_lines() -> Vec<LogLine> {
 
 /// At most `most` of the newest lines with a number above `number`, oldest first.
 pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
-    LAST.lock().after(number, most)
+    after(&LAST.lock(), number, most)
 }
 
 /// Masks `secret` in all lines, those that are already kept among them.
@@ -69,7 +69,7 @@ pub fn conceal(secret: &str) {
         secrets.push(secret.to_owned());
     }
     drop(secrets);
-    for line in &mut LAST.lock().lines {
+    for line in LAST.lock().iter_mut() {
         mask(&mut line.text);
     }
 }
@@ -82,34 +82,18 @@ fn mask(text: &mut String) {
     }
 }
 
-#[derive(Debug)]
-struct Lines {
-    lines: VecDeque<LogLine>,
-    number: u64,
+fn keep(lines: &mut VecDeque<LogLine>, mut line: LogLine) {
+    line.number = lines.back().map_or(1, |last| last.number + 1);
+    if lines.len() == KEPT {
+        lines.pop_front();
+    }
+    lines.push_back(line);
 }
 
-impl Lines {
-    const fn new() -> Self {
-        Self {
-            lines: VecDeque::new(),
-            number: 0,
-        }
-    }
-
-    fn keep(&mut self, mut line: LogLine) {
-        self.number += 1;
-        line.number = self.number;
-        if self.lines.len() == KEPT {
-            self.lines.pop_front();
-        }
-        self.lines.push_back(line);
-    }
-
-    fn after(&self, number: u64, most: usize) -> Vec<LogLine> {
-        let new = self.lines.iter().filter(|line| line.number > number);
-        let over = new.clone().count().saturating_sub(most);
-        new.skip(over).cloned().collect()
-    }
+fn after(lines: &VecDeque<LogLine>, number: u64, most: usize) -> Vec<LogLine> {
+    let new = lines.iter().filter(|line| line.number > number);
+    let over = new.clone().count().saturating_sub(most);
+    new.skip(over).cloned().collect()
 }
 
 /// The layer that keeps each event as a line.
@@ -156,26 +140,23 @@ impl io::Write for Line {
         let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
         // Before it is cut: a secret's first half is no less a secret.
         mask(&mut text);
-        cut(&mut text);
-        LAST.lock().keep(LogLine {
+        if text.len() > LONGEST {
+            text.truncate(text.floor_char_boundary(LONGEST));
+            text.push('…');
+        }
+        let line = LogLine {
             number: 0,
             at_ms: crate::clock::unix_milliseconds(),
             level: self.0.as_str(),
             target: std::mem::take(&mut self.1),
             text,
-        });
+        };
+        keep(&mut LAST.lock(), line);
         Ok(event.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
-    }
-}
-
-fn cut(text: &mut String) {
-    if text.len() > LONGEST {
-        text.truncate(text.floor_char_boundary(LONGEST));
-        text.push('…');
     }
 }
 
@@ -196,20 +177,19 @@ mod tests {
 
     #[test]
     fn the_last_lines_are_kept_and_those_after_a_number_can_be_had() {
-        let mut lines = Lines::new();
+        let mut lines = VecDeque::new();
         for number in 1..=KEPT + 3 {
-            lines.keep(line(&number.to_string()));
+            keep(&mut lines, line(&number.to_string()));
         }
-        let all = lines.after(0, usize::MAX);
+        let all = after(&lines, 0, usize::MAX);
         assert_eq!(all.len(), KEPT);
         assert_eq!((all[0].number, all[0].text.as_str()), (4, "4"));
-        let last: Vec<_> = lines
-            .after(1000, 2)
+        let last: Vec<_> = after(&lines, 1000, 2)
             .iter()
             .map(|line| line.number)
             .collect();
         assert_eq!(last, [1002, 1003]);
-        assert_eq!(lines.after(1003, 10), []);
+        assert_eq!(after(&lines, 1003, 10), []);
         assert_eq!(
             all[0].to_string(),
             "2027-01-15T08:00:00.007Z  INFO albireo: 4"
