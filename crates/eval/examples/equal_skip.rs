@@ -11,6 +11,7 @@ use albireo_eval::result::ClipResult;
 use albireo_eval::run::{self, Settings};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{BASELINE, Common, resolve};
+use albireo_eval::statistics::mean;
 use albireo_eval::summary::Difference;
 use clap::Parser;
 use std::error::Error;
@@ -52,47 +53,51 @@ struct Arguments {
 }
 
 /// Recordings at one confidence.
-pub struct Recordings {
+struct Recordings {
     clips: Vec<Clip>,
     settings: Settings,
 }
 
 /// A policy with one value of its threshold on all clips, in their order.
-pub struct Point {
+struct Point {
     value: f64,
     clips: Vec<ClipResult>,
 }
 
+/// A figure of all boxes of a policy, published or not.
+type Figure = fn(&Accuracy) -> f64;
+
+/// The figures that are compared.
+const FIGURES: [(&str, Figure); 4] = [
+    ("AP@50", |found| found.ap50),
+    ("AP@75", |found| found.ap75),
+    ("mAP", |found| found.map),
+    ("F1@50", |found| found.f1_50),
+];
+
 impl Point {
-    /// The mean share of frames without the detector.
-    pub fn skip_rate(&self) -> f64 {
-        mean(&self.clips, ClipResult::skip_rate)
+    fn skip_rate(&self) -> f64 {
+        mean(self.clips.iter().map(ClipResult::skip_rate)).unwrap_or(f64::NAN)
     }
 
-    /// The mean of a figure of all boxes of the policy, published or not, over the clips.
-    pub fn mean(&self, figure: fn(&Accuracy) -> f64) -> f64 {
-        mean(&self.clips, |clip| {
-            clip.accuracy_all.as_ref().map_or(f64::NAN, figure)
-        })
+    fn figure(&self, figure: Figure) -> impl Iterator<Item = f64> {
+        let clips = self.clips.iter();
+        clips.map(move |clip| clip.accuracy_all.as_ref().map_or(f64::NAN, figure))
     }
 
-    fn minus(&self, other: &Self, figure: fn(&Accuracy) -> f64) -> Vec<f64> {
-        let of = |clip: &ClipResult| clip.accuracy_all.as_ref().map_or(f64::NAN, figure);
-        let pairs = self.clips.iter().zip(&other.clips);
-        pairs.map(|(own, other)| of(own) - of(other)).collect()
+    fn mean(&self, figure: Figure) -> f64 {
+        mean(self.figure(figure)).unwrap_or(f64::NAN)
     }
-}
 
-fn mean(clips: &[ClipResult], figure: impl Fn(&ClipResult) -> f64) -> f64 {
-    clips.iter().map(figure).sum::<f64>() / clips.len() as f64
+    fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
+        let pairs = self.figure(figure).zip(other.figure(figure));
+        pairs.map(|(own, other)| own - other).collect()
+    }
 }
 
 impl Recordings {
     /// The clips of `folder` with a box of ground truth.
-    ///
-    /// # Errors
-    /// What is wrong with the folder.
-    pub fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
+    fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
         let mut clips = recorded::read(folder)?.only_with_detections(folder)?.clips;
         clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
         if half_rate {
@@ -110,20 +115,8 @@ impl Recordings {
         Ok(Self { clips, settings })
     }
 
-    /// How many clips there are.
-    pub fn clip_count(&self) -> usize {
-        self.clips.len()
-    }
-
-    /// Runs `NAME[:SETTING]`.
-    ///
-    /// # Errors
-    /// When there is no such policy or setting, or it fails.
-    pub fn run(&self, policy: &str) -> Outcome<Point> {
-        self.run_over(&self.clips, policy)
-    }
-
-    fn run_over(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
+    /// Runs `NAME[:SETTING]` over `clips`.
+    fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
         let common = Common {
             profile: Profile::Paper,
             u: 3e-4,
@@ -138,10 +131,7 @@ impl Recordings {
     }
 
     /// The policy `name` with its threshold where the mean skip rate is nearest to `wanted`, found by bisection.
-    ///
-    /// # Errors
-    /// When there is no such policy, it has no threshold, or it fails.
-    pub fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
+    fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
         // Average precision is not needed to find the place.
         let mut unjudged = self.clips.clone();
         unjudged.iter_mut().for_each(|clip| clip.truth = None);
@@ -158,7 +148,7 @@ impl Recordings {
             let middle: f64 = (low + high) / 2.0;
             let value = (middle * middle).clamp(knob.minimum, knob.maximum);
             let policy = format!("{name}:{value:e}");
-            let reached = self.run_over(&unjudged, &policy)?.skip_rate();
+            let reached = self.run(&unjudged, &policy)?.skip_rate();
             if (reached - wanted).abs() < best.0 {
                 best = ((reached - wanted).abs(), policy);
             }
@@ -171,7 +161,33 @@ impl Recordings {
                 high = middle;
             }
         }
-        self.run(&best.1)
+        self.run(&self.clips, &best.1)
+    }
+
+    /// Prints the row of a policy beside `expected-loss` at its skip rate.
+    fn row(&self, name: &str, other: &Point) -> Outcome<()> {
+        let ours = self.at_skip_rate("expected-loss", other.skip_rate())?;
+        let (_, ap50) = FIGURES[0];
+        let [skip, theirs, value, own] = [
+            other.skip_rate(),
+            other.mean(ap50),
+            ours.value,
+            ours.mean(ap50),
+        ];
+        print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
+        for (_, figure) in FIGURES {
+            let difference = Difference::of(&ours.minus(other, figure));
+            match difference.and_then(|found| found.t) {
+                Some(t) => {
+                    let [mean, lower, upper] = [t.mean, t.lower, t.upper].map(|s| 100.0 * s);
+                    print!(" {mean:+.1} [{lower:+.1}, {upper:+.1}] |");
+                }
+                None => print!(" |"),
+            }
+        }
+        let changes = ours.minus(other, ap50).into_iter();
+        println!(" {} |", changes.filter(|change| *change < 0.0).count());
+        Ok(())
     }
 }
 
@@ -183,72 +199,28 @@ fn main() -> Outcome<()> {
     let arguments = Arguments::parse();
     let recordings =
         Recordings::read(&arguments.folder, arguments.half_rate, arguments.confidence)?;
+    let (clips, rate) = (&recordings.clips, arguments.half_rate);
     println!(
         "{} clips, detections >= {}{}\n",
-        recordings.clip_count(),
+        clips.len(),
         arguments.confidence,
-        if arguments.half_rate {
-            ", every second frame"
-        } else {
-            ""
-        }
+        if rate { ", every second frame" } else { "" }
     );
     for policy in [BASELINE, "expected-loss:0"] {
-        let point = recordings.run(policy)?;
-        println!(
-            "- {policy}: AP@50 {:.3}, AP@75 {:.3}, mAP {:.3}, F1@50 {:.3}",
-            point.mean(|found| found.ap50),
-            point.mean(|found| found.ap75),
-            point.mean(|found| found.map),
-            point.mean(|found| found.f1_50),
-        );
+        let point = recordings.run(clips, policy)?;
+        let figures = FIGURES.map(|(name, figure)| format!("{name} {:.3}", point.mean(figure)));
+        println!("- {policy}: {}", figures.join(", "));
     }
     println!(
         "\n| policy | skip | AP@50 | λ | AP@50 | Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 | worse |"
     );
     println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
-    let even = SKIP_RATES.map(|rate| recordings.at_skip_rate("even-skip-in-tracker", rate));
-    for (other, name) in even.into_iter().zip(std::iter::repeat("even calls")) {
-        row(&recordings, name, &other?)?;
+    for rate in SKIP_RATES {
+        let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
+        recordings.row("even calls", &even)?;
     }
     for policy in POLICIES {
-        row(&recordings, policy, &recordings.run(policy)?)?;
+        recordings.row(policy, &recordings.run(clips, policy)?)?;
     }
-    Ok(())
-}
-
-fn row(recordings: &Recordings, name: &str, other: &Point) -> Outcome<()> {
-    let ours = recordings.at_skip_rate("expected-loss", other.skip_rate())?;
-    let figures: [fn(&Accuracy) -> f64; 4] = [
-        |found| found.ap50,
-        |found| found.ap75,
-        |found| found.map,
-        |found| found.f1_50,
-    ];
-    print!(
-        "| {name} | {:.3} | {:.3} | {:.3} | {:.3} |",
-        other.skip_rate(),
-        other.mean(figures[0]),
-        ours.value,
-        ours.mean(figures[0])
-    );
-    for figure in figures {
-        let difference = Difference::of(&ours.minus(other, figure));
-        let t = difference.and_then(|found| found.t);
-        match t {
-            Some(t) => print!(
-                " {:+.1} [{:+.1}, {:+.1}] |",
-                100.0 * t.mean,
-                100.0 * t.lower,
-                100.0 * t.upper
-            ),
-            None => print!(" |"),
-        }
-    }
-    let worse = ours.minus(other, figures[0]);
-    println!(
-        " {} |",
-        worse.iter().filter(|change| **change < 0.0).count()
-    );
     Ok(())
 }

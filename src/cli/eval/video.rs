@@ -428,12 +428,10 @@ pub(super) fn look_at(
 
 /// What the empty-scene screen spared and what it missed, a line for each policy that asked it.
 fn screen_lines(results: &[ClipResult]) -> Vec<String> {
-    let mut policies: Vec<&str> = Vec::new();
-    for result in results.iter().filter(|result| result.screen_frames > 0) {
-        if !policies.contains(&result.policy.as_str()) {
-            policies.push(&result.policy);
-        }
-    }
+    let asked = results.iter().filter(|result| result.screen_frames > 0);
+    let mut policies: Vec<&str> = asked.map(|result| result.policy.as_str()).collect();
+    // Results come by policy.
+    policies.dedup();
     let line = |policy: &str| {
         let of = || results.iter().filter(|result| result.policy == policy);
         let frames: usize = of().map(|result| result.frames).sum();

@@ -28,13 +28,8 @@ fn truth(corners: Corners) -> TruthBox {
 }
 
 fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Accuracy {
-    accuracy(
-        predictions,
-        truth,
-        Classes::Pooled,
-        Interpolation::AllPoints,
-    )
-    .expect("there is ground truth")
+    let area = Interpolation::AllPoints;
+    accuracy(predictions, truth, Classes::Pooled, area).expect("there is ground truth")
 }
 
 #[test]
@@ -57,13 +52,8 @@ fn a_hand_computed_curve_has_the_area_of_its_steps() {
     assert!((result.precision - 2.0 / 3.0).abs() < 1e-15);
     assert!((result.recall - 0.5).abs() < 1e-15);
     // COCO's levels 0 to 0.25 see precision 1 (26 levels), 0.26 to 0.50 see 2/3 (25 levels).
-    let coco = accuracy(
-        &predictions,
-        &truths,
-        Classes::Pooled,
-        Interpolation::Coco101,
-    )
-    .expect("there is ground truth");
+    let area = Interpolation::Coco101;
+    let coco = accuracy(&predictions, &truths, Classes::Pooled, area).unwrap();
     assert!((coco.ap50 - (26.0 + 25.0 * 2.0 / 3.0) / 101.0).abs() < 1e-15);
 }
 
@@ -125,13 +115,11 @@ fn boxes_of_one_frame_never_match_the_ground_truth_of_another() {
 #[test]
 fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero() {
     let predictions = vec![vec![scored(square(0.0, 0.0, 10.0), 0.9)]];
-    let none = accuracy(
-        &predictions,
-        &[vec![]],
-        Classes::Pooled,
-        Interpolation::AllPoints,
+    let area = Interpolation::AllPoints;
+    assert_eq!(
+        accuracy(&predictions, &[vec![]], Classes::Pooled, area),
+        None
     );
-    assert_eq!(none, None);
     let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
     let result = pooled(&[], &truths);
     assert_eq!(
@@ -150,13 +138,8 @@ fn separate_classes_do_not_match_each_other_and_are_averaged() {
         scored(square(20.0, 0.0, 10.0), 0.8),
     ]];
     assert_eq!(pooled(&predictions, &truths).ap50, 1.0);
-    let separate = accuracy(
-        &predictions,
-        &truths,
-        Classes::Separate,
-        Interpolation::AllPoints,
-    )
-    .expect("there is ground truth");
+    let area = Interpolation::AllPoints;
+    let separate = accuracy(&predictions, &truths, Classes::Separate, area).unwrap();
     assert_eq!(separate.ap50, 0.5);
 }
 

@@ -4,7 +4,7 @@ use tempfile::TempDir;
 
 /// A folder with these files, each given as its path and content.
 fn folder(files: &[(&str, &str)]) -> TempDir {
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = tempfile::tempdir().unwrap();
     for (name, content) in files {
         let path = folder.path().join(name);
         std::fs::create_dir_all(path.parent().expect("it has a folder")).expect("made");
@@ -38,14 +38,14 @@ fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Clip
 #[test]
 fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
     let rows = "0,1,2,3.5,4,0.9,2\n2,1,1,9,9,0.25,0\n";
-    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).expect("it is readable");
+    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
     let clip = &clips.clips[0];
-    let detections = clip.detections.as_ref().expect("there are some");
+    let detections = clip.detections.as_ref().unwrap();
     let counts: Vec<usize> = detections.iter().map(Vec::len).collect();
     assert_eq!(counts, [1, 0, 1]);
     assert_eq!(detections[0][0].corners.x2, 3.5);
     assert_eq!(detections[0][0].class, CAR);
-    let truth = clip.truth.as_ref().expect("there is some");
+    let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[1][0].object, Some(7));
     assert_eq!(clips.report, LoadReport::default());
 }
@@ -53,10 +53,10 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
 #[test]
 fn what_is_written_is_read_back_to_the_last_bit() {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
-    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).expect("it is readable");
-    let copy = tempfile::tempdir().expect("a temporary folder");
-    recorded::write(copy.path(), &clips.clips).expect("it can be written");
-    let again = recorded::read(copy.path()).expect("it is readable");
+    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &clips.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
     assert_eq!(again.clips, clips.clips);
 }
 
@@ -67,19 +67,19 @@ fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
         ("detections/a.csv", HEADER),
         ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
     ]);
-    let clips = recorded::read(files.path()).expect("it is readable");
+    let clips = recorded::read(files.path()).unwrap();
     let regions = &clips.clips[0].ignored;
     assert_eq!(regions.iter().map(Vec::len).collect::<Vec<_>>(), [0, 1, 0]);
     assert_eq!(regions[1][0].y2, 20.5);
-    let copy = tempfile::tempdir().expect("a temporary folder");
-    recorded::write(copy.path(), &clips.clips).expect("it can be written");
-    let again = recorded::read(copy.path()).expect("it is readable");
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &clips.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
     assert_eq!(again.clips, clips.clips);
 }
 
 #[test]
 fn a_missing_file_is_named_with_what_to_do() {
-    let empty = tempfile::tempdir().expect("a temporary folder");
+    let empty = tempfile::tempdir().unwrap();
     assert_refused(recorded::read(empty.path()), &["sequences.json"]);
     assert_refused(
         recorded(INDEX, None, None),
@@ -139,7 +139,7 @@ fn a_description_that_cannot_be_is_refused() {
 fn meaningless_rows_are_left_out_counted_and_named() {
     let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
-    let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).expect("it is readable");
+    let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
     let report = &clips.report;
     let counted = |reason| report.left_out.get(&reason).copied().unwrap_or_default();
     assert_eq!(counted(LeftOut::NotFinite), 2);
@@ -160,10 +160,10 @@ fn meaningless_rows_are_left_out_counted_and_named() {
 
 #[test]
 fn what_a_clip_lacks_is_said_and_an_empty_clip_is_counted() {
-    let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).expect("it is readable");
+    let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
     let lines = clips.report.lines().join("\n");
     assert!(lines.contains("not one detection"), "{lines}");
-    let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).expect("it is readable");
+    let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
     assert!(clips.report.lines()[0].contains("no ground truth"));
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
     assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
@@ -185,12 +185,12 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
         ("train/M/img1/000002.jpg", ""),
         ("train/M/img1/000001.jpg", ""),
     ]);
-    let clips = mot_challenge::read(&files.path().join("train")).expect("it is readable");
+    let clips = mot_challenge::read(&files.path().join("train")).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("M", 2));
     assert_eq!(clip.frame_rate, Some(30.0));
     assert!(clip.pictures[0].ends_with("000001.jpg"));
-    let truth = clip.truth.as_ref().expect("there is some");
+    let truth = clip.truth.as_ref().unwrap();
     let objects: Vec<_> = truth[0].iter().map(|b| (b.object, b.class)).collect();
     assert_eq!(objects, [(Some(4), PERSON), (Some(7), PERSON)]);
     let corners = truth[0][0].corners;
@@ -201,7 +201,7 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     assert!(truth[1].is_empty());
     assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 2);
     assert_eq!(clips.report.unmapped_classes["6"], 1);
-    let detections = clip.detections.as_ref().expect("there are some");
+    let detections = clip.detections.as_ref().unwrap();
     assert_eq!(detections[1][0].confidence, 0.8);
     let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
     assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
@@ -220,16 +220,13 @@ fn kitti_tracking_maps_its_types_and_counts_what_it_leaves_out() {
             "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n",
         ),
     ]);
-    let clips = kitti::read(files.path()).expect("it is readable");
+    let clips = kitti::read(files.path()).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("0007", 4));
-    let truth = clip.truth.as_ref().expect("there is some");
+    let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[0][0].class, CAR);
     assert_eq!(truth[2].len(), 1);
-    assert_eq!(
-        clip.detections.as_ref().expect("some")[3][0].confidence,
-        0.75
-    );
+    assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
     let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!((regions[0], clip.ignored[0][0].x2), (1, 5.0));
     assert!(regions[1..].iter().all(|&count| count == 0));
@@ -253,15 +250,15 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
         picture: bdd100k::BDD100K_SIZE,
         frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
     };
-    let clips = bdd100k::read(&source(Some(&truth), Some(&found))).expect("it is readable");
+    let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
-    let boxes = clip.truth.as_ref().expect("there is some");
+    let boxes = clip.truth.as_ref().unwrap();
     assert_eq!(
         (boxes[0][0].class, boxes[0][0].object),
         (PERSON, Some(122_062))
     );
-    assert_eq!(clip.detections.as_ref().expect("some")[1].len(), 1);
+    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
     assert_eq!(clips.report.unmapped_classes["trailer"], 1);
     // Ground truth in the place of predictions is noticed, and so is a frame that comes twice.
     assert_refused(
@@ -291,7 +288,7 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
         picture: bdd100k::BDD100K_SIZE,
         frame_rate: None,
     };
-    let clips = bdd100k::read(&source).expect("it is readable");
+    let clips = bdd100k::read(&source).unwrap();
     let clips = clips
         .only_with_detections(&truth)
         .expect("one clip has both");
@@ -302,7 +299,7 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
         "{lines}"
     );
     source.detections = None;
-    let clips = bdd100k::read(&source).expect("it is readable");
+    let clips = bdd100k::read(&source).unwrap();
     assert_refused(clips.only_with_detections(&truth), &["--detections"]);
 }
 
@@ -323,14 +320,14 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
         files.path().join("set.json"),
         files.path().join("results.json"),
     );
-    let clips = coco::read(&set, Some(&results)).expect("it is readable");
+    let clips = coco::read(&set, Some(&results)).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 2));
-    let truth = clip.truth.as_ref().expect("there is some");
+    let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[1][0].object, Some(8));
     assert_eq!(truth[1][0].corners.x2, 11.0);
     assert!(truth[0].is_empty());
-    assert_eq!(clip.detections.as_ref().expect("some")[0].len(), 1);
+    assert_eq!(clip.detections.as_ref().unwrap()[0].len(), 1);
     assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 1);
     assert_eq!(clips.report.left_out[&LeftOut::EmptyBox], 1);
     assert_eq!(clips.report.unmapped_classes["boat"], 1);

@@ -13,12 +13,10 @@ const SHOWN: usize = 3;
 
 /// The frames of each policy that lost most, over all clips; nothing where nothing was lost.
 pub(super) fn frames(results: &[ClipResult]) -> Markup {
-    let mut policies: Vec<&str> = Vec::new();
-    for result in results.iter().filter(|result| !result.worst.is_empty()) {
-        if !policies.contains(&result.policy.as_str()) {
-            policies.push(&result.policy);
-        }
-    }
+    let lost = results.iter().filter(|result| !result.worst.is_empty());
+    let mut policies: Vec<&str> = lost.map(|result| result.policy.as_str()).collect();
+    // Results come by policy.
+    policies.dedup();
     if policies.is_empty() {
         return Markup::default();
     }
@@ -58,16 +56,12 @@ fn frames_of(results: &[ClipResult], policy: &str) -> Markup {
 }
 
 fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a str, &'a WorstFrame)> {
-    let mut worst: Vec<_> = results
-        .iter()
-        .filter(|result| result.policy == policy)
-        .flat_map(|result| {
-            result
-                .worst
-                .iter()
-                .map(|worst| (result.clip.as_str(), worst))
-        })
-        .collect();
+    let own = results.iter().filter(|result| result.policy == policy);
+    let worst = own.flat_map(|result| {
+        let clip = result.clip.as_str();
+        result.worst.iter().map(move |worst| (clip, worst))
+    });
+    let mut worst: Vec<_> = worst.collect();
     worst.sort_by_key(|(_, worst)| std::cmp::Reverse(worst.lost));
     worst.truncate(SHOWN);
     worst
