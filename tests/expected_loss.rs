@@ -4,14 +4,14 @@
 use crate::support::shared;
 
 #[path = "../crates/eval/examples/equal_skip.rs"]
-#[allow(dead_code, unreachable_pub)]
+#[allow(dead_code)]
 mod equal_skip;
 use equal_skip::{Point, Recordings};
 
 fn recordings(half_rate: bool, confidence: f64) -> Recordings {
     let folder = shared("data/recorded");
     let read = Recordings::read(&folder, half_rate, confidence).expect("the recordings");
-    assert_eq!(read.clip_count(), 17, "sequences with ground truth");
+    assert_eq!(read.clips.len(), 17, "sequences with ground truth");
     read
 }
 
@@ -64,7 +64,7 @@ fn shared_expected_loss_reaches_its_figures_at_half_the_frame_rate() {
 #[ignore = "needs ../shared"]
 fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_three() {
     let clips = recordings(false, 0.5);
-    let vanilla = ap50(&clips.run("vanilla").expect("it runs"));
+    let vanilla = ap50(&clips.run(&clips.clips, "vanilla").expect("it runs"));
     assert!((vanilla - 0.711).abs() < 1e-3, "{}", vanilla);
     assert!(accuracy(&clips, 0.65) >= vanilla);
 }
@@ -75,7 +75,7 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_t
 #[ignore = "needs ../shared"]
 fn shared_unsure_detections_pay_more_than_vanilla_with_the_same() {
     let clips = recordings(false, 0.1);
-    let vanilla = ap50(&clips.run("vanilla").expect("it runs"));
+    let vanilla = ap50(&clips.run(&clips.clips, "vanilla").expect("it runs"));
     assert!((vanilla - 0.765).abs() < 1e-3, "{}", vanilla);
     assert!(accuracy(&clips, 0.55) >= vanilla);
 }

@@ -53,13 +53,13 @@ struct Arguments {
 }
 
 /// Recordings at one confidence.
-struct Recordings {
-    clips: Vec<Clip>,
+pub(crate) struct Recordings {
+    pub(crate) clips: Vec<Clip>,
     settings: Settings,
 }
 
 /// A policy with one value of its threshold on all clips, in their order.
-struct Point {
+pub(crate) struct Point {
     value: f64,
     clips: Vec<ClipResult>,
 }
@@ -76,7 +76,7 @@ const FIGURES: [(&str, Figure); 4] = [
 ];
 
 impl Point {
-    fn skip_rate(&self) -> f64 {
+    pub(crate) fn skip_rate(&self) -> f64 {
         mean(self.clips.iter().map(ClipResult::skip_rate)).unwrap_or(f64::NAN)
     }
 
@@ -85,7 +85,7 @@ impl Point {
         clips.map(move |clip| clip.accuracy_all.as_ref().map_or(f64::NAN, figure))
     }
 
-    fn mean(&self, figure: Figure) -> f64 {
+    pub(crate) fn mean(&self, figure: Figure) -> f64 {
         mean(self.figure(figure)).unwrap_or(f64::NAN)
     }
 
@@ -97,7 +97,7 @@ impl Point {
 
 impl Recordings {
     /// The clips of `folder` with a box of ground truth.
-    fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
+    pub(crate) fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
         let mut clips = recorded::read(folder)?.only_with_detections(folder)?.clips;
         clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
         if half_rate {
@@ -116,7 +116,7 @@ impl Recordings {
     }
 
     /// Runs `NAME[:SETTING]` over `clips`.
-    fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
+    pub(crate) fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
         let common = Common {
             profile: Profile::Paper,
             u: 3e-4,
@@ -131,7 +131,7 @@ impl Recordings {
     }
 
     /// The policy `name` with its threshold where the mean skip rate is nearest to `wanted`, found by bisection.
-    fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
+    pub(crate) fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
         // Average precision is not needed to find the place.
         let mut unjudged = self.clips.clone();
         unjudged.iter_mut().for_each(|clip| clip.truth = None);
