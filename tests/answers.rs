@@ -4,6 +4,7 @@
 
 use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
 use crate::support::detectors::model;
+use crate::support::until_read;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
@@ -29,13 +30,6 @@ fn at_once(policy: &str) -> NodeConfig {
     config.settle.enabled = true;
     config.audit.share = 0.0;
     config
-}
-
-/// Waits until the node has heard of what was subscribed to before.
-async fn heard(bench: &Bench) {
-    let key = format!("albireo/node/{CAMERA}/threshold");
-    let replies = bench.session.get(key).await.unwrap();
-    while timeout(LONG, replies.recv_async()).await.unwrap().is_ok() {}
 }
 
 /// All that was published and not yet taken.
@@ -71,7 +65,7 @@ impl Drive {
         let late = bench.published("late").await;
         let settled = bench.published("settled").await;
         let reports = bench.reports().await;
-        heard(&bench).await;
+        until_read(&bench.session, "node", CAMERA).await;
         Self {
             late,
             settled,

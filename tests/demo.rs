@@ -2,19 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{PATIENCE, albireo};
+use crate::support::{Ended, PATIENCE, albireo, assert_says, json_at, signal, until};
 use serde_json::Value;
 use std::process::Stdio;
-use std::time::{Duration, Instant};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::time::timeout;
-
-async fn ask(url: &str) -> Value {
-    match reqwest::get(url).await {
-        Ok(response) => response.json().await.unwrap_or(Value::Null),
-        Err(_) => Value::Null,
-    }
-}
 
 /// After the first detection comes a table of clips without another line in it: the road's clips in order.
 fn assert_is_a_table(lines: &[String]) {
@@ -42,7 +34,6 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     // Four times as fast, so that a clip does not take long.
     let mut demo = albireo()
         .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "40"])
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
         .env("TMPDIR", temporary.path())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -56,53 +47,44 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
             break rest.trim_end_matches("/api/v1/clips").to_owned();
         }
     };
-    let deadline = Instant::now() + PATIENCE;
-    let clips = loop {
-        let page = ask(&format!("{hub}/api/v1/clips")).await;
-        let clips = page["clips"].as_array().cloned().unwrap_or_default();
-        if clips.len() >= 2 {
-            break clips;
-        }
-        assert!(Instant::now() < deadline, "no clips arrive: {page}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    };
-    assert!(clips.iter().all(|clip| clip["node"] == "demo"), "{clips:?}");
+    let page = format!("{hub}/api/v1/clips");
+    let count = |page: &Value| page["clips"].as_array().map_or(0, Vec::len);
+    until("clips arrive", async || count(&json_at(&page).await) >= 2).await;
+    let clips = json_at(&page).await;
+    let mut of = clips["clips"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|clip| &clip["node"]);
+    assert!(of.all(|node| node == "demo"), "{clips}");
     // Its status was sent before the hub could hear, perhaps; then the hub asks for it.
-    loop {
-        let node = ask(&format!("{hub}/api/v1/nodes/demo")).await;
-        if node["status"]["cameras"][0]["name"] == "dashcam" && node["state"] != "offline" {
-            break;
-        }
-        assert!(Instant::now() < deadline, "the node is not seen: {node}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let node = format!("{hub}/api/v1/nodes/demo");
+    until("the node is seen", async || {
+        let node = json_at(&node).await;
+        node["status"]["cameras"][0]["name"] == "dashcam" && node["state"] != "offline"
+    })
+    .await;
 
-    let id = demo.id().unwrap().to_string();
-    let signalled = std::process::Command::new("kill")
-        .args(["-TERM", &id])
-        .status();
-    assert!(signalled.unwrap().success());
+    signal(demo.id().unwrap(), "-TERM");
     let mut rest = Vec::new();
     while let Some(line) = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap() {
         rest.push(line);
     }
-    let ended = timeout(PATIENCE, demo.wait_with_output())
-        .await
-        .unwrap()
-        .unwrap();
-    let complaint = String::from_utf8(ended.stderr).unwrap();
-    assert!(ended.status.success(), "{complaint}");
-    assert_eq!(complaint, "", "nothing tears the table");
-    assert!(
-        rest.iter().any(|line| line.contains("detector skipped on")),
-        "{rest:?}"
+    let ended = timeout(PATIENCE, demo.wait_with_output()).await.unwrap();
+    let ended = Ended::from(ended.unwrap());
+    assert_eq!(
+        (ended.code, &*ended.err),
+        (Some(0), ""),
+        "nothing tears the table"
     );
+    assert_says(&rest.join("\n"), &["detector skipped on"]);
     assert_is_a_table(&rest);
     // ONNX Runtime leaves its own file there.
-    let left: Vec<_> = std::fs::read_dir(temporary.path())
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .filter(|name| name.starts_with("albireo"))
-        .collect();
-    assert!(left.is_empty(), "the hub's folder goes with it: {left:?}");
+    for left in std::fs::read_dir(temporary.path()).unwrap() {
+        let name = left.unwrap().file_name().into_string().unwrap();
+        assert!(
+            !name.starts_with("albireo"),
+            "the hub's folder goes with it: {name}"
+        );
+    }
 }

@@ -4,15 +4,18 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::fleet::{HubProcess, Settings, now_ns, send, settings, sqlite};
-use crate::support::{PATIENCE, albireo, free_port};
+use crate::support::{
+    PATIENCE, albireo, assert_says, free_port, metric, run, signal, text, until, zenoh_session,
+};
 use albireo_router::authority::{Authority, DAY, Request, Role};
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 use tokio::process::Child;
-use zenoh::{Config, Session};
+use zenoh::Session;
 
 /// A folder with an authority, and a router that goes by its rules.
 struct Fleet {
@@ -23,20 +26,18 @@ struct Fleet {
 }
 
 impl Fleet {
-    async fn new() -> Self {
+    fn new() -> Self {
         let fleet = Self {
             folder: tempfile::tempdir().unwrap(),
             endpoint: format!("tls/localhost:{}", free_port()),
             http: format!("127.0.0.1:{}", free_port()),
             router: None,
         };
-        fleet.does(&["cert", "authority"]).await;
-        fleet
-            .does(&["cert", "router", "east", "--host", "localhost"])
-            .await;
-        fleet.does(&["cert", "hub", "main"]).await;
-        fleet.does(&["cert", "node", "car-7", "car-8"]).await;
-        fleet.rules().await;
+        fleet.does(&["cert", "authority"]);
+        fleet.does(&["cert", "router", "east", "--host", "localhost"]);
+        fleet.does(&["cert", "hub", "main"]);
+        fleet.does(&["cert", "node", "car-7", "car-8"]);
+        fleet.rules();
         fleet
     }
 
@@ -45,46 +46,26 @@ impl Fleet {
     }
 
     /// Runs a subcommand on the fleet's folder.
-    async fn does(&self, arguments: &[&str]) -> String {
-        let ended = albireo()
-            .args(arguments)
-            .env("ALBIREO_AUTHORITY", self.authority())
-            .output()
-            .await
-            .unwrap();
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.success(), "{arguments:?}: {said}");
-        String::from_utf8(ended.stdout).unwrap()
+    fn does(&self, arguments: &[&str]) -> String {
+        let authority = self.authority().display().to_string();
+        run(arguments, &[("ALBIREO_AUTHORITY", &authority)]).succeeds()
     }
 
-    async fn rules(&self) {
+    fn rules(&self) {
         let file = self.folder.path().join("access.json");
-        self.does(&["acl", "--output", file.to_str().unwrap()])
-            .await;
+        self.does(&["acl", "--output", file.to_str().unwrap()]);
     }
 
     /// The configuration that is shipped, with this fleet's places.
     fn shipped(&self, name: &str) -> PathBuf {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("deploy/zenoh")
-            .join(name);
-        let authority = self.authority();
-        let mut text = std::fs::read_to_string(from).unwrap();
+        let authority = self.authority().display().to_string();
+        let mut text = text(&format!("deploy/zenoh/{name}"));
         for (place, here) in [
             ("tls/[::]:7447", self.endpoint.clone()),
             ("tls/router.example:7447", self.endpoint.clone()),
-            (
-                "/etc/albireo/authority",
-                authority.join("authority").display().to_string(),
-            ),
-            (
-                "/etc/albireo/router.",
-                authority.join("router/east.").display().to_string(),
-            ),
-            (
-                "/etc/albireo/hub.",
-                authority.join("hub/main.").display().to_string(),
-            ),
+            ("/etc/albireo/authority", format!("{authority}/authority")),
+            ("/etc/albireo/router.", format!("{authority}/router/east.")),
+            ("/etc/albireo/hub.", format!("{authority}/hub/main.")),
         ] {
             text = text.replace(place, &here);
         }
@@ -101,15 +82,8 @@ impl Fleet {
             .open(self.folder.path().join("router.log"))
             .unwrap();
         let router = albireo()
-            .args([
-                "router",
-                "--log-json",
-                "--probe-s",
-                "1",
-                "--http",
-                &self.http,
-                "--config",
-            ])
+            .args(["router", "--log-json", "--probe-s", "1", "--http"])
+            .args([&self.http, "--config"])
             .arg(self.shipped("router.json5"))
             .arg("--access")
             .arg(self.folder.path().join("access.json"))
@@ -118,28 +92,19 @@ impl Fleet {
             .spawn()
             .unwrap();
         self.router = Some(router);
-        let until = Instant::now() + PATIENCE;
-        while !self.is_ready().await {
-            assert!(Instant::now() < until, "{}", self.log());
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        let ready = format!("http://{}/readyz", self.http);
+        until("the router is ready", async || {
+            let answer = reqwest::get(&ready).await;
+            answer.is_ok_and(|answer| answer.status().is_success())
+        })
+        .await;
     }
 
     async fn stop_router(&mut self) {
         let mut router = self.router.take().unwrap();
-        let id = router.id().unwrap().to_string();
-        let told = std::process::Command::new("kill")
-            .args(["-TERM", &id])
-            .status();
-        assert!(told.unwrap().success());
+        signal(router.id().unwrap(), "-TERM");
         let ended = tokio::time::timeout(PATIENCE, router.wait()).await.unwrap();
         assert!(ended.unwrap().success(), "{}", self.log());
-    }
-
-    async fn is_ready(&self) -> bool {
-        reqwest::get(format!("http://{}/readyz", self.http))
-            .await
-            .is_ok_and(|answer| answer.status().is_success())
     }
 
     fn log(&self) -> String {
@@ -147,14 +112,7 @@ impl Fleet {
     }
 
     async fn metric(&self, series: &str) -> f64 {
-        let answer = reqwest::get(format!("http://{}/metrics", self.http)).await;
-        let text = answer.unwrap().text().await.unwrap();
-        let line = text
-            .lines()
-            .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
-        line.unwrap_or_else(|| panic!("no {series} in {text}"))
-            .parse()
-            .unwrap()
+        metric(&format!("http://{}", self.http), series).await
     }
 
     fn hub_settings(&self) -> Settings {
@@ -167,13 +125,13 @@ impl Fleet {
 
     /// Opens a session as `role/name`, with the certificates of `authority`.
     async fn opens_with(&self, authority: &Path, member: Option<&str>) -> zenoh::Result<Session> {
-        let mut tls = serde_json::json!({
+        let mut tls = json!({
             "root_ca_certificate": self.authority().join("authority.pem"),
             "enable_mtls": member.is_some(),
         });
         if let Some(member) = member {
-            tls["connect_certificate"] = serde_json::json!(authority.join(format!("{member}.pem")));
-            tls["connect_private_key"] = serde_json::json!(authority.join(format!("{member}.key")));
+            tls["connect_certificate"] = json!(authority.join(format!("{member}.pem")));
+            tls["connect_private_key"] = json!(authority.join(format!("{member}.key")));
         }
         open(&self.endpoint, Some(tls)).await
     }
@@ -183,23 +141,15 @@ impl Fleet {
     }
 }
 
-async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<Session> {
-    let mut config = Config::default();
-    for (key, value) in [
-        ("mode", serde_json::json!("client")),
-        ("connect/endpoints", serde_json::json!([endpoint])),
+async fn open(endpoint: &str, tls: Option<Value>) -> zenoh::Result<Session> {
+    let mut settings = vec![
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([endpoint])),
         // One attempt.
-        ("connect/timeout_ms", serde_json::json!(0)),
-        ("scouting/multicast/enabled", serde_json::json!(false)),
-    ] {
-        config.insert_json5(key, &value.to_string()).unwrap();
-    }
-    if let Some(tls) = tls {
-        config
-            .insert_json5("transport/link/tls", &tls.to_string())
-            .unwrap();
-    }
-    zenoh::open(config).await
+        ("connect/timeout_ms", json!(0)),
+    ];
+    settings.extend(tls.map(|tls| ("transport/link/tls", tls)));
+    zenoh_session(&settings).await
 }
 
 /// Sends a report until it is acknowledged; false without an answer within `limit`.
@@ -222,7 +172,7 @@ const NOBODY: Duration = Duration::from_secs(3);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
-    let mut fleet = Fleet::new().await;
+    let mut fleet = Fleet::new();
     fleet.start_router().await;
     let hub = HubProcess::start(&fleet.hub_settings());
     hub.until_ready().await;
@@ -230,16 +180,13 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
     // The right ones work.
     let car_7 = fleet.opens("node/car-7").await.unwrap();
     let car_8 = fleet.opens("node/car-8").await.unwrap();
-    assert!(
-        acknowledged(&car_7, "car-7", 1, PATIENCE).await,
-        "{}",
-        fleet.log()
-    );
-    assert!(
-        acknowledged(&car_8, "car-8", 1, PATIENCE).await,
-        "{}",
-        fleet.log()
-    );
+    for (session, name) in [(&car_7, "car-7"), (&car_8, "car-8")] {
+        assert!(
+            acknowledged(session, name, 1, PATIENCE).await,
+            "{}",
+            fleet.log()
+        );
+    }
     assert_eq!(hub.clips("car-7").await.len(), 1);
 
     // No TLS, no certificate, one of another authority, one that has ended.
@@ -366,7 +313,7 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate()
  {
-    let mut fleet = Fleet::new().await;
+    let mut fleet = Fleet::new();
     fleet.start_router().await;
     let hub = HubProcess::start(&fleet.hub_settings());
     hub.until_ready().await;
@@ -379,20 +326,14 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
     let stolen = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
     assert!(acknowledged(&stolen, "car-7", 1, PATIENCE).await);
 
-    fleet.does(&["cert", "revoke", "node", "car-7"]).await;
-    fleet.does(&["cert", "node", "car-7"]).await;
-    let list = fleet.does(&["cert", "list"]).await;
-    assert!(
-        list.lines()
-            .any(|line| line.contains("node/car-7/1") && line.contains("revoked")),
-        "{list}"
-    );
-    assert!(
-        list.lines()
-            .any(|line| line.contains("node/car-7/2") && line.contains("ends in")),
-        "{list}"
-    );
-    fleet.rules().await;
+    fleet.does(&["cert", "revoke", "node", "car-7"]);
+    fleet.does(&["cert", "node", "car-7"]);
+    let list = fleet.does(&["cert", "list"]);
+    for (certificate, state) in [("node/car-7/1", "revoked"), ("node/car-7/2", "ends in")] {
+        let mut lines = list.lines().filter(|line| line.contains(certificate));
+        assert!(lines.any(|line| line.contains(state)), "{list}");
+    }
+    fleet.rules();
     fleet.stop_router().await;
     fleet.start_router().await;
 
@@ -412,7 +353,7 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
 async fn a_real_node_reports_through_the_router_with_its_certificate() {
     use crate::support::Node;
     use crate::support::camera::Camera;
-    let mut fleet = Fleet::new().await;
+    let mut fleet = Fleet::new();
     fleet.start_router().await;
     let hub = HubProcess::start(&fleet.hub_settings());
     hub.until_ready().await;
@@ -428,37 +369,31 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     let node = Node::start(&settings).await;
     let mut camera = Camera::at(&node.zenoh, "car-7").await;
     camera.clips(4).await;
-    let page = hub
-        .until("/api/v1/clips?node=car-7", |page| {
-            page["clips"]
-                .as_array()
-                .is_some_and(|clips| clips.len() >= 3)
-        })
-        .await;
-    assert!(page["clips"].is_array());
+    hub.until("/api/v1/clips?node=car-7", |page| {
+        page["clips"]
+            .as_array()
+            .is_some_and(|clips| clips.len() >= 3)
+    })
+    .await;
     hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
         .await;
     camera.close().await;
     let _ = node.stop().await;
 }
 
-#[tokio::test]
-async fn a_router_that_asks_for_certificates_does_not_start_without_access_rules() {
-    let fleet = Fleet::new().await;
+#[test]
+fn a_router_that_asks_for_certificates_does_not_start_without_access_rules() {
+    let fleet = Fleet::new();
     let config = fleet.shipped("router.json5");
-    let check = async |more: &[&str]| {
-        let mut command = albireo();
-        command.args(["router", "--check", "--config"]);
-        command.arg(&config).args(more).output().await.unwrap()
+    let check = |more: &[&str]| {
+        let config = config.to_str().unwrap();
+        run(
+            &[&["router", "--check", "--config", config], more].concat(),
+            &[],
+        )
     };
-    let refused = check(&[]).await;
-    let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(
-        !refused.status.success() && said.contains("--access"),
-        "{said}"
-    );
-    assert!(check(&["--no-access-control"]).await.status.success());
+    assert_says(&check(&[]).fails(), &["--access"]);
+    check(&["--no-access-control"]).succeeds();
     let rules = fleet.folder.path().join("access.json");
-    let with_rules = check(&["--access", rules.to_str().unwrap()]).await;
-    assert!(with_rules.status.success());
+    check(&["--access", rules.to_str().unwrap()]).succeeds();
 }

@@ -2,76 +2,51 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{PATIENCE, albireo, free_port};
+use crate::support::{assert_says, project, run, run_command, text};
+use clap::CommandFactory;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant};
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+/// What the program prints, which must succeed.
+fn says(arguments: &[&str]) -> String {
+    run(arguments, &[]).succeeds()
 }
 
-fn text(path: &str) -> String {
-    std::fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+/// Runs a tool, which must find nothing wrong.
+#[track_caller]
+fn accepts(program: &str, arguments: &[&str]) -> String {
+    run_command(Command::new(program).args(arguments)).succeeds()
 }
 
-async fn says(arguments: &[&str]) -> String {
-    let ended = albireo().args(arguments).output().await.unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert!(ended.status.success(), "{arguments:?}: {said}");
-    String::from_utf8(ended.stdout).unwrap()
-}
-
-#[tokio::test]
-async fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
+#[test]
+fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
     let folder = tempfile::tempdir().unwrap();
-    says(&["man", folder.path().to_str().unwrap()]).await;
-    for page in ["albireo", "albireo-node", "albireo-check", "albireo-man"] {
-        let page = std::fs::read_to_string(folder.path().join(format!("{page}.1"))).unwrap();
-        assert!(page.contains(".SH NAME"), "{page}");
-    }
-    #[cfg(feature = "hub")]
-    for page in [
-        "albireo-hub",
-        "albireo-router",
-        "albireo-cert-revoke",
-        "albireo-fleet",
-    ] {
-        assert!(folder.path().join(format!("{page}.1")).exists(), "{page}");
+    says(&["man", folder.path().to_str().unwrap()]);
+    for command in albireo::cli::Arguments::command().get_subcommands() {
+        let page = folder
+            .path()
+            .join(format!("albireo-{}.1", command.get_name()));
+        assert_says(&std::fs::read_to_string(page).unwrap(), &[".SH NAME"]);
     }
     for shell in ["bash", "zsh", "fish"] {
-        let script = says(&["completions", shell]).await;
-        assert!(script.contains("node"), "{shell}: {script}");
+        assert_says(&says(&["completions", shell]), &["node"]);
     }
     // A shell takes them.
     let script = folder.path().join("completions.bash");
-    std::fs::write(&script, says(&["completions", "bash"]).await).unwrap();
-    let taken = Command::new("bash")
-        .arg("-n")
-        .arg(&script)
-        .status()
-        .unwrap();
-    assert!(taken.success());
+    std::fs::write(&script, says(&["completions", "bash"])).unwrap();
+    accepts("bash", &["-n", script.to_str().unwrap()]);
 }
 
 /// The scripts that are shipped.
-fn scripts() -> Vec<PathBuf> {
-    let mut found = vec![
-        root().join("deploy/dist.sh"),
-        root().join("deploy/fetch-onnxruntime.sh"),
-    ];
-    for entry in std::fs::read_dir(root().join("deploy/debian")).unwrap() {
-        let folder = entry.unwrap().path();
-        if !folder.is_dir() {
-            continue;
-        }
-        for file in std::fs::read_dir(folder).unwrap() {
-            let file = file.unwrap().path();
-            let name = file.file_name().unwrap().to_string_lossy().into_owned();
-            if ["preinst", "postinst", "prerm", "postrm"].contains(&name.as_str()) {
-                found.push(file);
-            }
+fn scripts() -> Vec<String> {
+    let mut found = ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"]
+        .map(str::to_owned)
+        .to_vec();
+    for package in ["node", "hub", "router"] {
+        for name in ["preinst", "postinst", "prerm", "postrm"] {
+            let script = format!("deploy/debian/{package}/{name}");
+            found.extend(project(&script).exists().then_some(script));
         }
     }
     found
@@ -82,37 +57,28 @@ fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
     let scripts = scripts();
     assert!(scripts.len() >= 6, "{scripts:?}");
     for script in scripts {
-        let text = std::fs::read_to_string(&script).unwrap();
-        let shell = if text.starts_with("#!/bin/sh") {
-            "sh"
-        } else {
-            "bash"
-        };
-        let read = Command::new(shell).arg("-n").arg(&script).status().unwrap();
-        assert!(read.success(), "{}", script.display());
-        assert!(
-            text.lines().any(|line| line.starts_with("set -e")),
-            "{}: no set -e",
-            script.display()
-        );
+        let text = text(&script);
+        let is_sh = text.starts_with("#!/bin/sh");
+        accepts(if is_sh { "sh" } else { "bash" }, &["-n", &script]);
+        assert_says(&text, &["\nset -e"]);
+        if script.starts_with("deploy/debian/") {
+            assert_says(&text, &["#DEBHELPER#"]);
+        }
     }
 }
 
 #[test]
 fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
-    let run = |tag: &str| {
-        std::process::Command::new("bash")
-            .args(["deploy/release-version.sh", tag])
-            .current_dir(root())
-            .output()
-            .unwrap()
-    };
-    let notes = run(concat!("v", env!("CARGO_PKG_VERSION")));
-    assert!(notes.status.success(), "{notes:?}");
-    assert!(!notes.stdout.is_empty(), "the changelog says nothing");
-    let refused = run("v0.0.1");
-    assert!(!refused.status.success());
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("the tag has 0.0.1"));
+    let notes = accepts(
+        "bash",
+        &[
+            "deploy/release-version.sh",
+            concat!("v", env!("CARGO_PKG_VERSION")),
+        ],
+    );
+    assert!(!notes.is_empty(), "the changelog says nothing");
+    let refused = run_command(Command::new("bash").args(["deploy/release-version.sh", "v0.0.1"]));
+    assert_says(&refused.fails(), &["the tag has 0.0.1"]);
 }
 
 #[test]
@@ -135,38 +101,21 @@ fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
 #[test]
 #[ignore = "needs shellcheck"]
 fn shellcheck_finds_nothing_in_the_scripts() {
-    for script in scripts() {
-        let ended = Command::new("shellcheck")
-            .arg("--severity=warning")
-            .arg(&script)
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&ended.stdout);
-        assert!(ended.status.success(), "{said}");
-    }
+    let scripts = scripts();
+    let scripts: Vec<_> = scripts.iter().map(String::as_str).collect();
+    accepts(
+        "shellcheck",
+        &[&["--severity=warning"], &scripts[..]].concat(),
+    );
 }
 
 #[test]
 #[ignore = "needs hadolint"]
 fn hadolint_finds_nothing_in_the_images() {
-    for image in ["Dockerfile", "Dockerfile.l4t"] {
-        let ended = Command::new("hadolint")
-            .arg(root().join("deploy/docker").join(image))
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&ended.stdout);
-        assert!(ended.status.success(), "{image}: {said}");
-    }
-}
-
-#[test]
-fn every_maintainer_script_leaves_room_for_debhelper() {
-    for script in scripts() {
-        if script.components().any(|part| part.as_os_str() == "debian") {
-            let text = std::fs::read_to_string(&script).unwrap();
-            assert!(text.contains("#DEBHELPER#"), "{}", script.display());
-        }
-    }
+    accepts(
+        "hadolint",
+        &["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"],
+    );
 }
 
 /// Runs a maintainer script of `package` with everything it touches under `root`, and users and owners made up.
@@ -181,23 +130,16 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
     let bin = folder.join("bin");
     std::fs::create_dir_all(&bin).unwrap();
     for command in ["getent", "groupadd", "useradd", "chown"] {
-        let stub = bin.join(command);
-        std::fs::write(&stub, "#!/bin/sh\nexit 0\n").unwrap();
-        let executable = Command::new("chmod").arg("755").arg(&stub).status();
-        assert!(executable.unwrap().success());
+        crate::support::script(&bin, command, "exit 0");
     }
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
-    let ended = Command::new("sh")
-        .arg(&file)
-        .arg(argument)
-        .env("PATH", path)
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert!(
-        ended.status.success(),
-        "{package} {script} {argument}: {said}"
-    );
+    run_command(
+        Command::new("sh")
+            .arg(&file)
+            .arg(argument)
+            .env("PATH", path),
+    )
+    .succeeds();
 }
 
 #[test]
@@ -211,34 +153,26 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
         let token = folder.path().join(format!("etc/albireo/{package}-token"));
         runs_in(package, "postinst", "configure", folder.path());
         let first = std::fs::read_to_string(&token).unwrap();
-        assert_eq!(first.trim_end().len(), 48, "{first}");
-        assert!(
-            first
-                .trim_end()
-                .bytes()
-                .all(|byte| byte.is_ascii_hexdigit()),
-            "{first}"
-        );
+        let digits = first
+            .trim_end()
+            .bytes()
+            .filter(u8::is_ascii_hexdigit)
+            .count();
+        assert_eq!((digits, first.trim_end().len()), (48, 48), "{first}");
         let mode = std::fs::metadata(&token).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode, 0o640, "{package}");
         let name = folder.path().join("etc/default/albireo-node");
         if package == "node" {
             let text = std::fs::read_to_string(&name).unwrap();
             let value = text.trim_end().strip_prefix("ALBIREO_NODE__NAME=").unwrap();
-            assert!(
-                albireo_wire::check_segment("node name", value).is_ok(),
-                "{value}"
-            );
+            albireo_wire::check_segment("node name", value).unwrap();
             std::fs::write(&name, "ALBIREO_NODE__NAME=mine\n").unwrap();
         }
         runs_in(package, "postinst", "configure", folder.path());
-        assert_eq!(
-            std::fs::read_to_string(&token).unwrap(),
-            first,
-            "an upgrade keeps it"
-        );
+        let kept = std::fs::read_to_string(&token).unwrap();
+        assert_eq!(kept, first, "an upgrade keeps it");
         if package == "node" {
-            assert!(std::fs::read_to_string(&name).unwrap().contains("mine"));
+            assert_says(&std::fs::read_to_string(&name).unwrap(), &["mine"]);
         }
         runs_in(package, "postrm", "remove", folder.path());
         assert!(token.exists(), "{package}: a removal keeps it");
@@ -254,8 +188,7 @@ fn every_image_is_built_with_every_member_of_the_workspace() {
         let steps = text(&format!("deploy/docker/{image}"));
         for member in manifest["workspace"]["members"].as_array().unwrap() {
             let folder = member.as_str().unwrap().split('/').next().unwrap();
-            let copied = format!("\nCOPY {folder} {folder}\n");
-            assert!(steps.contains(&copied), "{image}: {folder}");
+            assert_says(&steps, &[&format!("\nCOPY {folder} {folder}\n")]);
         }
     }
 }
@@ -272,7 +205,7 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
             let from = asset[0].as_str().unwrap();
             // What `make dist` builds is not in the clone.
             let built = from.starts_with("target/");
-            let place = root().join(from.trim_end_matches("/*"));
+            let place = project(from.trim_end_matches("/*"));
             assert!(built || place.exists(), "{name}: {from}");
         }
         let Some(scripts) = variant.get("maintainer-scripts") else {
@@ -280,17 +213,15 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
         };
         let scripts = scripts.as_str().unwrap();
         assert!(
-            root().join(scripts).join("postinst").exists(),
+            project(scripts).join("postinst").exists(),
             "{name}: {scripts}"
         );
         for kept in variant["conf-files"].as_array().unwrap() {
             let kept = kept.as_str().unwrap();
             assert!(kept.starts_with("/etc/albireo/"), "{kept}");
             let brought = |asset: &toml::Value| asset[1].as_str() == kept.strip_prefix('/');
-            assert!(
-                variant["assets"].as_array().unwrap().iter().any(brought),
-                "{kept}"
-            );
+            let mut assets = variant["assets"].as_array().unwrap().iter();
+            assert!(assets.any(brought), "{kept}");
         }
     }
     for image in ["Dockerfile", "Dockerfile.l4t"] {
@@ -301,58 +232,33 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
         for line in copied {
             let words: Vec<&str> = line.split_whitespace().collect();
             // What is named at build time comes along then.
-            let named = words.iter().filter(|word| !word.contains("${"));
-            for from in named
-                .take(words.len() - 1)
-                .filter(|word| !word.starts_with('/'))
-            {
-                assert!(root().join(from).exists(), "{from} of `{line}`");
+            let from = words[..words.len() - 1].iter();
+            for from in from.filter(|word| !word.contains("${") && !word.starts_with('/')) {
+                assert!(project(from).exists(), "{from} of `{line}`");
             }
         }
-        assert!(image.contains("\nUSER "), "it runs as root");
-        assert!(image.contains("\nHEALTHCHECK "));
+        assert_says(&image, &["\nUSER ", "\nHEALTHCHECK "]);
     }
 }
 
-#[tokio::test]
-async fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
+#[test]
+fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
     // The file alone: the model and the token come with the package.
-    says(&["check", "--file-only", "deploy/debian/node.toml"]).await;
+    says(&["check", "--file-only", "deploy/debian/node.toml"]);
     for node in ["car-1", "car-2", "car-3"] {
-        let ended = albireo()
-            .args(["check", "--file-only", "deploy/docker/node.toml"])
-            .env("ALBIREO_NODE__NAME", node)
-            .output()
-            .await
-            .unwrap();
-        assert!(
-            ended.status.success(),
-            "{}",
-            String::from_utf8_lossy(&ended.stderr)
-        );
+        let check = ["check", "--file-only", "deploy/docker/node.toml"];
+        run(&check, &[("ALBIREO_NODE__NAME", node)]).succeeds();
     }
     #[cfg(feature = "hub")]
     {
-        says(&["check", "deploy/debian/hub.toml"]).await;
-        says(&["check", "deploy/docker/hub.toml"]).await;
-        says(&[
-            "router",
-            "--check",
-            "--config",
-            "deploy/docker/router.json5",
-        ])
-        .await;
+        let router = ["router", "--check", "--config"];
+        says(&["check", "deploy/debian/hub.toml"]);
+        says(&["check", "deploy/docker/hub.toml"]);
+        says(&[&router[..], &["deploy/docker/router.json5"]].concat());
+        says(&[&router[..], &["config/zenoh-router.json5"]].concat());
         // The access rules are written for each fleet.
-        let certified = "deploy/zenoh/router.json5";
-        says(&[
-            "router",
-            "--check",
-            "--config",
-            certified,
-            "--no-access-control",
-        ])
-        .await;
-        says(&["router", "--check", "--config", "config/zenoh-router.json5"]).await;
+        let certified = ["deploy/zenoh/router.json5", "--no-access-control"];
+        says(&[&router[..], &certified].concat());
     }
 }
 
@@ -365,52 +271,41 @@ fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
         "deploy/zenoh/node-peer.json5",
         "deploy/zenoh/router.json5",
     ] {
-        let taken = zenoh::Config::from_file(root().join(file));
+        let taken = zenoh::Config::from_file(project(file));
         assert!(taken.is_ok(), "{file}: {:?}", taken.err());
     }
 }
 
 #[test]
 fn every_command_of_the_compose_file_is_one_of_the_program() {
-    use clap::Parser;
     let compose = text("deploy/docker/compose.yml");
-    let mut seen = 0;
-    for line in compose.lines() {
-        let Some(command) = line.trim().strip_prefix("command: ") else {
-            continue;
-        };
-        let words: Vec<String> = serde_json::from_str(command).unwrap();
-        // The bridge is another program.
-        if words[0].starts_with("--") || !cfg!(feature = "hub") {
-            continue;
-        }
-        let parsed = albireo::cli::Arguments::try_parse_from(
-            std::iter::once("albireo".to_owned()).chain(words.clone()),
-        );
-        assert!(parsed.is_ok(), "{words:?}: {:?}", parsed.err());
-        seen += 1;
+    let commands = compose
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("command: "));
+    let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
+    // The bridge is another program.
+    let commands: Vec<_> = commands
+        .filter(|words| !words[0].starts_with("--"))
+        .collect();
+    assert!(commands.len() >= 6, "{commands:?}");
+    for words in commands.iter().filter(|_| cfg!(feature = "hub")) {
+        let words = std::iter::once("albireo").chain(words.iter().map(String::as_str));
+        albireo::cli::Arguments::command()
+            .try_get_matches_from(words)
+            .unwrap();
     }
-    assert!(seen >= 6 || !cfg!(feature = "hub"), "{seen}");
 }
 
 #[test]
 #[ignore = "needs Docker Compose"]
 fn the_compose_file_is_one() {
     let plugin = Command::new("docker").args(["compose", "version"]).output();
-    let mut command = if plugin.is_ok_and(|ended| ended.status.success()) {
-        let mut command = Command::new("docker");
-        command.arg("compose");
-        command
+    let check = ["-f", "deploy/docker/compose.yml", "config", "--quiet"];
+    if plugin.is_ok_and(|ended| ended.status.success()) {
+        accepts("docker", &[&["compose"], &check[..]].concat());
     } else {
-        Command::new("docker-compose")
-    };
-    let ended = command
-        .args(["-f", "deploy/docker/compose.yml", "config", "--quiet"])
-        .current_dir(root())
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert!(ended.status.success(), "{said}");
+        accepts("docker-compose", &check);
+    }
 }
 
 #[cfg(feature = "hub")]
@@ -418,17 +313,16 @@ fn the_compose_file_is_one() {
 #[ignore = "needs Caddy and curl"]
 async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_through() {
     use crate::support::fleet::{HubProcess, settings, sqlite};
+    use crate::support::{free_port, until};
     let folder = tempfile::tempdir().unwrap();
     let (_, mut settings) = settings(&sqlite(folder.path()));
     settings.push(("ALBIREO_HTTP__TOKEN", "a-long-random-secret".to_owned()));
     let hub = HubProcess::start(&settings);
     hub.until_ready().await;
     let port = free_port();
+    let site = format!("https://localhost:{port} {{\n\ttls internal");
     let caddyfile = text("deploy/proxy/Caddyfile")
-        .replace(
-            "fleet.example {",
-            &format!("https://localhost:{port} {{\n\ttls internal"),
-        )
+        .replace("fleet.example {", &site)
         .replace("127.0.0.1:8090", hub.http.trim_start_matches("http://"));
     let file = folder.path().join("Caddyfile");
     let here = "{\n\tadmin off\n\tauto_https disable_redirects\n\tskip_install_trust\n}\n";
@@ -455,27 +349,17 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
             .unwrap();
         String::from_utf8_lossy(&ended.stdout).into_owned()
     };
-    let until = Instant::now() + PATIENCE;
-    while !asks("/healthz", &[]).contains("ok") {
-        let log = std::fs::read_to_string(folder.path().join("caddy.log")).unwrap_or_default();
-        assert!(Instant::now() < until, "{log}");
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    until("Caddy answers", async || {
+        asks("/healthz", &[]).contains("ok")
+    })
+    .await;
     let status = ["--output", "/dev/null", "--write-out", "%{http_code}"];
     assert_eq!(asks("/api/v1/nodes", &status), "401");
     let token = ["--header", "Authorization: Bearer a-long-random-secret"];
-    assert_eq!(
-        asks("/api/v1/nodes", &[&status[..], &token].concat()),
-        "200"
-    );
+    let both = [&status[..], &token].concat();
+    assert_eq!(asks("/api/v1/nodes", &both), "200");
     // The first bytes of the stream come although it does not end.
-    let stream = asks(
-        "/api/v1/events",
-        &[&token[..], &["--no-buffer", "--include"]].concat(),
-    );
-    assert!(stream.contains("text/event-stream"), "{stream}");
-    assert!(
-        stream.to_lowercase().contains("strict-transport-security"),
-        "{stream}"
-    );
+    let included = [&token[..], &["--no-buffer", "--include"]].concat();
+    let stream = asks("/api/v1/events", &included).to_lowercase();
+    assert_says(&stream, &["text/event-stream", "strict-transport-security"]);
 }

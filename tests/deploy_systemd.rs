@@ -2,7 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{PATIENCE, albireo, free_port};
+#[cfg(feature = "hub")]
+use crate::support::fleet::{behind, settings, sqlite};
+use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -10,12 +12,8 @@ use tokio::net::UnixDatagram;
 use tokio::process::Child;
 use tokio::time::timeout;
 
-fn units() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/systemd")
-}
-
 fn unit(name: &str) -> String {
-    std::fs::read_to_string(units().join(name)).unwrap()
+    text(&format!("deploy/systemd/{name}"))
 }
 
 /// The units with the program that was built instead of the installed one, and their drop-ins, in a folder.
@@ -31,24 +29,17 @@ fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
     for (service, drop_in) in drop_ins {
         let to = folder.join(format!("albireo-{service}.service.d"));
         std::fs::create_dir_all(&to).unwrap();
-        let from = units().join("drop-ins").join(drop_in);
-        std::fs::copy(from, to.join(drop_in)).unwrap();
+        std::fs::write(to.join(drop_in), unit(&format!("drop-ins/{drop_in}"))).unwrap();
     }
     files
 }
 
 fn verify(files: &[PathBuf]) -> String {
-    let ended = Command::new("systemd-analyze")
-        .args(["verify", "--man=no"])
-        .args(files)
-        .output()
-        .unwrap();
-    String::from_utf8_lossy(&ended.stderr)
-        .lines()
-        // Of the machine's own units the test says nothing.
-        .filter(|line| line.contains("albireo"))
-        .map(|line| format!("{line}\n"))
-        .collect()
+    let mut verify = Command::new("systemd-analyze");
+    let said = run_command(verify.args(["verify", "--man=no"]).args(files)).err;
+    // Of the machine's own units the test says nothing.
+    let own = said.lines().filter(|line| line.contains("albireo"));
+    own.collect::<Vec<_>>().join("\n")
 }
 
 #[test]
@@ -76,14 +67,10 @@ fn the_units_are_as_closed_as_promised() {
     let files = here(folder.path(), &[]);
     // In tenths, as systemd counts.
     for (file, most) in files.iter().zip([25, 15, 15]) {
-        let ended = Command::new("systemd-analyze")
-            .args(["security", "--offline=true", &format!("--threshold={most}")])
-            .arg(file)
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&ended.stdout);
-        let score = said.lines().last().unwrap_or_default();
-        assert!(ended.status.success(), "{}: {score}", file.display());
+        let mut security = Command::new("systemd-analyze");
+        let threshold = format!("--threshold={most}");
+        let security = security.args(["security", "--offline=true", &threshold]);
+        run_command(security.arg(file)).succeeds();
     }
 }
 
@@ -168,10 +155,8 @@ impl Manager {
     }
 
     fn count(&self, message: &str) -> usize {
-        self.heard
-            .iter()
-            .filter(|one| one.starts_with(message))
-            .count()
+        let of_it = self.heard.iter().filter(|one| one.starts_with(message));
+        of_it.count()
     }
 
     /// Receives until the message has arrived this many times.
@@ -191,14 +176,8 @@ impl Manager {
     }
 }
 
-fn terminate(child: &Child) {
-    let id = child.id().unwrap().to_string();
-    let told = Command::new("kill").args(["-TERM", &id]).status().unwrap();
-    assert!(told.success());
-}
-
 async fn ends_well(mut child: Child, manager: &mut Manager) {
-    terminate(&child);
+    signal(child.id().unwrap(), "-TERM");
     manager.until("STOPPING=1", 1).await;
     let status = timeout(PATIENCE, child.wait()).await.unwrap().unwrap();
     assert!(status.success(), "{status}\n{}", manager.log());
@@ -208,8 +187,7 @@ async fn ends_well(mut child: Child, manager: &mut Manager) {
 #[tokio::test]
 async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
     let folder = tempfile::tempdir().unwrap();
-    let (_, settings) =
-        crate::support::fleet::settings(&crate::support::fleet::sqlite(folder.path()));
+    let (_, settings) = settings(&sqlite(folder.path()));
     let mut manager = Manager::new();
     let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
     manager.until("READY=1", 1).await;
@@ -224,8 +202,7 @@ async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
 async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
-    let settings =
-        crate::support::fleet::behind(&router, &crate::support::fleet::sqlite(folder.path()));
+    let settings = behind(&router, &sqlite(folder.path()));
     let mut manager = Manager::new();
     let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
     manager.until("STATUS=not ready: zenoh", 1).await;
@@ -240,11 +217,8 @@ async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_f
 async fn a_router_notifies_ready_and_feeds_its_watchdog() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("router.json5");
-    let listen = format!(
-        "{{ listen: {{ endpoints: [\"tcp/127.0.0.1:{}\"] }} }}",
-        free_port()
-    );
-    std::fs::write(&file, listen).unwrap();
+    let endpoints = format!("[\"tcp/127.0.0.1:{}\"]", free_port());
+    std::fs::write(&file, format!("{{ listen: {{ endpoints: {endpoints} }} }}")).unwrap();
     let http = format!("127.0.0.1:{}", free_port());
     let mut manager = Manager::new();
     let arguments = [
@@ -276,7 +250,7 @@ fn node(folder: &Path, model: &Path) -> PathBuf {
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     let folder = tempfile::tempdir().unwrap();
-    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models/boxes.onnx");
+    let model = project("tests/fixtures/models/boxes.onnx");
     let file = node(folder.path(), &model);
     let mut manager = Manager::new();
     let arguments = ["node", "--config", file.to_str().unwrap()];
@@ -294,8 +268,7 @@ async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
     let folder = tempfile::tempdir().unwrap();
     // A pipe without a writer: loading it never ends.
     let model = folder.path().join("detector.onnx");
-    let made = Command::new("mkfifo").arg(&model).status().unwrap();
-    assert!(made.success());
+    pipe(&model);
     let file = node(folder.path(), &model);
     let mut manager = Manager::new();
     let arguments = ["node", "--config", file.to_str().unwrap()];

@@ -5,18 +5,15 @@
 
 use crate::http_api::served::Served;
 use crate::support::fleet::{HubProcess, settings, sqlite};
-use crate::support::{PATIENCE, albireo, free_port};
+use crate::support::{albireo, free_port, project, run_command, text_at, until};
 use albireo_node::state::board::PowerSnapshot;
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
-use std::time::{Duration, Instant};
 
 fn deploy(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("deploy")
-        .join(path)
+    project("deploy").join(path)
 }
 
 fn text(path: &str) -> String {
@@ -39,11 +36,7 @@ fn metrics_of(expression: &str) -> BTreeSet<String> {
     }
     plain
         .split(|c: char| !(c.is_ascii_alphanumeric() || c == '_' || c == ':'))
-        .filter(|word| {
-            ["albireo", "process_"]
-                .iter()
-                .any(|start| word.starts_with(start))
-        })
+        .filter(|word| word.starts_with("albireo") || word.starts_with("process_"))
         .map(str::to_owned)
         .collect()
 }
@@ -105,7 +98,7 @@ async fn of_a_node() -> BTreeSet<String> {
         hottest: Some(("cpu".to_owned(), 50.0)),
         ..node.board.power()
     });
-    names(&node.get("/metrics").await.text().await.unwrap())
+    names(&node.metrics().await)
 }
 
 async fn of_a_hub() -> BTreeSet<String> {
@@ -119,11 +112,12 @@ async fn of_a_hub() -> BTreeSet<String> {
 async fn of_a_router() -> BTreeSet<String> {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("router.json5");
-    let listen = format!(
-        "{{ listen: {{ endpoints: [\"tcp/127.0.0.1:{}\"] }} }}",
-        free_port()
-    );
-    std::fs::write(&config, listen).unwrap();
+    let endpoints = format!("[\"tcp/127.0.0.1:{}\"]", free_port());
+    std::fs::write(
+        &config,
+        format!("{{ listen: {{ endpoints: {endpoints} }} }}"),
+    )
+    .unwrap();
     let http = format!("127.0.0.1:{}", free_port());
     let _router = albireo()
         .args(["router", "--http", &http, "--config"])
@@ -131,14 +125,12 @@ async fn of_a_router() -> BTreeSet<String> {
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
-    let until = Instant::now() + PATIENCE;
-    loop {
-        if let Ok(answer) = reqwest::get(format!("http://{http}/metrics")).await {
-            return names(&answer.text().await.unwrap());
-        }
-        assert!(Instant::now() < until, "the router never answered");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    let metrics = format!("http://{http}/metrics");
+    until("the router answers", async || {
+        !text_at(&metrics).await.is_empty()
+    })
+    .await;
+    names(&text_at(&metrics).await)
 }
 
 #[tokio::test]
@@ -185,13 +177,10 @@ async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
 
 #[test]
 fn metrics_are_found_in_an_expression_and_labels_are_not() {
-    let found = metrics_of(
-        r#"sum by (instance) (rate(albireo_a_total{albireo_b="albireo_c"}[5m])) / process_d"#,
-    );
-    assert_eq!(
-        found,
-        BTreeSet::from(["albireo_a_total".to_owned(), "process_d".to_owned()])
-    );
+    let expression =
+        r#"sum by (instance) (rate(albireo_a_total{albireo_b="albireo_c"}[5m])) / process_d"#;
+    let expected = ["albireo_a_total", "process_d"].map(str::to_owned);
+    assert_eq!(metrics_of(expression), BTreeSet::from(expected));
 }
 
 #[test]
@@ -202,13 +191,8 @@ fn every_alert_fires_when_it_should_and_not_before() {
         &["test", "rules", "rules_test.yml"],
         &["check", "config", "--syntax-only", "prometheus.yml"],
     ] {
-        let ended = Command::new("promtool")
-            .args(arguments)
-            .current_dir(deploy("prometheus"))
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&ended.stdout) + String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.success(), "{arguments:?}: {said}");
+        let mut promtool = Command::new("promtool");
+        run_command(promtool.args(arguments).current_dir(deploy("prometheus"))).succeeds();
     }
 }
 

@@ -32,9 +32,7 @@ fn confidences(detected: &Detected) -> Vec<(u16, i64)> {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
-    let detector = DetectorHandle::start(&config("yolo_open.onnx"))
-        .await
-        .unwrap();
+    let detector = detectors::started(&config("yolo_open.onnx")).await;
     let colors = [[204, 0, 0], [0, 153, 0], [102, 0, 0]];
     let expected = [vec![(0, 80)], vec![(1, 60)], vec![(0, 40)]];
     let [one, two, three] = colors;
@@ -58,15 +56,5 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
             assert!(all.iter().all(|found| found.took == together.0.took));
         }
         before = after;
-    }
-}
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn a_batch_for_a_model_that_takes_one_picture_is_refused_with_what_to_do() {
-    let refused = DetectorHandle::start(&config("colours.onnx")).await;
-    let error = refused.err().unwrap().to_string();
-    for part in ["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"] {
-        assert!(error.contains(part), "{error}");
     }
 }

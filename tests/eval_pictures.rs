@@ -5,7 +5,8 @@
 mod bad_input;
 mod live;
 
-use crate::support::shared;
+use crate::support::detectors::model;
+use crate::support::{assert_says, run, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Profile;
@@ -18,7 +19,7 @@ use albireo_eval::pictures::{
 };
 use albireo_eval::replay::Scoring;
 use albireo_eval::result::{ClipResult, Provenance};
-use albireo_eval::run::{Settings, run};
+use albireo_eval::run::{Settings, run as evaluate};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, resolve};
 use albireo_eval::trace;
@@ -26,21 +27,11 @@ use albireo_scene::BoxScene;
 use albireo_vision::detector::{DetectorConfig, HeadName};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/models")
-        .join(name)
-}
-
-fn albireo(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_albireo"))
-        .args(arguments)
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .output()
-        .expect("the program starts")
+/// The path of a fixture model, as an argument.
+fn detector(name: &str) -> String {
+    model(name).display().to_string()
 }
 
 /// A folder of JPEG pictures. The fixture detector's confidences are the means of the three colours, and the
@@ -52,12 +43,14 @@ fn write_pictures(folder: &Path, frames: u32) {
         let green = if frame % 11 < 6 { 135 + frame % 7 } else { 60 };
         let colour = [red as u8, green as u8, (frame % 80) as u8];
         let pixels = colour.repeat(size.pixels() as usize);
-        let path = folder.join(format!("{frame}.jpg"));
-        jpeg_encoder::Encoder::new_file(path, 90)
-            .unwrap()
-            .encode(&pixels, 1280, 720, jpeg_encoder::ColorType::Rgb)
-            .unwrap();
+        write_jpeg(&folder.join(format!("{frame}.jpg")), &pixels, [1280, 720]);
     }
+}
+
+fn write_jpeg(path: &Path, pixels: &[u8], [width, height]: [u16; 2]) {
+    let encoder = jpeg_encoder::Encoder::new_file(path, 90).unwrap();
+    let rgb = jpeg_encoder::ColorType::Rgb;
+    encoder.encode(pixels, width, height, rgb).unwrap();
 }
 
 fn fixture_detector() -> DetectorConfig {
@@ -86,14 +79,8 @@ fn look(
         keep_small: None,
         most_frames: None,
     };
-    collect(
-        source,
-        &mut observer,
-        &keep,
-        &mut LoadReport::default(),
-        &mut || (),
-    )
-    .unwrap()
+    let mut report = LoadReport::default();
+    collect(source, &mut observer, &keep, &mut report, &mut || ()).unwrap()
 }
 
 fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
@@ -137,8 +124,8 @@ fn assert_replays_alike(pictured: &PicturedClip, confidence: f64) -> Vec<ClipRes
     assert_eq!(stored.clips[0], pictured.clip);
     let policies = specs(&NO_PIXELS, ScreenRule::Recorded);
     let settings = settings(confidence, ScreenRule::Recorded);
-    let live = run([pictured], &policies, &settings, &|| ()).unwrap();
-    let replayed = run(&stored.clips, &policies, &settings, &|| ()).unwrap();
+    let live = evaluate([pictured], &policies, &settings, &|| ()).unwrap();
+    let replayed = evaluate(&stored.clips, &policies, &settings, &|| ()).unwrap();
     assert_eq!(live.len(), replayed.len());
     for (live, replayed) in live.iter().zip(&replayed) {
         assert_eq!(live.policy, replayed.policy);
@@ -179,36 +166,26 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
     let at = |name: &str| folder.path().join(name).display().to_string();
     std::fs::create_dir(at("drive")).unwrap();
     write_pictures(Path::new(&at("drive")), 30);
-    let (detector, screen) = (model("colours.onnx"), model("screen.onnx"));
+    let (detector, screen) = (detector("colours.onnx"), detector("screen.onnx"));
     let policies = ["--policy", "albireo", "--policy", "erd-only"];
     let (drive, saved) = (at("drive"), at("saved"));
     let (first, second) = (at("first"), at("second"));
-    let mut arguments = vec!["eval", "pictures", &drive];
-    arguments.extend(["--detector", detector.to_str().unwrap()]);
-    arguments.extend(["--screen-model", screen.to_str().unwrap()]);
-    arguments.extend(policies);
+    let models = ["--detector", &detector, "--screen-model", &screen];
+    let mut arguments = [&["eval", "pictures", &drive], &models[..], &policies].concat();
     arguments.extend(["--policy", "statues:25", "--traces", &first]);
     arguments.extend(["--save-detections", &saved]);
     arguments.extend(["--energy-model", "config/energy/agx-thor.toml"]);
-    let output = albireo(&arguments);
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{complaint}");
-    for part in [
-        "Judged against vanilla",
-        "statues-25",
-        "Time of the detector",
-        "projected from an energy model",
-    ] {
-        assert!(said.contains(part), "no `{part}` in:\n{said}");
-    }
+    let said = run(&arguments, &[]).succeeds();
+    let times = ["Time of the detector", "projected from an energy model"];
+    assert_says(
+        &said,
+        &["Judged against vanilla", "statues-25", times[0], times[1]],
+    );
 
     let mut arguments = vec!["eval", "recorded", &saved, "--screen", "recorded"];
     arguments.extend(policies);
     arguments.extend(["--traces", &second]);
-    let output = albireo(&arguments);
-    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{complaint}");
+    run(&arguments, &[]).succeeds();
     for policy in [
         "vanilla",
         "albireo-u3e-4-erd-recorded",
@@ -231,7 +208,7 @@ fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detectio
     let at = |name: &str| folder.path().join(name).display().to_string();
     let (sequence, saved, first, second) = (at("boxes"), at("saved"), at("first"), at("second"));
     write_sequence(Path::new(&sequence), 40);
-    let detector = model("boxes.onnx").display().to_string();
+    let detector = detector("boxes.onnx");
     let drive = format!("{sequence}/img1");
     let streams = [
         "--policy",
@@ -239,6 +216,7 @@ fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detectio
         "--detector-ms",
         "113",
         "--settled",
+        "--out",
     ];
     let mut pictures = vec!["eval", "video", &drive, "--detector", &detector];
     pictures.extend([
@@ -253,30 +231,20 @@ fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detectio
         "--save-detections",
         &saved,
     ]);
-    pictures.extend(["--out", &first]);
-    pictures.extend(streams);
-    let mut recorded = vec!["eval", "recorded", &saved, "--out", &second];
-    recorded.extend(streams);
-    for arguments in [pictures, recorded] {
-        let output = albireo(&arguments);
-        let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.success(), "{complaint}");
-    }
-    // The columns of the two tables differ in width.
+    run(&[&pictures[..], &streams, &[&first]].concat(), &[]).succeeds();
+    let recorded = ["eval", "recorded", &saved];
+    run(&[&recorded[..], &streams, &[&second]].concat(), &[]).succeeds();
     let line = |file: String, policy: &str| {
         let text = std::fs::read_to_string(file).unwrap();
-        let mut lines = text.lines().filter(|line| line.starts_with(policy));
-        let line = lines
-            .next()
-            .unwrap_or_else(|| panic!("no {policy} in\n{text}"));
+        let found = text.lines().find(|line| line.starts_with(policy));
+        let line = found.unwrap_or_else(|| panic!("no {policy} in\n{text}"));
+        // The columns of the two tables differ in width.
         line.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     for file in ["at-arrival.txt", "settled.txt"] {
         let with_pictures = |policy| line(format!("{first}/{file}"), policy);
-        assert_eq!(
-            with_pictures("expected-loss-"),
-            line(format!("{second}/{file}"), "expected-loss-")
-        );
+        let stored = line(format!("{second}/{file}"), "expected-loss-");
+        assert_eq!(with_pictures("expected-loss-"), stored);
         assert!(with_pictures("expected-loss+flow").contains("0."), "{file}");
     }
 }
@@ -297,12 +265,8 @@ fn write_sequence(folder: &Path, frames: u64) {
         for (class, place) in &frame.boxes {
             let (width, height) = (place.x2 - place.x1, place.y2 - place.y1);
             let (x, y) = (place.x1 + 1.0, place.y1 + 1.0);
-            writeln!(
-                truth,
-                "{},{class},{x},{y},{width},{height},1,1,1",
-                index + 1
-            )
-            .unwrap();
+            let number = index + 1;
+            writeln!(truth, "{number},{class},{x},{y},{width},{height},1,1,1").unwrap();
         }
     }
     std::fs::write(folder.join("gt/gt.txt"), truth).unwrap();
@@ -319,18 +283,22 @@ fn pictures_are_judged_by_their_ground_truth() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = folder.path().join("boxes");
     write_sequence(&sequence, 40);
-    let (pictures, detector) = (sequence.join("img1"), model("boxes.onnx"));
+    let (pictures, detector) = (sequence.join("img1"), detector("boxes.onnx"));
     let out = folder.path().join("out");
-    let mut arguments = vec!["eval", "video", pictures.to_str().unwrap()];
-    arguments.extend(["--detector", detector.to_str().unwrap()]);
+    let mut arguments = vec![
+        "eval",
+        "video",
+        pictures.to_str().unwrap(),
+        "--detector",
+        &detector,
+    ];
     arguments.extend(["--truth-format", "motchallenge", "--policy", "fixed-skip:2"]);
     arguments.extend(["--ground-truth", sequence.to_str().unwrap()]);
     arguments.extend(["--out", out.to_str().unwrap()]);
-    let output = albireo(&arguments);
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{complaint}");
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains("Judged by ground truth"), "{said}");
+    assert_says(
+        &run(&arguments, &[]).succeeds(),
+        &["Judged by ground truth"],
+    );
     let report = std::fs::read(out.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let ap50 = |policy: usize| report["policies"][policy]["ap50"].as_f64().unwrap();
@@ -378,7 +346,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
     let pictured = by_hand(30);
     let policies = specs(&["fixed-skip:2", "erd-only"], ScreenRule::Recorded);
     let settings = settings(0.5, ScreenRule::Recorded);
-    let results = run([&pictured], &policies, &settings, &|| ()).unwrap();
+    let results = evaluate([&pictured], &policies, &settings, &|| ()).unwrap();
     let mean = |index: usize| {
         let time = results[index].frame_time.unwrap();
         assert_eq!(time.provenance, Provenance::Composed);
@@ -390,8 +358,9 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
         let screen = result.screen_frames as f64;
         let expected = (detector * 1100.0 + screen * 10.0) / 30.0;
         let found = mean(index);
+        let is_right = found >= expected && found < expected + 5.0;
         assert!(
-            found >= expected && found < expected + 5.0,
+            is_right,
             "{}: {found} ms, the steps alone {expected} ms",
             result.policy
         );
@@ -414,7 +383,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
     pictured.clip.truth = Some(truth);
     let policies = specs(&["vanilla"], ScreenRule::Nonempty);
     let settings = settings(0.5, ScreenRule::Nonempty);
-    let results = run([&pictured], &policies, &settings, &|| ()).unwrap();
+    let results = evaluate([&pictured], &policies, &settings, &|| ()).unwrap();
     assert_eq!(results[0].accuracy.unwrap().ap50, 1.0);
 }
 

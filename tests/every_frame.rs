@@ -2,8 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures, until};
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
 use crate::support::policies::Before;
+use crate::support::until;
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
@@ -148,7 +149,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
     for tape in TAPES {
         let tape = bench.board.camera(tape).unwrap();
         // A frame is counted after its answer is out.
-        until(&bench.board, "every frame is counted", |_| {
+        until("every frame is counted", async || {
             tape.snapshot().states.frames() == 12
         })
         .await;
@@ -172,7 +173,7 @@ async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
     let reply = replies.recv_async().await.unwrap().into_result().unwrap();
     let answer: FrameAnswer = albireo_wire::read(&reply.payload().to_bytes()).unwrap();
     assert!(answer.refused.is_some());
-    let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
+    let dropped = bench.snapshot().dropped;
     assert_eq!((dropped.undecodable, dropped.total()), (1, 1));
     bench.send(pictures(1).remove(0), "image/jpeg", 1).await;
     assert_eq!(bench.answer().await.seq, 1);

@@ -76,14 +76,8 @@ fn jpeg_file(
 }
 
 fn rgb_jpeg(width: u32, height: u32, progressive: bool) -> EncodedPicture {
-    let pixels = gradient(width, height);
-    jpeg_file(
-        &pixels,
-        width,
-        height,
-        jpeg_encoder::ColorType::Rgb,
-        progressive,
-    )
+    let (pixels, rgb) = (gradient(width, height), jpeg_encoder::ColorType::Rgb);
+    jpeg_file(&pixels, width, height, rgb, progressive)
 }
 
 fn png_file(
@@ -108,11 +102,8 @@ fn png_file(
 
 fn largest_difference(left: &[u8], right: &[u8]) -> u8 {
     assert_eq!(left.len(), right.len());
-    left.iter()
-        .zip(right)
-        .map(|(a, b)| a.abs_diff(*b))
-        .max()
-        .unwrap()
+    let differences = left.iter().zip(right).map(|(a, b)| a.abs_diff(*b));
+    differences.max().unwrap()
 }
 
 /// BT.601 luma in floating point, the reference for the fixed-point one.
@@ -139,11 +130,8 @@ fn a_jpeg_comes_out_as_it_went_in_in_colour_and_in_grey() {
         let luma = luma_of(&pixels);
         let picture = jpeg_file(&luma, width, height, jpeg_encoder::ColorType::Luma, false);
         assert!(largest_difference(&grey(&picture), &luma) <= 6);
-        assert!(
-            rgb(&picture)
-                .chunks(3)
-                .all(|p| p[0] == p[1] && p[1] == p[2])
-        );
+        let rgb = rgb(&picture);
+        assert!(rgb.chunks(3).all(|p| p[0] == p[1] && p[1] == p[2]));
     }
 }
 
@@ -189,45 +177,30 @@ fn a_picture_that_contradicts_the_size_it_was_announced_with_is_undecodable() {
 
 #[test]
 fn every_kind_of_png_gives_its_colours() {
-    let eight = BitDepth::Eight;
+    use BitDepth::{Eight, One, Sixteen};
     let colour = [10, 20, 30, 40, 50, 60];
-    let grey_of = |v: u8| [v, v, v];
-    for (picture, expected) in [
-        (png_file(2, 1, ColorType::Rgb, eight, &colour), colour),
+    let deep = [10, 99, 20, 1, 30, 2, 40, 3, 50, 4, 60, 5];
+    let grey_pixels = [7, 7, 7, 200, 200, 200];
+    for (color, depth, samples, expected) in [
+        (ColorType::Rgb, Eight, &colour[..], colour),
         (
-            png_file(
-                2,
-                1,
-                ColorType::Rgba,
-                eight,
-                &[10, 20, 30, 0, 40, 50, 60, 9],
-            ),
+            ColorType::Rgba,
+            Eight,
+            &[10, 20, 30, 0, 40, 50, 60, 9],
             colour,
         ),
-        (png_file(2, 1, ColorType::Indexed, eight, &[0, 1]), colour),
+        (ColorType::Indexed, Eight, &[0, 1], colour),
+        (ColorType::Indexed, One, &[0b0100_0000], colour),
+        (ColorType::Rgb, Sixteen, &deep, colour),
+        (ColorType::Grayscale, Eight, &[7, 200], grey_pixels),
         (
-            png_file(2, 1, ColorType::Indexed, BitDepth::One, &[0b0100_0000]),
-            colour,
-        ),
-        (
-            png_file(
-                2,
-                1,
-                ColorType::Rgb,
-                BitDepth::Sixteen,
-                &[10, 99, 20, 1, 30, 2, 40, 3, 50, 4, 60, 5],
-            ),
-            colour,
-        ),
-        (
-            png_file(2, 1, ColorType::Grayscale, eight, &[7, 200]),
-            [7, 7, 7, 200, 200, 200],
-        ),
-        (
-            png_file(2, 1, ColorType::GrayscaleAlpha, eight, &[7, 0, 200, 255]),
-            [grey_of(7), grey_of(200)].concat().try_into().unwrap(),
+            ColorType::GrayscaleAlpha,
+            Eight,
+            &[7, 0, 200, 255],
+            grey_pixels,
         ),
     ] {
+        let picture = png_file(2, 1, color, depth, samples);
         assert_eq!(rgb(&picture), expected);
         assert_eq!(grey(&picture), luma_of(&expected));
     }
@@ -292,11 +265,8 @@ fn nv12_is_limited_range_bt601() {
         bytes.extend([cb, cr].repeat(4));
         let picture = encoded(PictureFormat::Nv12, 3, 3, bytes);
         let pixels = rgb(&picture);
-        assert!(
-            largest_difference(&pixels, &expected.repeat(9)) <= 2,
-            "{:?}, not {expected:?}",
-            &pixels[..3]
-        );
+        let difference = largest_difference(&pixels, &expected.repeat(9));
+        assert!(difference <= 2, "{pixels:?}, not {expected:?}");
     }
     // The last column and row use their own chroma pair.
     let mut bytes = vec![126; 9];
@@ -343,10 +313,8 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
             let mut into = Picture::default();
             decode_small_grey(&picture, &FrameLimits::default(), least, &mut into).unwrap();
             let expected = PictureSize::new(expected.0, expected.1);
-            assert_eq!(
-                (into.size, into.pixels.len() as u64),
-                (expected, expected.pixels())
-            );
+            let pixels = into.pixels.len() as u64;
+            assert_eq!((into.size, pixels), (expected, expected.pixels()));
             assert_eq!(into.source_size, PictureSize::new(width, height));
         }
     }

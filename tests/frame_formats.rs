@@ -7,14 +7,10 @@ use albireo_node::input::{Frame, PayloadFormat, RawSample, RejectedFrame, read_f
 use albireo_vision::picture::{FrameLimits, PictureFormat};
 use bytes::Bytes;
 use serde_json::Value;
-use std::path::PathBuf;
 use tokio::time::Instant;
 
 fn fixture(name: &str) -> Vec<u8> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/ros2")
-        .join(name);
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    std::fs::read(crate::support::project("tests/fixtures/ros2").join(name)).unwrap()
 }
 
 fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -> RawSample<'a> {
@@ -57,14 +53,10 @@ fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
         let number = |key: &str| message[key].as_u64().unwrap();
         let payload = fixture(message["file"].as_str().unwrap());
         let frame = read_ros(&payload, PayloadFormat::Ros2CompressedImage).unwrap();
-        assert_eq!(
-            frame.time_ns,
-            number("sec") * 1_000_000_000 + number("nanosec")
-        );
-        assert_eq!(
-            frame.picture.size,
-            PictureSize::new(number("image_width") as u32, number("image_height") as u32)
-        );
+        let time = number("sec") * 1_000_000_000 + number("nanosec");
+        assert_eq!(frame.time_ns, time);
+        let [width, height] = ["image_width", "image_height"].map(|key| number(key) as u32);
+        assert_eq!(frame.picture.size, PictureSize::new(width, height));
         let (offset, length) = (number("data_offset") as usize, number("data_len") as usize);
         assert_eq!(frame.picture.bytes, payload[offset..offset + length]);
         let format = if message["format"] == "png" {
@@ -264,30 +256,19 @@ fn an_attachment_that_cannot_be_read_is_refused_without_a_number() {
 #[test]
 fn an_oversized_picture_is_recognised_by_its_header_alone() {
     let (jpeg, png) = picture_files();
-    let payload = FrameLimits {
-        max_payload_bytes: 5000,
-        ..FrameLimits::default()
+    let changed = |change: fn(&mut FrameLimits)| {
+        let mut limits = FrameLimits::default();
+        change(&mut limits);
+        limits
     };
-    let width = FrameLimits {
-        max_width: 319,
-        ..FrameLimits::default()
-    };
-    let height = FrameLimits {
-        max_height: 179,
-        ..FrameLimits::default()
-    };
-    let decoded = FrameLimits {
-        max_decoded_bytes: 320 * 180 * 3 - 1,
-        ..FrameLimits::default()
-    };
+    let payload = changed(|limits| limits.max_payload_bytes = 5000);
+    let width = changed(|limits| limits.max_width = 319);
+    let height = changed(|limits| limits.max_height = 179);
+    let decoded = changed(|limits| limits.max_decoded_bytes = 320 * 180 * 3 - 1);
     for limits in [payload, width, height, decoded] {
         for (file, encoding) in [(&jpeg, "image/jpeg"), (&png, "image/png")] {
-            let rejected = read_frame(
-                sample(file, encoding, None),
-                PayloadFormat::Encoding,
-                &limits,
-            )
-            .unwrap_err();
+            let sample = sample(file, encoding, None);
+            let rejected = read_frame(sample, PayloadFormat::Encoding, &limits).unwrap_err();
             assert_eq!(rejected.fault.kind(), "oversized", "{rejected}");
         }
     }

@@ -6,7 +6,6 @@ mod access;
 mod connections;
 mod documented;
 mod events;
-mod exposition;
 mod looking;
 mod metrics;
 mod past;
@@ -15,6 +14,6 @@ mod target;
 mod threshold;
 
 /// A detections message as a node sends it.
-pub(crate) fn sample_detections() -> std::sync::Arc<albireo_wire::DetectionsMessage> {
+pub(crate) fn sample_detections() -> albireo_wire::DetectionsMessage {
     served::frame(7, albireo_core::policy::FrameState::I)
 }

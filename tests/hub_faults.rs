@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::fleet::{HubProcess, now_ns, report, send, settings, sqlite, uplink};
-use crate::support::{PATIENCE, memory_mb};
+use crate::support::{PATIENCE, assert_says, memory_mb, metric};
 use albireo_wire::{
     BatchCompression, LARGEST_BATCH_BYTES, PullRequest, RefusalReason, ReportBatch, VERSION,
 };
@@ -17,17 +17,8 @@ use tokio_util::sync::CancellationToken;
 
 const NODE: &str = "car-1";
 
-/// Sends the reports of [`NODE`] until they are acknowledged; what else was answered, by reason.
+/// Sends the reports of a node until they are acknowledged; what else was answered, by reason.
 async fn deliver(
-    session: &zenoh::Session,
-    numbers: std::ops::RangeInclusive<u64>,
-    begun: u64,
-) -> BTreeMap<String, u64> {
-    deliver_of(session, NODE, numbers, begun).await
-}
-
-/// As [`deliver`], of any node.
-async fn deliver_of(
     session: &zenoh::Session,
     node: &str,
     numbers: std::ops::RangeInclusive<u64>,
@@ -49,15 +40,6 @@ async fn deliver_of(
         assert!(Instant::now() < until, "never acknowledged: {refused:?}");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-}
-
-fn metric(metrics: &str, name: &str) -> f64 {
-    let line = metrics
-        .lines()
-        .find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
-    line.unwrap_or_else(|| panic!("no {name} in {metrics}"))
-        .parse()
-        .unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -92,16 +74,18 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
     let ready = hub
         .until("/readyz", |answer| answer["ready"] == false)
         .await;
-    let reason = ready["reasons"]["database"].as_str().unwrap();
-    assert!(reason.contains("cannot be used now"), "{reason}");
-    assert!(metric(&hub.metrics().await, "albireo_hub_database_errors_total") > 0.0);
+    assert_says(
+        ready["reasons"]["database"].as_str().unwrap(),
+        &["cannot be used now"],
+    );
+    assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
 
     // Room again.
     let lifted = std::process::Command::new("prlimit")
         .args(["--pid", &hub.id().to_string(), "--fsize=unlimited"])
         .status();
     assert!(lifted.unwrap().success());
-    deliver(&session, last + 1..=last + 100, begun).await;
+    deliver(&session, NODE, last + 1..=last + 100, begun).await;
     hub.until_ready().await;
     let clips = hub.clips(NODE).await;
     assert_eq!(clips.len() as u64, last + 100);
@@ -116,20 +100,17 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
     let begun = now_ns();
     let hub = HubProcess::start(&settings);
     let session = uplink(&zenoh).await;
-    deliver(&session, 1..=3, begun).await;
+    deliver(&session, NODE, 1..=3, begun).await;
     hub.kill().await;
 
-    let url = settings
-        .iter_mut()
-        .find(|(name, _)| *name == "ALBIREO_DATABASE__URL");
-    let url = &mut url.unwrap().1;
+    let url = &mut settings[2].1;
+    assert!(url.starts_with("sqlite:"));
     let writable = std::mem::replace(url, format!("{url}?mode=ro"));
     let hub = HubProcess::start(&settings);
     let ready = hub
         .until("/readyz", |answer| {
-            answer["reasons"]["database"]
-                .as_str()
-                .is_some_and(|reason| reason.contains("readonly"))
+            let reason = answer["reasons"]["database"].as_str();
+            reason.is_some_and(|reason| reason.contains("readonly"))
         })
         .await;
     assert_eq!(ready["ready"], false);
@@ -137,12 +118,9 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
     assert!(!matches!(said, Some(Ok(_))), "{said:?}");
     hub.kill().await;
 
-    let url = settings
-        .iter_mut()
-        .find(|(name, _)| *name == "ALBIREO_DATABASE__URL");
-    url.unwrap().1 = writable;
+    settings[2].1 = writable;
     let hub = HubProcess::start(&settings);
-    deliver(&session, 4..=6, begun).await;
+    deliver(&session, NODE, 4..=6, begun).await;
     assert_eq!(hub.clips(NODE).await.len(), 6);
     session.close().await.unwrap();
     hub.kill().await;
@@ -164,7 +142,7 @@ async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
     hub.kill().await;
     settings.pop();
     let hub = HubProcess::start(&settings);
-    let refused = deliver(&session, 1..=3, begun).await;
+    let refused = deliver(&session, NODE, 1..=3, begun).await;
     assert_eq!(hub.clips(NODE).await.len(), 3, "{refused:?}");
     session.close().await.unwrap();
     hub.kill().await;
@@ -238,7 +216,7 @@ async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_u
     for first in [1, 6] {
         for node in 0..OTHERS {
             let sent = Instant::now();
-            deliver_of(&session, &format!("car-{node}"), first..=first + 4, begun).await;
+            deliver(&session, &format!("car-{node}"), first..=first + 4, begun).await;
             delays.push(sent.elapsed());
         }
     }
@@ -360,7 +338,7 @@ async fn what_is_acknowledged_was_synced_to_the_disk_before() {
     let session = uplink(&zenoh).await;
     let begun = now_ns();
     for batch in 0..40 {
-        deliver(&session, batch * 5 + 1..=batch * 5 + 5, begun).await;
+        deliver(&session, NODE, batch * 5 + 1..=batch * 5 + 5, begun).await;
     }
     session.close().await.unwrap();
     let traced = read_trace(&trace);

@@ -3,11 +3,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::support::{Client, Node, PATIENCE, albireo, fake_nvpmodel};
-use serde_json::Value;
-use std::os::unix::fs::PermissionsExt;
+use crate::support::{
+    Client, Ended, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric,
+    script, value_of,
+};
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
 use tokio::time::timeout;
 
 /// 24 W in three rails, a hot sensor, and a power mode.
@@ -66,15 +67,8 @@ async fn replay(node: &Node, clip: &str, frames: &str) {
         .args(["replay", "demo", "--frames", frames, "--clip", clip])
         .args(["--clip-seconds", "1000", "--every", "--wait-for-subscriber"])
         .args(["--connect", &node.zenoh, "--node", "bench"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
         .output();
-    let output = timeout(PATIENCE, output).await.unwrap().unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    Ended::from(timeout(PATIENCE, output).await.unwrap().unwrap()).succeeds();
 }
 
 /// The next message of that kind that `wanted` takes.
@@ -89,6 +83,18 @@ async fn next(client: &mut Client, kind: &str, wanted: impl Fn(&Value) -> bool) 
 
 fn near(value: &Value, expected: f64) -> bool {
     (value.as_f64().unwrap() / expected - 1.0).abs() < 1e-3
+}
+
+/// 24 W over the whole clip of 25 frames.
+fn assert_energy(report: &Value) {
+    let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
+    assert_eq!(energy["quality"], "measured", "{report}");
+    assert!(near(&energy["coverage"], 1.0), "{report}");
+    assert!(near(&energy["joules"], 24.0 * seconds), "{report}");
+    assert!(
+        near(&energy["edp"], 24.0 * seconds * seconds * 1e3 / 25.0),
+        "{report}"
+    );
 }
 
 fn watts(message: &Value, domain: &str) -> f64 {
@@ -112,81 +118,53 @@ async fn measured_watts_are_reported_by_zenoh_events_metrics_and_the_clip_report
         ("cpu", 4.0),
         ("io_mem", 12.0),
     ] {
-        assert!(
-            (watts(&counters, domain) - expected).abs() < 1e-6,
-            "{counters}"
-        );
+        let found = watts(&counters, domain);
+        assert!((found - expected).abs() < 1e-6, "{counters}");
     }
 
-    let http = reqwest::Client::new();
-    let mut events = http
-        .get(format!("{}/api/v1/events?types=counters", node.http))
-        .send()
-        .await
-        .unwrap();
+    let events = format!("{}/api/v1/events?types=counters", node.http);
+    let mut events = reqwest::get(events).await.unwrap();
     let mut seen = String::new();
     while !seen.contains("\n\n") {
         let piece = timeout(PATIENCE, events.chunk()).await.unwrap().unwrap();
         seen.push_str(&String::from_utf8_lossy(&piece.unwrap()));
     }
-    let data = seen
-        .lines()
-        .find_map(|line| line.strip_prefix("data:"))
-        .unwrap();
-    let event: Value = serde_json::from_str(data).unwrap();
+    let data = seen.lines().find_map(|line| line.strip_prefix("data:"));
+    let event: Value = serde_json::from_str(data.unwrap()).unwrap();
     assert!((watts(&event, "total") - 24.0).abs() < 1e-6, "{event}");
 
-    let metrics = http
-        .get(format!("{}/metrics", node.http))
-        .send()
-        .await
-        .unwrap();
-    let metrics = metrics.text().await.unwrap();
-    let line = |series: &str| -> f64 {
-        let found = metrics.lines().find_map(|line| line.strip_prefix(series));
-        found
-            .unwrap_or_else(|| panic!("no {series} in\n{metrics}"))
-            .trim()
-            .parse()
-            .unwrap()
-    };
-    let power = r#"albireo_power_watts{domain="gpu",source="ina"}"#;
-    assert!((line(power) - 8.0).abs() < 1e-6);
-    assert!(line(r#"albireo_power_meter_cpu_seconds_total{source="ina"}"#) > 0.0);
+    let gpu = metric(
+        &node.http,
+        r#"albireo_power_watts{domain="gpu",source="ina"}"#,
+    )
+    .await;
+    assert!((gpu - 8.0).abs() < 1e-6);
+    let cost = r#"albireo_power_meter_cpu_seconds_total{source="ina"}"#;
+    assert!(metric(&node.http, cost).await > 0.0);
 
     replay(&node, "drive", "25").await;
-    let report = next(&mut client, "/clip", |m| {
+    let is_drive = |m: &Value| {
         m["clip"]
             .as_str()
             .is_some_and(|clip| clip.starts_with("drive"))
-    })
-    .await;
+    };
+    let report = next(&mut client, "/clip", is_drive).await;
     let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
-    assert_eq!(
-        (&energy["quality"], &energy["source"]),
-        (&"measured".into(), &"ina".into())
-    );
-    assert_eq!(energy["total_from"], "sum_of_rails");
-    assert!(near(&energy["joules"], 24.0 * seconds), "{report}");
+    let expected = json!({"quality": "measured", "source": "ina", "total_from": "sum_of_rails"});
+    assert_has(energy, &expected);
+    assert_energy(&report);
     assert!(near(&energy["node_joules"], 24.0 * seconds));
-    assert!(
-        near(&energy["edp"], 24.0 * seconds * seconds * 1e3 / 25.0),
-        "{report}"
-    );
-    assert!(near(&energy["coverage"], 1.0));
     let samples = energy["samples"].as_f64().unwrap();
     assert!(
         samples > 5.0 && samples <= seconds * 10.0 + 1.0,
-        "{samples} in {seconds} s"
+        "{samples}"
     );
     let domains = energy["domains"].as_array().unwrap();
     assert_eq!(domains.len(), 4, "{energy}");
     assert!(near(&domains[1]["mean_watts"], 8.0) && near(&domains[1]["peak_watts"], 8.0));
-    let board = &report["board"];
-    assert!(near(&board["hottest_celsius"], 61.5), "{board}");
-    assert_eq!(board["power_mode"], "MODE_30W", "{board}");
-    let (status, _, log, _) = node.stop().await;
-    assert!(status.success(), "{log}");
+    assert!(near(&report["board"]["hottest_celsius"], 61.5), "{report}");
+    assert_eq!(report["board"]["power_mode"], "MODE_30W", "{report}");
+    node.stop_well().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -199,33 +177,17 @@ async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/clip", false).await;
     replay(&node, "drive", "25").await;
     let report = next(&mut client, "/clip", |_| true).await;
-    let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
-    assert_eq!(energy["quality"], "measured", "{report}");
-    assert!(near(&energy["coverage"], 1.0), "{report}");
-    assert!(near(&energy["joules"], 24.0 * seconds), "{report}");
-    assert!(
-        near(&energy["edp"], 24.0 * seconds * seconds * 1e3 / 25.0),
-        "{report}"
-    );
-    let metrics = reqwest::get(format!("{}/metrics", node.http))
-        .await
-        .unwrap();
-    let metrics = metrics.text().await.unwrap();
-    let line = |name: &str| -> f64 {
-        let series = format!(r#"albireo_energy_{name}_total{{domain="total",source="ina"}} "#);
-        let found = metrics.lines().find_map(|line| line.strip_prefix(&series));
-        found
-            .unwrap_or_else(|| panic!("no {series} in\n{metrics}"))
-            .parse()
-            .unwrap()
-    };
-    let (joules, seconds) = (line("joules"), line("covered_seconds"));
-    assert!(
-        seconds >= 2.0 && (joules / seconds / 24.0 - 1.0).abs() < 1e-6,
-        "{metrics}"
-    );
-    let (status, _, log, _) = node.stop().await;
-    assert!(status.success(), "{log}");
+    assert_energy(&report);
+    let metrics = node.text("/metrics").await;
+    let [joules, seconds] = ["joules", "covered_seconds"].map(|name| {
+        value_of(
+            &metrics,
+            &format!(r#"albireo_energy_{name}_total{{domain="total",source="ina"}}"#),
+        )
+    });
+    let is_right = seconds >= 2.0 && (joules / seconds / 24.0 - 1.0).abs() < 1e-6;
+    assert!(is_right, "{metrics}");
+    node.stop_well().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -239,11 +201,7 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
 
     // Reading a pipe without a writer never ends.
     let pipe = folder.path().join("pipe");
-    let made = std::process::Command::new("mkfifo")
-        .arg(&pipe)
-        .status()
-        .unwrap();
-    assert!(made.success());
+    crate::support::pipe(&pipe);
     std::fs::rename(&pipe, sysfs.join("class/hwmon/hwmon1/curr1_input")).unwrap();
     let hangs = next(&mut client, "/counters", |m| m["watts"][0].is_null()).await;
     assert_eq!(hangs["power_quality"], "unavailable");
@@ -258,12 +216,8 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
             break message;
         }
     };
-    assert_eq!(states.len(), 12, "{states:?}");
-    assert_eq!(
-        states.iter().filter(|state| *state == "P").count(),
-        8,
-        "{states:?}"
-    );
+    let skipped = states.iter().filter(|state| *state == "P").count();
+    assert_eq!((states.len(), skipped), (12, 8), "{states:?}");
     assert_eq!(report["energy"]["quality"], "unavailable", "{report}");
     assert!(report["energy"]["joules"].is_null());
 
@@ -275,28 +229,14 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
 #[tokio::test]
 async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told() {
     let folder = tempfile::tempdir().unwrap();
-    let program = folder.path().join("tegrastats");
-    let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_tegrastats");
-    std::os::unix::fs::symlink(fake, &program).unwrap();
-    std::fs::write(
-        folder.path().join("tegrastats.json"),
-        r#"{"curve": [[0, 20], [1, 20]]}"#,
-    )
-    .unwrap();
+    let program = fake_tegrastats(folder.path(), &json!({"curve": [[0, 20], [1, 20]]}));
     // A stand-in for sudo that notes what it was asked for and runs it.
-    let sudo = folder.path().join("sudo");
-    let script = "#!/bin/sh\nprintf '%s\\n' \"$*\" >> \"$0.log\"\nshift\nexec \"$@\"\n";
-    std::fs::write(&sudo, script).unwrap();
-    std::fs::set_permissions(&sudo, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let path = format!(
-        "{}:{}",
-        folder.path().display(),
-        std::env::var("PATH").unwrap_or_default()
-    );
-    let script = folder.path().join("by-sudo");
-    let text = format!("#!/bin/sh\nexec sudo -n {} \"$@\"\n", program.display());
-    std::fs::write(&script, text).unwrap();
-    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let sudo = "printf '%s\\n' \"$*\" >> \"$0.log\"\nshift\nexec \"$@\"";
+    script(folder.path(), "sudo", sudo);
+    let by_sudo = format!("exec sudo -n {} \"$@\"", program.display());
+    let script = script(folder.path(), "by-sudo", &by_sudo);
+    let path = std::env::var("PATH").unwrap_or_default();
+    let path = format!("{}:{path}", folder.path().display());
     let sysfs = folder.path().join("sys");
     for asked in [false, true] {
         let output = albireo()
@@ -307,31 +247,23 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told
                 if asked { &script } else { &program },
             )
             .env("ALBIREO_DEVELOPMENT", format!("sysfs={}", sysfs.display()))
-            .stdout(Stdio::piped())
             .output();
         let output = timeout(PATIENCE, output).await.unwrap().unwrap();
         let found: Value = serde_json::from_slice(&output.stdout).unwrap();
         let sources = found.as_array().unwrap();
         let names: Vec<_> = sources
             .iter()
-            .map(|s| s["source"].as_str().unwrap())
+            .map(|one| one["source"].as_str().unwrap())
             .collect();
-        let all = ["ina", "tegrastats", "rapl", "nvml", "estimate"];
-        assert_eq!(names, all);
-        let tegrastats = &sources[1];
-        assert!(tegrastats["why_not"].is_null(), "{tegrastats}");
-        assert_eq!(tegrastats["automatic"], true);
-        assert_eq!(tegrastats["watts"][0][1], 20.0, "{tegrastats}");
+        assert_eq!(names, ["ina", "tegrastats", "rapl", "nvml", "estimate"]);
+        assert_has(&sources[1], &json!({"why_not": null, "automatic": true}));
+        assert_eq!(sources[1]["watts"][0][1], 20.0, "{found}");
         assert!(
             !sources[0]["why_not"].is_null(),
             "a reason why not: {found}"
         );
         let log = std::fs::read_to_string(folder.path().join("sudo.log")).unwrap_or_default();
         let expected = format!("-n {} --interval 100", program.display());
-        assert_eq!(
-            log.lines().next(),
-            asked.then_some(expected.as_str()),
-            "{log}"
-        );
+        assert_eq!(log.lines().next(), asked.then_some(&*expected), "{log}");
     }
 }

@@ -84,22 +84,16 @@ fn shared_the_published_energy_delay_products_and_skip_rates_come_out() {
     let near = |found: f64, expected: f64, by: f64| {
         assert!((found - expected).abs() <= by, "{found}, not {expected}");
     };
-    near(mean(of("Vanilla").map(|r| r.energy_j)), 811.54, 0.005);
-    near(mean(of("Adaptive").map(|r| r.energy_j)), 668.62, 0.005);
+    let joules = |row: &Row| row.energy_j;
+    let skip_rate = |row: &Row| states(row).skip_rate(0);
+    near(mean(of("Vanilla").map(joules)), 811.54, 0.005);
+    near(mean(of("Adaptive").map(joules)), 668.62, 0.005);
     near(mean(of("Vanilla").map(energy_delay_product)), 49_103.0, 0.5);
     near(
         mean(of("Adaptive").map(energy_delay_product)),
         37_998.0,
         0.5,
     );
-    near(
-        mean(of("Vanilla").map(|r| states(r).skip_rate(0))),
-        0.0,
-        0.0,
-    );
-    near(
-        mean(of("Adaptive").map(|r| states(r).skip_rate(0))),
-        0.1931,
-        5e-5,
-    );
+    near(mean(of("Vanilla").map(skip_rate)), 0.0, 0.0);
+    near(mean(of("Adaptive").map(skip_rate)), 0.1931, 5e-5);
 }

@@ -2,11 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::support::shared;
+use crate::support::{shared, text};
 use albireo_power::{Domain, RailMap, TegrastatsLine, Value};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 #[derive(Deserialize)]
 struct Expected {
@@ -17,14 +16,11 @@ struct Expected {
 }
 
 fn fixture(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/telemetry");
-    std::fs::read_to_string(path.join(name)).unwrap()
+    text(&format!("tests/fixtures/telemetry/{name}"))
 }
 
 fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
-    let expected = expected
-        .get(name)
-        .unwrap_or_else(|| panic!("nothing is expected of {name}"));
+    let expected = &expected[name];
     let line = TegrastatsLine::parse(text).unwrap_or_else(|| panic!("{name}: {text}"));
     let rails: BTreeMap<String, i64> = line
         .rails
@@ -56,29 +52,19 @@ fn expected() -> BTreeMap<String, Expected> {
 #[test]
 fn every_line_kept_here_says_what_it_says() {
     let (expected, lines) = (expected(), fixture("tegrastats_lines.tsv"));
-    let mut read = 0;
+    assert_eq!(lines.lines().count(), 26);
     for line in lines.lines() {
         let (name, text) = line.split_once('\t').unwrap();
         check(name, text, &expected);
-        read += 1;
     }
-    assert_eq!(read, 26);
 }
 
 #[test]
 #[ignore = "needs ../shared"]
 fn shared_every_recorded_line_says_what_it_says() {
     let expected = expected();
-    for board in [
-        "agx_orin_jp5",
-        "agx_orin_jp6",
-        "agx_orin_jp7",
-        "agx_thor",
-        "edited_by_test_authors",
-        "orin_nano",
-        "orin_nx",
-        "xavier_and_older",
-    ] {
+    let boards = "agx_orin_jp5 agx_orin_jp6 agx_orin_jp7 agx_thor edited_by_test_authors orin_nano orin_nx xavier_and_older";
+    for board in boards.split(' ') {
         let file = shared(&format!("telemetry/tegrastats_{board}.txt"));
         let text = std::fs::read_to_string(file).unwrap();
         for (number, line) in (1..).zip(text.lines()) {

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::support::{assert_says, free_port, listening_peer, script};
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
@@ -28,16 +29,6 @@ struct Command {
 fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
     let source = source.to_str().unwrap();
     Command::parse_from([&["replay", source], more].concat()).replay
-}
-
-/// A peer that listens on a free port, and its endpoint.
-async fn listening_peer() -> (zenoh::Session, String) {
-    let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = replay::open_session(&[], &listen, Duration::ZERO)
-        .await
-        .unwrap();
-    let locator = session.info().locators().await.into_iter().next().unwrap();
-    (session, locator.to_string())
 }
 
 /// Takes frames as a node does that is to miss none, with a small queue that holds the sender back.
@@ -102,17 +93,15 @@ fn pictures(count: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for number in 0..count {
         let file = folder.path().join(format!("{number}.jpg"));
-        jpeg_encoder::Encoder::new_file(file, 90)
-            .unwrap()
-            .encode(
-                &vec![number as u8; 64 * 48],
-                64,
-                48,
-                jpeg_encoder::ColorType::Luma,
-            )
-            .unwrap();
+        write_grey(&file, &vec![number as u8; 64 * 48], [64, 48]);
     }
     folder
+}
+
+fn write_grey(file: &Path, pixels: &[u8], [width, height]: [u16; 2]) {
+    let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
+    let grey = jpeg_encoder::ColorType::Luma;
+    encoder.encode(pixels, width, height, grey).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -128,13 +117,8 @@ async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
     ];
     let (frames, sent) = replayed(folder.path(), &more, async || {}).await;
     assert_eq!((sent.frames, sent.clips), (12, 3));
-    let files: u64 = (0..12)
-        .map(|number| {
-            let file = folder.path().join(format!("{number}.jpg"));
-            std::fs::metadata(file).unwrap().len()
-        })
-        .sum();
-    assert_eq!(sent.bytes, files);
+    let bytes: usize = frames.iter().map(|frame| frame.picture.bytes.len()).sum();
+    assert_eq!(sent.bytes, bytes as u64);
     for (number, frame) in frames.iter().enumerate() {
         assert_eq!(frame.sequence, number as u64);
         assert_eq!(frame.picture.size, PictureSize::new(64, 48));
@@ -158,10 +142,7 @@ async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
             (noise >> 24) as u8
         })
         .collect();
-    jpeg_encoder::Encoder::new_file(folder.path().join("noise.jpg"), 95)
-        .unwrap()
-        .encode(&pixels, 640, 480, jpeg_encoder::ColorType::Luma)
-        .unwrap();
+    write_grey(&folder.path().join("noise.jpg"), &pixels, [640, 480]);
     let more = ["--rate", "max", "--loop", "--frames", "300"];
     let (frames, sent) = replayed(folder.path(), &more, async || {
         tokio::time::sleep(Duration::from_millis(2)).await;
@@ -172,75 +153,43 @@ async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
     assert_eq!(sequence, (0..300).collect::<Vec<_>>());
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_missing_subscriber_is_an_error_that_says_so() {
-    let folder = pictures(1);
-    let (_session, endpoint) = listening_peer().await;
-    let more = ["--connect", &endpoint, "--wait-for-subscriber=1"];
-    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
-        .await
-        .unwrap_err();
-    let text = format!("{error:#}");
-    assert!(
-        text.contains("no node took frames on `albireo/node/front/frame`"),
-        "{text}"
-    );
+/// Why a replay of that many frames fails.
+async fn refusal(frames: u32, more: &[&str]) -> String {
+    let folder = pictures(frames);
+    let arguments = arguments(folder.path(), more);
+    let error = replay::run(arguments, CancellationToken::new()).await;
+    format!("{:#}", error.unwrap_err())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_without_a_subscriber_are_an_error_that_says_so() {
-    let folder = pictures(3);
+async fn a_missing_subscriber_or_node_is_an_error_that_says_so() {
     let (session, endpoint) = listening_peer().await;
+    let connect = ["--connect", &endpoint];
+    let error = refusal(1, &[&connect[..], &["--wait-for-subscriber=1"]].concat()).await;
+    assert_says(
+        &error,
+        &["no node took frames on `albireo/node/front/frame`"],
+    );
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
-    let more = ["--connect", &endpoint, "--rate", "max", "--camera", "frnt"];
-    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
-        .await
-        .unwrap_err();
-    let text = format!("{error:#}");
-    assert!(
-        text.contains("no node subscribed to `albireo/node/frnt/frame`"),
-        "{text}"
-    );
-    let more = ["--connect", &endpoint, "--rate", "max"];
-    let sent = replay::run(arguments(folder.path(), &more), CancellationToken::new()).await;
+    let fast = [&connect[..], &["--rate", "max"]].concat();
+    let error = refusal(3, &[&fast[..], &["--camera", "frnt"]].concat()).await;
+    assert_says(&error, &["no node subscribed to `albireo/node/frnt/frame`"]);
+    let folder = pictures(3);
+    let sent = replay::run(arguments(folder.path(), &fast), CancellationToken::new()).await;
     assert_eq!(sent.unwrap().frames, 3);
-}
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_is_not_running_is_an_error_that_names_the_endpoint() {
-    let folder = pictures(1);
-    // A port that was free a moment ago.
-    let port = std::net::TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
-    let endpoint = format!("tcp/127.0.0.1:{port}");
-    let more = ["--connect", &endpoint];
-    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
-        .await
-        .unwrap_err();
-    let text = format!("{error:#}");
-    assert!(
-        text.contains(&endpoint) && text.contains("is the node running"),
-        "{text}"
-    );
+    let endpoint = format!("tcp/127.0.0.1:{}", free_port());
+    let error = refusal(1, &["--connect", &endpoint]).await;
+    assert_says(&error, &[&endpoint, "is the node running"]);
 }
 
 /// Shell scripts in place of the two programs: `answer` is what ffmpeg does when asked for frames.
 #[cfg(unix)]
 fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
-    use std::os::unix::fs::PermissionsExt;
-    let script = |name: &str, text: String| -> PathBuf {
-        let file = folder.join(name);
-        std::fs::write(&file, format!("#!/bin/sh\n{text}\n")).unwrap();
-        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
-        file
-    };
     let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;
     Ffmpeg {
-        ffprobe: script("ffprobe", format!("echo '{stream}'")),
-        ffmpeg: script("ffmpeg", answer.to_owned()),
+        ffprobe: script(folder, "ffprobe", &format!("echo '{stream}'")),
+        ffmpeg: script(folder, "ffmpeg", answer),
     }
 }
 
@@ -251,13 +200,9 @@ fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
     let mut stream = Vec::new();
     for number in 0..2 {
         let file = std::fs::read(folder.path().join(format!("{number}.jpg"))).unwrap();
-        let head = format!(
-            "--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: {}\r\n\r\n",
-            file.len()
-        );
-        stream.extend_from_slice(head.as_bytes());
-        stream.extend_from_slice(&file);
-        stream.extend_from_slice(b"\r\n");
+        let head = "--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: ";
+        let head = format!("{head}{}\r\n\r\n", file.len());
+        stream.extend([head.as_bytes(), &file, b"\r\n"].concat());
     }
     let output = folder.path().join("stream");
     std::fs::write(&output, stream).unwrap();
@@ -283,20 +228,14 @@ fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
     let programs = stand_ins(folder.path(), "echo 'moov atom not found' >&2; exit 1");
     let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
     let text = format!("{:#}", video.next().unwrap_err());
-    assert!(
-        text.contains("a.mp4") && text.contains("moov atom not found"),
-        "{text}"
-    );
+    assert_says(&text, &["a.mp4", "moov atom not found"]);
 
     let missing = Ffmpeg {
         ffprobe: folder.path().join("no-such-program"),
         ..Ffmpeg::default()
     };
     let error = Video::open("a.mp4", None, VideoEncoding::Jpeg, missing).unwrap_err();
-    assert!(
-        error.to_string().contains("apt-get install ffmpeg"),
-        "{error}"
-    );
+    assert_says(&error.to_string(), &["apt-get install ffmpeg"]);
 }
 
 #[cfg(target_os = "linux")]

@@ -2,7 +2,8 @@
 # Runs every test that can run here and ends with one line that counts them: "N passed, N failed, N skipped".
 #
 # A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all others run, without
-# any of these needs, as in a fresh clone; then the marked ones whose needs are met. The rest is skipped.
+# any of these needs, as in a fresh clone; the run says what the marked ones need, and those whose needs are met run
+# then. The rest is skipped.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -40,18 +41,6 @@ left_out=0
 
 cargo test "${options[@]}" --no-run || { echo "0 passed, 1 failed, 0 skipped"; exit 1; }
 
-# The names of the tests that need $1.
-that_need() {
-    grep -rh -A 3 --include='*.rs' '#\[ignore = "needs ' tests crates src |
-        awk -v need="$1" '/#\[ignore = "needs / { wanted = index($0, need) } wanted && match($0, /fn [a-z0-9_]+/) {
-            print substr($0, RSTART + 3, RLENGTH - 3); wanted = 0 }'
-}
-skip=()
-for what in ${missing[@]+"${missing[@]}"}; do
-    echo "no $what: the tests that need it are skipped"
-    while read -r name; do skip+=(--skip "$name"); done < <(that_need "$what")
-done
-
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT
 # Runs the given tests, writes their output to the file $1 and shows it. A process that a failed test left behind holds
@@ -67,7 +56,14 @@ run() {
 }
 status=0
 ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere run "$log" || status=1
-run "$log.marked" -- --ignored ${skip[@]+"${skip[@]}"} || status=1
+
+skip=()
+for what in ${missing[@]+"${missing[@]}"}; do
+    echo "no $what: the tests that need it are skipped"
+    mark="s|^test (.*) \.\.\. ignored, needs (.* and )?$what( and .*)?\$|\1|p"
+    while read -r name; do skip+=(--skip "$name"); done < <(sed -nE "$mark" "$log")
+done
+run "$log.marked" --tests -- --ignored --exact ${skip[@]+"${skip[@]}"} || status=1
 
 # How many of the log $2 $1.
 count() { awk -v what="$1" '/^test result:/ { for (i = 1; i < NF; i++) if ($(i + 1) ~ "^" what) n += $i } END { print n + 0 }' "$2"; }

@@ -2,13 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures, until};
-use crate::support::Node;
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
+use crate::support::{Node, assert_says, signal, until, until_read};
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
-use albireo_node::state::board::Board;
 use albireo_wire::{ClipEnd, HealthState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,6 +17,14 @@ use tokio::time::timeout;
 fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
     let before = move || good = good.checked_sub(1).expect("a bug in a policy");
     Box::new(Before { inner, before })
+}
+
+/// Settings of a node that asks this detector about every frame.
+fn settings(detector: &str, more: &str) -> String {
+    let model = model(detector);
+    format!(
+        "detector.model = {model:?}\npolicy.name = \"vanilla\"\npower.source = \"none\"\n{more}"
+    )
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -51,16 +58,13 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
     );
     let status = told.await.unwrap().unwrap().clone();
     let reason = &status.reasons["tasks"];
-    assert!(
-        reason.contains("camera front") && reason.contains("a bug in a policy"),
-        "{reason}"
-    );
+    assert_says(reason, &["camera front", "a bug in a policy"]);
     // The open clip is not lost with the loop.
     let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
 
-    until(&bench.board, "a restart", |board| {
-        board.tasks().counts().iter().any(|(name, counts)| {
+    until("a restart", async || {
+        bench.board.tasks().counts().iter().any(|(name, counts)| {
             name == "camera front" && (counts.failures, counts.restarts) == (1, 1)
         })
     })
@@ -69,10 +73,8 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
         .send_of_clip(picture.clone(), "image/jpeg", 3, Some("a"))
         .await;
     assert_eq!(bench.answer().await.seq, 3);
-    assert_eq!(
-        bench.board.readiness().health().state(),
-        HealthState::Degraded
-    );
+    let health = bench.board.readiness().health();
+    assert_eq!(health.state(), HealthState::Degraded);
     bench.stop().await;
 }
 
@@ -93,26 +95,18 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
     for seq in 0..40 {
         bench.send(picture.clone(), "image/jpeg", seq).await;
     }
-    let camera = Arc::clone(bench.board.camera(CAMERA).unwrap());
-    let failures = |board: &Board| -> u64 {
-        (board.tasks().counts().iter())
-            .map(|(_, counts)| counts.failures)
-            .sum()
+    let failures = || -> u64 {
+        let counts = bench.board.tasks().counts();
+        counts.iter().map(|(_, counts)| counts.failures).sum()
     };
+    let stopped = || bench.snapshot().dropped.stopped;
     // The frame that a loop failed on is counted with the task; every other frame has its own kind.
-    until(&bench.board, "all frames are accounted for", |board| {
-        camera.snapshot().dropped.stopped + failures(board) >= 40
+    until("all frames are accounted for", async || {
+        stopped() + failures() >= 40
     })
     .await;
-    assert!(
-        camera.snapshot().dropped.stopped >= 30,
-        "{:?}",
-        camera.snapshot().dropped
-    );
-    assert_eq!(
-        camera.snapshot().dropped.total(),
-        camera.snapshot().dropped.stopped
-    );
+    assert!(stopped() >= 30, "{:?}", bench.snapshot().dropped);
+    assert_eq!(bench.snapshot().dropped.total(), stopped());
     bench.stop().await;
 }
 
@@ -139,12 +133,7 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
         assert!(answered.is_err(), "its turn has not come");
     }
     // The link keeps its order: once the query is answered the frames are in the ring.
-    let replies = bench
-        .session
-        .get("albireo/node/front/threshold")
-        .await
-        .unwrap();
-    while timeout(LONG, replies.recv_async()).await.unwrap().is_ok() {}
+    until_read(&bench.session, "node", CAMERA).await;
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
     bench.shutdown.cancel();
@@ -188,12 +177,8 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
-    let settings = format!(
-        "# development: stop_timeout_s=60\ndetector.model = \"{}\"\ndetector.timeout_ms = 600000\n\
-         policy.name = \"vanilla\"\npower.source = \"none\"\n",
-        model("hanging.onnx").display()
-    );
-    let node = Node::start(&settings).await;
+    let limits = "# development: stop_timeout_s=60\ndetector.timeout_ms = 600000\n";
+    let node = Node::start(&settings("hanging.onnx", limits)).await;
     let endpoint = [node.zenoh.clone()];
     let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
     let session = session.unwrap();
@@ -203,10 +188,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let stuck = async {
         for seq in 0.. {
             put_grey(&session, seq, 255).await;
-            let text = reqwest::get(format!("{}/metrics", node.http))
-                .await
-                .unwrap();
-            let text = text.text().await.unwrap();
+            let text = node.text("/metrics").await;
             let count = text.lines().find_map(|line| line.strip_prefix(overrun));
             if count.is_some_and(|count| !count.starts_with('0')) {
                 return;
@@ -236,15 +218,9 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
-    let settings = format!(
-        "detector.model = \"{}\"\npolicy.name = \"vanilla\"\npower.source = \"none\"\n",
-        model("colours.onnx").display()
-    );
-    let node = Node::start(&settings).await;
+    let node = Node::start(&settings("colours.onnx", "")).await;
     // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one.
-    let id = node.id().to_string();
-    let mut kill = std::process::Command::new("kill");
-    assert!(kill.args(["-INT", &id]).status().unwrap().success());
+    signal(node.id(), "-INT");
     let (status, _, log, _) = timeout(LONG, node.stop()).await.unwrap();
     assert_eq!(status.code(), Some(0), "{log}");
 }
@@ -271,12 +247,7 @@ async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
-    let settings = format!(
-        "detector.model = \"{}\"\ndetector.timeout_ms = 500\npolicy.name = \"vanilla\"\n\
-         power.source = \"none\"\n",
-        model("hanging.onnx").display()
-    );
-    let node = Node::start(&settings).await;
+    let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
     let endpoint = [node.zenoh.clone()];
     let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
     put_grey(&session.unwrap(), 0, 255).await;
@@ -306,10 +277,7 @@ async fn a_detector_that_finds_only_the_impossible_is_told_by_readiness_until_it
     );
     let status = fault.await.unwrap().unwrap().clone();
     assert_eq!(status.state, HealthState::NotReady);
-    assert!(
-        status.reasons["detector"].contains("impossible"),
-        "{status:?}"
-    );
+    assert_says(&status.reasons["detector"], &["impossible"]);
     bench.send(solid(230), "image/jpeg", 6).await;
     assert!(!bench.answer().await.degraded);
     let works = changes.wait_for(|status| !status.reasons.contains_key("detector"));

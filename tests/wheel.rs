@@ -5,73 +5,58 @@
 
 use crate::golden_traces::replay::{Recorded, Screen, decide, reference};
 use crate::golden_traces::shared_data::sequences;
+use crate::support::{assert_says, project, run_command, text};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Outcome};
+use rstest::rstest;
 use serde_json::json;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// The Python that the wheel is installed in, as `make wheel-tests` sets it up.
 pub(crate) fn python() -> PathBuf {
-    root().join(".cache/wheel/bin/python")
+    project(".cache/wheel/bin/python")
 }
 
 /// Runs a command and returns what it printed.
+#[track_caller]
 fn run(command: &mut Command) -> String {
-    let output = command
-        .output()
-        .unwrap_or_else(|error| panic!("{command:?}: {error}"));
-    let said = String::from_utf8_lossy(&output.stdout).into_owned()
-        + &String::from_utf8_lossy(&output.stderr);
-    println!("{said}");
-    assert!(output.status.success(), "{command:?}\n{said}");
-    said
+    let ended = run_command(command);
+    println!("{}\n{}", ended.out, ended.err);
+    assert_eq!(ended.code, Some(0), "{command:?}");
+    ended.out + &ended.err
 }
 
-/// The tests of `module` in the folder of the package.
-fn python_tests(module: &str) {
-    let said = run(Command::new(python())
-        .args(["-m", "unittest", module])
-        .current_dir(root().join("crates/python/tests")));
-    assert!(
-        said.contains("\nOK\n") && !said.contains("Ran 0 tests"),
-        "{said}"
-    );
-}
-
-#[test]
+/// That it keeps the promises of its loop, gives back the type of results that it is given, and answers or refuses whatever it
+/// is given.
+#[rstest]
 #[ignore = "needs the wheel"]
-fn the_wheel_keeps_the_promises_of_its_loop() {
-    python_tests("test_skipper");
-}
-
-#[test]
-#[ignore = "needs the wheel"]
-fn the_wheel_gives_back_the_type_of_results_it_is_given() {
-    python_tests("test_results");
-}
-
-#[test]
-#[ignore = "needs the wheel"]
-fn the_wheel_answers_or_refuses_whatever_it_is_given() {
-    python_tests("test_hostile");
+fn the_package_keeps_its_own_tests(
+    #[values("test_skipper", "test_results", "test_hostile")] module: &str,
+) {
+    let mut tests = Command::new(python());
+    let tests = tests.args(["-m", "unittest", module]);
+    let said = run(tests.current_dir(project("crates/python/tests")));
+    assert_says(&said, &["\nOK\n"]);
+    assert!(!said.contains("Ran 0 tests"), "{said}");
 }
 
 #[test]
 #[ignore = "needs the wheel"]
 fn the_types_of_the_wheel_are_what_its_stubs_say() {
     let folder = tempfile::tempdir().unwrap();
-    let mut stubtest = Command::new(python());
-    stubtest.args(["-m", "mypy.stubtest", "albireo._core"]);
-    run(stubtest.current_dir(folder.path()));
-    let mut mypy = Command::new(python());
-    mypy.args(["-m", "mypy", "--strict", "--package=albireo"]);
-    run(mypy.current_dir(folder.path()));
+    let checks = [
+        "mypy.stubtest albireo._core",
+        "mypy --strict --package=albireo",
+    ];
+    for check in checks {
+        let mut mypy = Command::new(python());
+        run(mypy
+            .arg("-m")
+            .args(check.split(' '))
+            .current_dir(folder.path()));
+    }
 }
 
 /// Numbers of 64 bits, as `golden.py` writes them.
@@ -96,15 +81,10 @@ fn decided(
         let state = FrameState::ALL
             .iter()
             .position(|state| *state == outcome.state);
-        push(
-            &mut numbers,
-            &[
-                state.unwrap() as f64,
-                outcome.tau_max.unwrap_or(-1.0),
-                outcome.active as f64,
-                outcome.boxes.len() as f64,
-            ],
-        );
+        let counts =
+            [state.unwrap(), outcome.active, outcome.boxes.len()].map(|count| count as f64);
+        let tau = outcome.tau_max.unwrap_or(-1.0);
+        push(&mut numbers, &[counts[0], tau, counts[1], counts[2]]);
         for shown in &outcome.boxes {
             let corners = shown.bounding_box.pixel_corners(picture);
             let source = match shown.source {
@@ -121,35 +101,39 @@ fn decided(
                     corners.x2,
                     corners.y2,
                     shown.confidence,
-                    f64::from(shown.class.0),
-                    shown.object.map_or(-1.0, |id| id.0 as f64),
-                    source,
                 ],
             );
+            let object = shown.object.map_or(-1.0, |id| id.0 as f64);
+            push(&mut numbers, &[f64::from(shown.class.0), object, source]);
         }
         let mut objects = Vec::new();
         policy.objects(&mut |object| objects.push(*object));
         push(&mut numbers, &[objects.len() as f64]);
         for object in objects {
             let b = object.bounding_box;
+            let confirmed = f64::from(u8::from(object.confirmed));
+            push(
+                &mut numbers,
+                &[object.id.0 as f64, object.class.0.into(), confirmed],
+            );
             push(
                 &mut numbers,
                 &[
-                    object.id.0 as f64,
-                    f64::from(object.class.0),
-                    f64::from(u8::from(object.confirmed)),
                     object.confidence,
                     b.center_x,
                     b.center_y,
                     b.width,
                     b.height,
                     object.tau,
-                    f64::from(object.hits),
-                    f64::from(object.since_update),
-                    f64::from(object.since_infer),
-                    f64::from(object.misses),
                 ],
             );
+            let counters = [
+                object.hits,
+                object.since_update,
+                object.since_infer,
+                object.misses,
+            ];
+            push(&mut numbers, &counters.map(f64::from));
         }
     }
     numbers
@@ -178,25 +162,20 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
         for (number, (policy, threshold, screen)) in policies.into_iter().enumerate() {
             let name = format!("{}-{number}", sequence.name);
             let job = json!({
-                "name": name,
-                "policy": policy,
-                "threshold": threshold,
+                "name": name, "policy": policy, "threshold": threshold, "frames": frames,
                 "size": [picture.width, picture.height],
                 "empty_without_detections": matches!(screen, Screen::EmptyWithoutDetections),
-                "frames": frames,
             });
             writeln!(jobs, "{job}").unwrap();
             let asked = format!("{policy}:{threshold}");
-            expected.push((
-                name,
-                decided(&asked, screen, picture, sequence.frames, &recorded),
-            ));
+            let decided = decided(&asked, screen, picture, sequence.frames, &recorded);
+            expected.push((name, decided));
         }
     }
     let list = folder.path().join("jobs.jsonl");
     std::fs::write(&list, jobs).unwrap();
     run(Command::new(python())
-        .arg(root().join("crates/python/tests/golden.py"))
+        .arg(project("crates/python/tests/golden.py"))
         .args([&list, folder.path()]));
     for (name, expected) in expected {
         let found = std::fs::read(folder.path().join(&name)).unwrap();
@@ -206,7 +185,7 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
 
 /// The wheels and the source distribution that were built.
 fn built() -> Vec<PathBuf> {
-    std::fs::read_dir(root().join("target/wheels"))
+    std::fs::read_dir(project("target/wheels"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.is_file())
@@ -223,52 +202,41 @@ fn the_wheel_is_small_and_depends_on_numpy_alone() {
         panic!("one wheel for this machine: {wheels:?}");
     };
     assert!(wheel.metadata().unwrap().len() <= 3_000_000);
-    let said = run(Command::new(python()).args([
-        "-c",
-        "import importlib.metadata as m; print(m.requires('albireo'))",
-    ]));
+    let requires = "import importlib.metadata as m; print(m.requires('albireo'))";
+    let said = run(Command::new(python()).args(["-c", requires]));
     assert_eq!(said.trim(), "['numpy>=1.23']");
-    assert!(
-        built()
-            .iter()
-            .any(|path| path.extension().is_some_and(|kind| kind == "gz"))
-    );
+    let is_source = |path: &PathBuf| path.extension().is_some_and(|kind| kind == "gz");
+    assert!(built().iter().any(is_source));
 }
 
 #[test]
 #[ignore = "needs the wheel"]
 fn the_python_example_of_the_readme_runs_in_a_fresh_environment() {
-    let page = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let page = text("README.md");
     let (_, rest) = page.split_once("```python\n").unwrap();
     let (example, _) = rest.split_once("```").unwrap();
     let folder = tempfile::tempdir().unwrap();
     for name in ["docs", "models"] {
-        std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
+        std::os::unix::fs::symlink(project(name), folder.path().join(name)).unwrap();
     }
-    run(Command::new("tar")
-        .args(["-xf".as_ref(), root().join("demo/road.tar").as_os_str()])
+    let mut tar = Command::new("tar");
+    run(tar
+        .arg("-xf")
+        .arg(project("demo/road.tar"))
         .current_dir(&folder));
-    run(Command::new(python())
-        .args(["-m", "venv"])
-        .arg(folder.path().join("venv")));
+    let mut venv = Command::new(python());
+    run(venv.args(["-m", "venv"]).arg(folder.path().join("venv")));
     let fresh = folder.path().join("venv/bin/python");
     // From files that were fetched before: the wheel, and what the example wants beside it.
     let mut install = Command::new(&fresh);
-    install.args([
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-index",
-        "--disable-pip-version-check",
-    ]);
+    install.args(["-m", "pip", "install", "--quiet", "--no-index"]);
+    install.arg("--disable-pip-version-check");
     for files in ["target/wheels", ".cache/wheel/files"] {
-        install.arg("--find-links").arg(root().join(files));
+        install.arg("--find-links").arg(project(files));
     }
     run(install.args(["albireo", "onnxruntime", "pillow"]));
-    let said = run(Command::new(fresh)
-        .args(["-c", example])
-        .current_dir(&folder));
+    let mut command = Command::new(fresh);
+    let said = run(command.args(["-c", example]).current_dir(&folder));
     let skipped = said.split_once("of 88 frames skipped").unwrap().0;
     let skipped: u32 = skipped.split_whitespace().last().unwrap().parse().unwrap();
     assert!((20..70).contains(&skipped), "{said}");

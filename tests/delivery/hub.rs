@@ -1,10 +1,9 @@
 //! A stand-in for a hub: commits what it is sent to a file, synced, and answers then. Its manners can be bad.
 
-use crate::support::PATIENCE;
-use albireo_wire::{ClipReport, RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
+use crate::support::{PATIENCE, until, zenoh_session};
+use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
 use std::collections::BTreeSet;
 use std::io::Write;
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
@@ -75,18 +74,7 @@ impl Hub {
     }
 
     async fn until(&self, what: &str, done: impl Fn(&Inner) -> bool) {
-        let start = Instant::now();
-        while !done(&self.inner.lock().unwrap()) {
-            let (stored, asked) = {
-                let inner = self.inner.lock().unwrap();
-                (inner.stored.len(), inner.asked.len())
-            };
-            assert!(
-                start.elapsed() < PATIENCE,
-                "{what}: {stored} stored, asked {asked} times"
-            );
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
+        until(what, async || done(&self.inner.lock().unwrap())).await;
     }
 
     pub(super) async fn wait_for(&self, reports: usize) {
@@ -124,10 +112,8 @@ impl Inner {
                     detail: "too much to do".to_owned(),
                     retry_after_ms: Some(retry_after_ms),
                 };
-                query
-                    .reply_err(serde_json::to_vec(&refusal).unwrap())
-                    .wait()
-                    .unwrap();
+                let refusal = serde_json::to_vec(&refusal).unwrap();
+                query.reply_err(refusal).wait().unwrap();
             }
             Manner::CommitsAndSaysNothing => {
                 self.commit(&query);
@@ -136,10 +122,8 @@ impl Inner {
             Manner::Honest => {
                 self.commit(&query);
                 let answer = serde_json::to_vec(&ReportAnswer::new(Uuid::max())).unwrap();
-                query
-                    .reply(query.key_expr().clone(), answer)
-                    .wait()
-                    .unwrap();
+                let reply = query.reply(query.key_expr().clone(), answer);
+                reply.wait().unwrap();
             }
         }
     }
@@ -162,37 +146,9 @@ impl Inner {
 
 /// A router in this process.
 pub(super) async fn router(endpoint: &str) -> Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", serde_json::json!("router")),
-        ("listen/endpoints", serde_json::json!([endpoint])),
-        ("scouting/multicast/enabled", serde_json::json!(false)),
-    ] {
-        config.insert_json5(key, &value.to_string()).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
-}
-
-/// Writes the last report of the file `times` times more, under ids and counts that follow.
-pub(super) fn multiply(file: &Path, times: u64) {
-    let mut db = rusqlite::Connection::open(file).unwrap();
-    let last = "SELECT json FROM report ORDER BY count DESC LIMIT 1";
-    let json: Vec<u8> = db.query_row(last, [], |row| row.get(0)).unwrap();
-    let mut report: ClipReport = serde_json::from_slice(&json).unwrap();
-    let (id, count) = (report.id.as_u128(), report.count.unwrap());
-    let writing = db.transaction().unwrap();
-    for more in 1..=times {
-        report.id = Uuid::from_u128(id.wrapping_add(u128::from(more)));
-        report.count = Some(count + more);
-        let row = (
-            report.id.as_bytes(),
-            (count + more).cast_signed(),
-            serde_json::to_vec(&report).unwrap(),
-        );
-        let insert = "INSERT INTO report (id, count, state, json) VALUES (?, ?, 0, ?)";
-        writing.execute(insert, row).unwrap();
-    }
-    let made = "UPDATE counter SET value = value + ? WHERE name = 'made'";
-    writing.execute(made, [times.cast_signed()]).unwrap();
-    writing.commit().unwrap();
+    let settings = [
+        ("mode", "router".into()),
+        ("listen/endpoints", vec![endpoint].into()),
+    ];
+    zenoh_session(&settings).await.unwrap()
 }

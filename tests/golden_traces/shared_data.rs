@@ -59,41 +59,6 @@ pub(crate) fn sequences() -> Vec<Sequence> {
     sequences
 }
 
-/// A row of `golden/summary.csv`, as far as it is about frame states.
-pub(crate) struct SummaryRow {
-    pub sequence: String,
-    /// The name of the policy there: `ctd-0.50`, `albireo-u3e-4-erd-nonempty`.
-    pub policy: String,
-    pub skip_rate: f64,
-    /// Shares of E, P, E+I, I and AI.
-    pub shares: [f64; 5],
-    /// Boxes scored over the whole sequence.
-    pub boxes: usize,
-}
-
-/// `golden/summary.csv`.
-pub(crate) fn summary() -> Vec<SummaryRow> {
-    let text = read_to_string(&shared("golden/summary.csv"));
-    let mut lines = text.lines();
-    let header: Vec<_> = lines.next().unwrap().split(',').collect();
-    let column = |name: &str| header.iter().position(|found| *found == name).unwrap();
-    let (sequence, policy, boxes) = (column("sequence"), column("policy"), column("boxes"));
-    let skip_rate = column("skip_rate");
-    let shares = ["share_E", "share_P", "share_EI", "share_I", "share_AI"].map(column);
-    lines
-        .map(|line| {
-            let fields: Vec<_> = line.split(',').collect();
-            SummaryRow {
-                sequence: fields[sequence].to_owned(),
-                policy: fields[policy].to_owned(),
-                skip_rate: fields[skip_rate].parse().unwrap(),
-                shares: shares.map(|share| fields[share].parse().unwrap()),
-                boxes: fields[boxes].parse().unwrap(),
-            }
-        })
-        .collect()
-}
-
 fn read_to_string(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }

@@ -1,4 +1,5 @@
-use super::served::{Frames, Served, clip, frame, problem};
+use super::served::{Frames, Served, clip, frame};
+use crate::support::{assert_has, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use futures_util::StreamExt;
@@ -59,11 +60,8 @@ impl Events {
 async fn a_change_of_the_threshold_is_told_to_who_listens() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
-    assert_eq!(
-        events.expect("threshold").await["threshold"]["value"],
-        3e-4,
-        "how things stand"
-    );
+    // How things stand.
+    assert_eq!(events.expect("threshold").await["threshold"]["value"], 3e-4);
     for path in ["/api/v1/cameras/front/threshold", "/api/v1/threshold"] {
         let response = node.put(path, r#"{"u": 5e-4}"#).await;
         assert!(response.status().is_success());
@@ -77,23 +75,19 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
 #[tokio::test]
 async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     let node = Served::start().await;
-    node.board
-        .camera("front")
-        .unwrap()
-        .answered(frame(0, FrameState::I));
+    node.front().answered(frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
     assert_eq!(events.expect("detector").await["status"], "starting");
     for camera in ["front", "rear"] {
         assert_eq!(events.expect("threshold").await["camera"], camera);
         assert_eq!(events.expect("counters").await["camera"], camera);
     }
-    node.board
-        .camera("front")
-        .unwrap()
-        .answered(frame(1, FrameState::P));
+    node.front().answered(frame(1, FrameState::P));
     let told = events.expect("frame").await;
-    assert_eq!((&told["seq"], &told["state"]), (&json!(1), &json!("P")));
-    assert_eq!(told["boxes"][0]["class"], "car");
+    assert_has(
+        &told,
+        &json!({"seq": 1, "state": "P", "boxes": [{"class": "car"}]}),
+    );
     node.board.record_clip(clip("front", 3));
     assert_eq!(events.expect("clip").await["count"], 3);
     node.board.publish_counters(5);
@@ -103,18 +97,15 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
         reason: "it took too long".to_owned(),
         provider: ExecutionProvider::Cpu,
     });
-    let told = events.expect("detector").await;
-    assert_eq!(
-        told,
-        json!({"status": "degraded", "provider": "cpu", "reason": "it took too long"})
-    );
+    let expected = json!({"status": "degraded", "provider": "cpu", "reason": "it took too long"});
+    assert_eq!(events.expect("detector").await, expected);
 }
 
 #[tokio::test]
 async fn a_reader_that_is_too_slow_is_told_how_much_it_lost() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=frame").await);
-    let camera = node.board.camera("front").unwrap();
+    let camera = node.front();
     // One thread runs the test, so the stream cannot read in between.
     for seq in 0..3000 {
         camera.answered(frame(seq, FrameState::P));
@@ -136,29 +127,25 @@ async fn a_stream_ends_when_the_node_stops() {
 #[tokio::test]
 async fn wrong_wishes_and_too_many_streams_are_refused() {
     let node = Served::start().await;
-    let refused = problem(node.get("/api/v1/events?types=frame,frames").await, 400).await;
+    let refused = node.refused("/api/v1/events?types=frame,frames", 400).await;
     assert!(
         refused["allowed"]
             .as_array()
             .unwrap()
             .contains(&json!("counters"))
     );
-    problem(node.get("/api/v1/events?camera=roof").await, 404).await;
-    problem(node.get("/api/v1/events?type=frame").await, 400).await;
+    node.refused("/api/v1/events?camera=roof", 404).await;
+    node.refused("/api/v1/events?type=frame", 400).await;
     let mut open = Vec::new();
     for _ in 0..64 {
         open.push(node.get("/api/v1/events?types=detector").await);
     }
-    problem(node.get("/api/v1/events").await, 503).await;
+    node.refused("/api/v1/events", 503).await;
     // Once one is closed and its end noticed, there is a place again.
     drop(open.pop());
-    let again = async {
-        while node.get("/api/v1/events").await.status() != 200 {
-            node.detector.send_replace(DetectorStatus::Starting);
-            tokio::task::yield_now().await;
-        }
-    };
-    tokio::time::timeout(Duration::from_secs(60), again)
-        .await
-        .expect("a place is free again");
+    until("a place is free again", async || {
+        node.detector.send_replace(DetectorStatus::Starting);
+        node.get("/api/v1/events").await.status() == 200
+    })
+    .await;
 }

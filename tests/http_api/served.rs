@@ -1,21 +1,18 @@
 //! A node's interface on a free port, over a board that the test writes.
 
-use albireo_core::detection::ObjectId;
-use albireo_core::policy::{BoxSource, FrameState, Knob};
+use albireo_core::policy::{FrameState, Knob};
 use albireo_node::FrameRecord;
 use albireo_node::api::http::{NodeView, router};
+use albireo_node::delivery::outbox::{Outbox, OutboxConfig};
 use albireo_node::state::board::{Board, BoardSetup, CameraBoard, CameraSetup, DetectorFacts};
 use albireo_node::state::target::TargetSetup;
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_vision::picture::FrameLimits;
-use albireo_wire::{
-    BoxMessage, CallCause, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy,
-    DroppedFrames, EnergyQuality, FrameStates, Latency, Percentiles, Threshold, ThresholdChange,
-};
+use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -64,11 +61,7 @@ pub(crate) fn board(
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
-        outbox: albireo_node::delivery::outbox::Outbox::open(
-            &albireo_node::delivery::outbox::OutboxConfig::default(),
-            state_dir.as_deref(),
-        )
-        .unwrap(),
+        outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
         policy: "albireo",
         target: TargetSetup {
             policy: "albireo",
@@ -84,6 +77,15 @@ pub(crate) fn board(
     (board, detector)
 }
 
+/// What is served of a board.
+pub(crate) fn view(board: &Arc<Board>, config: Value) -> NodeView {
+    NodeView {
+        board: Arc::clone(board),
+        limits: FrameLimits::default(),
+        config: Arc::new(config),
+    }
+}
+
 impl Served {
     /// With the default settings.
     pub(crate) async fn start() -> Self {
@@ -91,28 +93,25 @@ impl Served {
     }
 
     pub(crate) async fn with(config: HttpConfig, knob: Option<Knob>) -> Self {
-        Self::over(config, board(knob, None)).await
+        Self::over(config, board(knob, None), Value::Null).await
     }
 
     /// Over a board with that state directory.
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
         let board = board(Some(KNOB), Some(state_dir.into()));
-        Self::over(HttpConfig::default(), board).await
+        Self::over(HttpConfig::default(), board, Value::Null).await
     }
 
-    async fn over(
+    /// Over that board, as if configured as `shown`.
+    pub(crate) async fn over(
         config: HttpConfig,
         (board, detector): (Arc<Board>, watch::Sender<DetectorStatus>),
+        shown: Value,
     ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let shutdown = CancellationToken::new();
-        let view = NodeView {
-            board: Arc::clone(&board),
-            limits: FrameLimits::default(),
-            config: Arc::new(Value::Null),
-        };
-        let stop = shutdown.clone();
+        let (view, stop) = (view(&board, shown), shutdown.clone());
         let task = tokio::spawn(async move {
             http::run(&config, router(view, stop.clone()), listener, stop).await
         });
@@ -126,9 +125,14 @@ impl Served {
         }
     }
 
+    /// The camera `front`.
+    pub(crate) fn front(&self) -> &Arc<CameraBoard> {
+        self.board.camera("front").unwrap()
+    }
+
     pub(crate) fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        self.client
-            .request(method, format!("http://{}{path}", self.address))
+        let url = format!("http://{}{path}", self.address);
+        self.client.request(method, url)
     }
 
     pub(crate) async fn get(&self, path: &str) -> Response {
@@ -142,13 +146,19 @@ impl Served {
         response.json().await.unwrap()
     }
 
+    pub(crate) async fn metrics(&self) -> String {
+        self.get("/metrics").await.text().await.unwrap()
+    }
+
+    /// The problem that `path` is refused with.
+    pub(crate) async fn refused(&self, path: &str, status: u16) -> Value {
+        problem(self.get(path).await, status).await
+    }
+
     pub(crate) async fn put(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
-        self.request(Method::PUT, path)
-            .header("content-type", "application/json")
-            .body(body)
-            .send()
-            .await
-            .unwrap()
+        let request = self.request(Method::PUT, path).body(body);
+        let request = request.header("content-type", "application/json");
+        request.send().await.unwrap()
     }
 
     pub(crate) fn ready(&self) {
@@ -166,24 +176,22 @@ impl Drop for Served {
 
 /// The problem document of an error answer, checked to be one.
 pub(crate) async fn problem(response: Response, status: u16) -> Value {
-    assert_eq!(response.status().as_u16(), status, "{}", response.url());
+    let url = response.url().clone();
+    assert_eq!(response.status().as_u16(), status, "{url}");
     assert_eq!(
         response.headers()["content-type"],
         "application/problem+json",
-        "{}",
-        response.url()
+        "{url}"
     );
-    let url = response.url().clone();
     let problem: Value = response.json().await.unwrap();
-    assert_eq!(problem["status"], status, "{url}");
-    assert_eq!(problem["type"], "about:blank", "{url}");
+    assert_eq!(
+        (&problem["status"], &problem["type"]),
+        (&json!(status), &json!("about:blank")),
+        "{url}"
+    );
     for member in ["title", "detail"] {
-        assert!(
-            problem[member]
-                .as_str()
-                .is_some_and(|text| !text.is_empty()),
-            "{url}: no {member} in {problem}"
-        );
+        let text = problem[member].as_str().unwrap_or_default();
+        assert!(!text.is_empty(), "{url}: no {member} in {problem}");
     }
     problem
 }
@@ -191,99 +199,45 @@ pub(crate) async fn problem(response: Response, status: u16) -> Value {
 /// Frames without a loop that answers them.
 pub(crate) trait Frames {
     /// A frame gets its only answer.
-    fn answered(&self, detections: Arc<DetectionsMessage>);
+    fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>);
+
+    /// A frame of each of these states, numbered from 0.
+    fn answered_all(&self, states: &[FrameState]) {
+        for (seq, state) in (0..).zip(states) {
+            self.answered(frame(seq, *state));
+        }
+    }
 }
 
 impl Frames for CameraBoard {
-    fn answered(&self, detections: Arc<DetectionsMessage>) {
+    fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>) {
+        let detections = detections.into();
         let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
         self.show(Arc::clone(&detections));
         self.record_frame(&FrameRecord::new(detections, total));
     }
 }
 
-pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
-    Arc::new(DetectionsMessage {
-        v: 1,
-        seq,
-        t_ns: 1_800_000_000_000_000_000,
-        clip: "window-0".to_owned(),
-        state,
-        pending: false,
-        degraded: false,
-        cause: (!state.is_skipped()).then_some(CallCause::Uncertain),
-        tau_max: Some(1.5e-4),
-        threshold: Some(Threshold::new(KNOB.name, 3e-4)),
-        width: 320,
-        height: 240,
-        boxes: vec![BoxMessage {
-            corners: [10.0, 20.0, 110.0, 90.0],
-            class: "car".to_owned(),
-            confidence: 0.9,
-            source: BoxSource::Detected,
-            object: Some(ObjectId(0)),
-            confirmed: true,
+pub(crate) fn frame(seq: u64, state: FrameState) -> DetectionsMessage {
+    let message = json!({
+        "v": 1, "seq": seq, "t_ns": 1_800_000_000_000_000_000_u64, "clip": "window-0", "state": state.as_str(),
+        "tau_max": 1.5e-4, "threshold": {"name": "u", "value": 3e-4}, "width": 320, "height": 240,
+        "boxes": [{
+            "box": [10.0, 20.0, 110.0, 90.0], "class": "car", "confidence": 0.9, "source": "detected", "object": 0,
+            "confirmed": true,
         }],
-        latency_ms: Latency {
-            total: if state.is_skipped() { 0.4 } else { 22.0 },
-            detector: (!state.is_skipped()).then_some(20.0),
-            ..Latency::default()
-        },
-    })
+        "latency_ms": {"total": 0.4, "waiting": 0.0, "policy": 0.0},
+    });
+    let mut message: DetectionsMessage = serde_json::from_value(message).unwrap();
+    if !state.is_skipped() {
+        message.cause = Some(CallCause::Uncertain);
+        message.latency_ms.total = 22.0;
+        message.latency_ms.detector = Some(20.0);
+    }
+    message
 }
 
-pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
-    ClipReport {
-        v: 1,
-        id: uuid::Uuid::from_u128(report.into()),
-        node: "car-7".to_owned(),
-        camera: camera.to_owned(),
-        clip: format!("window-{report}"),
-        part: 0,
-        count: Some(report),
-        ended_by: ClipEnd::Window,
-        started_ns: 1_800_000_000_000_000_000,
-        duration_s: 40.0,
-        frames: 1200,
-        states: FrameStates {
-            e: 100,
-            p: 500,
-            ei: 50,
-            i: 400,
-            ai: 150,
-        },
-        skip_rate: 0.5,
-        degraded_frames: 0,
-        dropped: DroppedFrames::default(),
-        policy: "albireo".to_owned(),
-        threshold: Some(Threshold::new(KNOB.name, 3e-4)),
-        threshold_changes: vec![ThresholdChange {
-            seq: 0,
-            threshold: Threshold::new(KNOB.name, 3e-4),
-        }],
-        model: "detector.onnx".to_owned(),
-        provider: "cpu".to_owned(),
-        total_latency_ms: Percentiles::default(),
-        detector_latency_ms: Percentiles::default(),
-        detector_used_ms: 0.0,
-        board: None,
-        audit: None,
-        energy: ClipEnergy {
-            joules: Some(412.0),
-            node_joules: Some(412.0),
-            saved_joules_estimated: None,
-            edp: Some(13_733.3),
-            quality: EnergyQuality::Estimated,
-            source: "estimate".to_owned(),
-            total_from: "idle + utilisation x (busy - idle)".to_owned(),
-            samples: 400,
-            coverage: 1.0,
-            domains: vec![DomainEnergy {
-                domain: "total".to_owned(),
-                joules: 412.0,
-                mean_watts: 10.3,
-                peak_watts: None,
-            }],
-        },
-    }
+pub(crate) fn clip(camera: &str, number: u64) -> ClipReport {
+    let id = uuid::Uuid::from_u128(number.into());
+    crate::support::clip_report("car-7", camera, number, id)
 }

@@ -1,8 +1,8 @@
 use super::served::{Frames, Served, frame, problem};
+use crate::support::{assert_has, assert_says};
 use albireo_core::policy::FrameState;
 use reqwest::Method;
 use serde_json::{Value, json};
-use std::process::Command;
 use std::time::Duration;
 
 const PATH: &str = "/api/v1/target";
@@ -14,22 +14,22 @@ async fn read(node: &Served) -> Value {
 #[tokio::test]
 async fn a_bad_target_is_refused_says_what_is_allowed_and_changes_nothing() {
     let node = Served::start().await;
-    for (body, status) in [
-        (r#"{"target": {"skip_rate": 1.0}}"#, 422),
-        (r#"{"target": {"skip_rate": -0.5}}"#, 422),
-        (r#"{"target": {"recall": 1.5}}"#, 422),
-        (r#"{"target": {"watts": 0}}"#, 422),
-        (r#"{"target": {"watts": "6"}}"#, 422),
-        (r#"{"target": {"speed": 3}}"#, 422),
-        (r#"{"target": {"skip_rate": 0.5, "watts": 6}}"#, 422),
-        (r#"{"target": 0.5}"#, 422),
-        (r#"{"target": {"skip_rate": 0.5}, "v": 2}"#, 422),
-        (r#"{"target": {"skip_rate": 0.5}, "u": 1e-3}"#, 422),
-        ("{}", 422),
-        ("[]", 422),
-        ("", 400),
-        (r#"{"target": {"skip_rate": 0.5}"#, 400),
-    ] {
+    let bad = r#"
+{"target": {"skip_rate": 1.0}}
+{"target": {"skip_rate": -0.5}}
+{"target": {"recall": 1.5}}
+{"target": {"watts": 0}}
+{"target": {"watts": "6"}}
+{"target": {"speed": 3}}
+{"target": {"skip_rate": 0.5, "watts": 6}}
+{"target": 0.5}
+{"target": {"skip_rate": 0.5}, "v": 2}
+{"target": {"skip_rate": 0.5}, "u": 1e-3}
+{}
+[]
+"#;
+    let bad = bad.trim().lines().map(|body| (body, 422));
+    for (body, status) in bad.chain([("", 400), (r#"{"target": {"skip_rate": 0.5}"#, 400)]) {
         let refused = problem(node.put(PATH, body).await, status).await;
         assert!(refused["detail"].is_string(), "{body}");
         assert_eq!(read(&node).await["target"], Value::Null, "{body}");
@@ -42,32 +42,28 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     let set = node.put(PATH, r#"{"target": {"skip_rate": 0.5}}"#).await;
     assert_eq!(set.status(), 200);
     let set: Value = set.json().await.unwrap();
-    assert_eq!(set["target"], json!({"skip_rate": 0.5}));
-    assert_eq!(set["source"], "local");
-    assert_eq!(set["range"], json!({"least": 1.5e-4, "most": 2e-3}));
-    assert_eq!(set["threshold"], json!({"name": "u", "value": 3e-4}));
+    let expected = json!({
+        "target": {"skip_rate": 0.5}, "source": "local", "range": {"least": 1.5e-4, "most": 2e-3},
+        "threshold": {"name": "u", "value": 3e-4},
+    });
+    assert_has(&set, &expected);
     assert_eq!(read(&node).await, set);
-    let metrics = || async { node.get("/metrics").await.text().await.unwrap() };
-    let wanted = "albireo_target{target=\"skip_rate\"} 0.5";
-    assert!(metrics().await.contains(wanted));
+    assert_says(
+        &node.metrics().await,
+        &["albireo_target{target=\"skip_rate\"} 0.5"],
+    );
 
-    let turned = node
-        .put("/api/v1/cameras/front/threshold", r#"{"u": 7e-4}"#)
-        .await;
-    assert_eq!(turned.status(), 200);
-    let off = read(&node).await;
-    assert_eq!(off["target"], Value::Null);
-    assert_eq!(off["off"], "the threshold was set by hand");
-    assert!(!metrics().await.contains("albireo_target{"));
+    let path = "/api/v1/cameras/front/threshold";
+    assert_eq!(node.put(path, r#"{"u": 7e-4}"#).await.status(), 200);
+    let off = json!({"target": null, "off": "the threshold was set by hand"});
+    assert_has(&read(&node).await, &off);
+    assert!(!node.metrics().await.contains("albireo_target{"));
 
     node.put(PATH, r#"{"target": {"watts": 6.0}}"#).await;
     assert_eq!(read(&node).await["target"], json!({"watts": 6.0}));
     let off = node.put(PATH, r#"{"target": null}"#).await;
     let off: Value = off.json().await.unwrap();
-    assert_eq!(
-        (&off["target"], &off["off"]),
-        (&Value::Null, &json!("it was switched off"))
-    );
+    assert_has(&off, &json!({"target": null, "off": "it was switched off"}));
 }
 
 /// A pipe instead of the file stalls who writes it until somebody reads.
@@ -75,13 +71,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
 async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls() {
     let directory = tempfile::tempdir().unwrap();
     let pipe = directory.path().join("settings.json.new");
-    assert!(
-        Command::new("mkfifo")
-            .arg(&pipe)
-            .status()
-            .unwrap()
-            .success()
-    );
+    crate::support::pipe(&pipe);
     let node = Served::kept_in(directory.path()).await;
     let body = r#"{"target": {"skip_rate": 0.5}}"#;
     let change = tokio::spawn(node.request(Method::PUT, PATH).body(body).send());

@@ -1,80 +1,85 @@
 use super::served::{KNOB, Served, problem};
+use crate::support::{assert_has, assert_says};
 use albireo_service::config::HttpConfig;
-use reqwest::{Method, StatusCode};
-use serde_json::json;
+use reqwest::Method;
+use rstest::rstest;
+use serde_json::{Value, json};
 
 const PATHS: [&str; 2] = ["/api/v1/threshold", "/api/v1/cameras/front/threshold"];
+
+/// Values that are none, in JSON that can be read.
+const BAD: &str = r#"
+{"u": -1}
+{"u": 0}
+{"u": -0.0}
+{"u": 1e-300}
+{"u": 1.0000001}
+{"u": 1e300}
+{"u": "NaN"}
+{"u": "3e-4"}
+{"u": null}
+{"u": true}
+{"u": [3e-4]}
+{"u": 3e-4, "U": 3e-4}
+{"u": 3e-4, "camera": "front"}
+{"u": 3e-4, "u": 5e-4}
+{"u": 3e-4, "v": 2}
+{"v": 1}
+{}
+[1, 3e-4]
+3e-4
+null
+"3e-4"
+"#;
+
+/// What is no JSON.
+const BROKEN: [&[u8]; 9] = [
+    br#"{"u": 1e999}"#,
+    br#"{"u": NaN}"#,
+    br#"{"u": Infinity}"#,
+    b"",
+    b"u=3e-4",
+    br#"{"u": 3e-4"#,
+    br#"{"u": 3e-4} {"u": 4e-4}"#,
+    b"\0",
+    b"\xff\xfe",
+];
 
 #[tokio::test]
 async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
     let node = Served::start().await;
+    let bad = BAD.trim().lines().map(|body| (body.as_bytes(), 422));
+    let all: Vec<_> = bad.chain(BROKEN.map(|body| (body, 400))).collect();
     for path in PATHS {
-        for (body, status) in [
-            (r#"{"u": -1}"#, 422),
-            (r#"{"u": 0}"#, 422),
-            (r#"{"u": -0.0}"#, 422),
-            (r#"{"u": 1e-300}"#, 422),
-            (r#"{"u": 1.0000001}"#, 422),
-            (r#"{"u": 1e300}"#, 422),
-            (r#"{"u": 1e999}"#, 400),
-            (r#"{"u": NaN}"#, 400),
-            (r#"{"u": Infinity}"#, 400),
-            (r#"{"u": "NaN"}"#, 422),
-            (r#"{"u": "3e-4"}"#, 422),
-            (r#"{"u": null}"#, 422),
-            (r#"{"u": true}"#, 422),
-            (r#"{"u": [3e-4]}"#, 422),
-            (r#"{"u": 3e-4, "U": 3e-4}"#, 422),
-            (r#"{"u": 3e-4, "camera": "front"}"#, 422),
-            (r#"{"u": 3e-4, "u": 5e-4}"#, 422),
-            (r#"{"u": 3e-4, "v": 2}"#, 422),
-            (r#"{"v": 1}"#, 422),
-            ("{}", 422),
-            ("[1, 3e-4]", 422),
-            ("3e-4", 422),
-            ("null", 422),
-            ("\"3e-4\"", 422),
-            ("", 400),
-            ("u=3e-4", 400),
-            (r#"{"u": 3e-4"#, 400),
-            (r#"{"u": 3e-4} {"u": 4e-4}"#, 400),
-            ("\u{0}", 400),
-        ] {
+        for &(body, status) in &all {
             let refused = problem(node.put(path, body).await, status).await;
-            let detail = refused["detail"].as_str().unwrap();
-            assert!(detail.contains("number from 1e-9 to 1"), "{body}: {detail}");
-            assert_eq!(refused["knob"]["minimum"], 1e-9, "{body}");
-            assert_eq!(refused["knob"]["maximum"], 1.0, "{body}");
+            assert_says(
+                refused["detail"].as_str().unwrap(),
+                &["number from 1e-9 to 1"],
+            );
+            assert_has(&refused["knob"], &json!({"minimum": 1e-9, "maximum": 1.0}));
         }
-        let refused = problem(node.put(path, vec![0xff, 0xfe]).await, 400).await;
-        assert!(refused["detail"].as_str().unwrap().contains("number from"));
     }
     for camera in node.board.cameras() {
         assert_eq!(camera.threshold(), Some(KNOB.default));
     }
 }
 
+#[rstest]
 #[tokio::test]
-async fn a_threshold_of_another_content_type_is_refused() {
+async fn a_threshold_of_another_content_type_is_refused(
+    #[values("text/plain", "application/jsonp", "application/json5; charset=utf-8")] media: &str,
+) {
     let node = Served::start().await;
     for path in PATHS {
-        for content_type in [
-            "text/plain",
-            "application/jsonp",
-            "application/json5; charset=utf-8",
-        ] {
-            let request = node.request(Method::PUT, path).body(r#"{"u": 5e-4}"#);
-            let request = request.header("content-type", content_type);
-            let refused = problem(request.send().await.unwrap(), 415).await;
-            assert_eq!(refused["allowed"], json!(["application/json"]));
-            let detail = refused["detail"].as_str().unwrap();
-            assert!(
-                detail.contains("-H 'content-type: application/json'"),
-                "{detail}"
-            );
-        }
+        let request = node.request(Method::PUT, path).body(r#"{"u": 5e-4}"#);
+        let request = request.header("content-type", media);
+        let refused = problem(request.send().await.unwrap(), 415).await;
+        assert_eq!(refused["allowed"], json!(["application/json"]));
+        let remedy = "-H 'content-type: application/json'";
+        assert_says(refused["detail"].as_str().unwrap(), &[remedy]);
     }
-    assert_eq!(node.board.cameras()[0].threshold(), Some(KNOB.default));
+    assert_eq!(node.front().threshold(), Some(KNOB.default));
 }
 
 #[tokio::test]
@@ -89,8 +94,7 @@ async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
             request = request.header("content-type", content_type);
         }
         assert_eq!(request.send().await.unwrap().status(), 200);
-        let front = node.board.camera("front").unwrap();
-        assert_eq!(front.threshold(), Some(5e-4));
+        assert_eq!(node.front().threshold(), Some(5e-4));
         assert_eq!(node.put(path, r#"{"u": 3e-4}"#).await.status(), 200);
     }
 }
@@ -98,57 +102,43 @@ async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
 #[tokio::test]
 async fn a_huge_body_is_refused_without_reading_it_all() {
     let node = Served::start().await;
+    let body = |length: usize| format!("{{\"u\": 5e-4{}}}", " ".repeat(length - 11));
     for path in PATHS {
-        let body = format!("{{\"u\": 5e-4{}}}", " ".repeat(16 << 10));
-        let refused = problem(node.put(path, body).await, 413).await;
-        assert!(
-            refused["detail"]
-                .as_str()
-                .unwrap()
-                .contains("at most 16384 bytes")
+        let refused = problem(node.put(path, body(16385)).await, 413).await;
+        assert_says(
+            refused["detail"].as_str().unwrap(),
+            &["at most 16384 bytes"],
         );
-        let just_fits = format!("{{\"u\": 5e-4{}}}", " ".repeat((16 << 10) - 11));
-        assert_eq!(just_fits.len(), 16 << 10);
-        assert_eq!(node.put(path, just_fits).await.status(), StatusCode::OK);
+        assert_eq!(node.put(path, body(16384)).await.status(), 200);
     }
 }
 
 #[tokio::test]
 async fn a_change_for_one_camera_leaves_the_others() {
     let node = Served::start().await;
-    let response = node
-        .put("/api/v1/cameras/front/threshold", r#"{"u": 5e-4}"#)
-        .await;
-    assert_eq!(response.status(), StatusCode::OK);
-    let changed: serde_json::Value = response.json().await.unwrap();
-    assert_eq!(changed["u"], 5e-4);
-    assert_eq!(changed["knob"]["name"], "u");
-    assert_eq!(changed["survives_restart"], false);
-    let all = node.json("/api/v1/threshold").await;
-    assert_eq!(all["u"], serde_json::Value::Null);
-    assert_eq!(all["cameras"][0]["u"], 5e-4);
-    assert_eq!(all["cameras"][1]["u"], 3e-4);
-    let front = node.json("/api/v1/cameras/front/threshold").await;
-    assert_eq!(front, changed);
+    let response = node.put(PATHS[1], r#"{"u": 5e-4}"#).await;
+    assert_eq!(response.status(), 200);
+    let changed: Value = response.json().await.unwrap();
+    let expected = json!({"u": 5e-4, "knob": {"name": "u"}, "survives_restart": false});
+    assert_has(&changed, &expected);
+    let all = json!({"u": null, "cameras": [{"u": 5e-4}, {"u": 3e-4}]});
+    assert_has(&node.json(PATHS[0]).await, &all);
+    assert_eq!(node.json(PATHS[1]).await, changed);
 }
 
 #[tokio::test]
 async fn a_change_for_all_reaches_every_camera_and_its_loop() {
     let node = Served::start().await;
-    let loops: Vec<_> = node
-        .board
-        .cameras()
-        .iter()
-        .map(|camera| camera.watch_threshold())
-        .collect();
-    let response = node
-        .put("/api/v1/threshold", r#" {"v": 1, "u": 7e-4} "#)
-        .await;
-    let all: serde_json::Value = response.json().await.unwrap();
+    let cameras = node.board.cameras().iter();
+    let loops: Vec<_> = cameras.map(|camera| camera.watch_threshold()).collect();
+    let response = node.put(PATHS[0], r#" {"v": 1, "u": 7e-4} "#).await;
+    let all: Value = response.json().await.unwrap();
     assert_eq!(all["u"], 7e-4);
-    for camera_loop in loops {
-        assert_eq!(*camera_loop.borrow(), Some(7e-4));
-    }
+    assert!(
+        loops
+            .iter()
+            .all(|camera_loop| *camera_loop.borrow() == Some(7e-4))
+    );
 }
 
 #[tokio::test]
@@ -166,10 +156,12 @@ async fn a_policy_without_a_threshold_says_so() {
     let node = Served::with(HttpConfig::default(), None).await;
     for path in PATHS {
         let refused = problem(node.put(path, r#"{"u": 5e-4}"#).await, 409).await;
-        let detail = refused["detail"].as_str().unwrap();
-        assert_eq!(detail, "policy `albireo` has no threshold to change");
+        assert_eq!(
+            refused["detail"],
+            "policy `albireo` has no threshold to change"
+        );
     }
-    let front = node.json("/api/v1/cameras/front/threshold").await;
+    let front = node.json(PATHS[1]).await;
     assert_eq!(front, json!({"camera": "front", "survives_restart": false}));
 }
 
@@ -177,8 +169,8 @@ async fn a_policy_without_a_threshold_says_so() {
 async fn a_stored_change_is_reported_as_durable() {
     let directory = tempfile::tempdir().unwrap();
     let node = Served::kept_in(directory.path()).await;
-    let response = node.put("/api/v1/threshold", r#"{"u": 7e-4}"#).await;
-    let all: serde_json::Value = response.json().await.unwrap();
+    let response = node.put(PATHS[0], r#"{"u": 7e-4}"#).await;
+    let all: Value = response.json().await.unwrap();
     assert_eq!(all["survives_restart"], true);
     assert!(directory.path().join("node.db").exists());
 }

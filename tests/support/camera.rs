@@ -82,10 +82,8 @@ impl Camera {
                 .attachment(serde_json::to_vec(&attachment).unwrap())
                 .await
                 .unwrap();
-            timeout(PATIENCE, self.answers.recv())
-                .await
-                .unwrap()
-                .unwrap();
+            let answer = timeout(PATIENCE, self.answers.recv()).await;
+            answer.unwrap().unwrap();
         }
     }
 

@@ -1,9 +1,9 @@
 //! The tiny models of tests/fixtures/models, and pictures for them.
 
-use albireo_core::geometry::PictureSize;
-use albireo_vision::detector::DetectorConfig;
+use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::detector::{Detected, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::Picture;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Twice the size of the models' input.
@@ -11,9 +11,7 @@ pub(crate) const PICTURE: PictureSize = PictureSize::new(128, 64);
 
 /// A model's file.
 pub(crate) fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/models")
-        .join(name)
+    super::project("tests/fixtures/models").join(name)
 }
 
 /// A detector with that model and nothing else configured.
@@ -21,6 +19,38 @@ pub(crate) fn config(name: &str) -> DetectorConfig {
     DetectorConfig {
         model: model(name),
         ..DetectorConfig::default()
+    }
+}
+
+/// The detector with that configuration, started.
+pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
+    DetectorHandle::start(config)
+        .await
+        .unwrap_or_else(|error| panic!("{config:?}: {error}"))
+}
+
+/// Why a configuration is refused.
+pub(crate) async fn refusal(config: &DetectorConfig) -> String {
+    let refused = DetectorHandle::start(config).await.err();
+    refused
+        .unwrap_or_else(|| panic!("{config:?} was accepted"))
+        .to_string()
+}
+
+/// Asserts that the only detection is the fixtures' box, in a picture of [`PICTURE`].
+#[track_caller]
+pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
+    let [detection] = found.detections.as_slice() else {
+        panic!("{found:?}");
+    };
+    assert_eq!(detection.class.0, class);
+    assert!(
+        (detection.confidence - confidence).abs() < 2e-3,
+        "{detection:?}"
+    );
+    let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(PICTURE);
+    for (found, expected) in [x1, y1, x2, y2].into_iter().zip([16.0, 8.0, 80.0, 40.0]) {
+        assert!((found - expected).abs() < 0.05, "{detection:?}");
     }
 }
 

@@ -1,17 +1,14 @@
 //! A hub and a router as processes, and nodes that only report.
 
-use super::{PATIENCE, albireo, free_port, python};
-use albireo_wire::{
-    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates, Percentiles,
-    ReportAnswer, ReportBatch, ReportRefusal, VERSION, read,
+use super::{
+    PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at, zenoh_session,
 };
-use serde_json::Value;
+use albireo_wire::{ClipReport, ReportAnswer, ReportBatch, ReportRefusal, VERSION, read};
+use serde_json::{Value, json};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
-use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
-use tokio::time::timeout;
 use uuid::{Builder, Uuid};
 
 /// `albireo hub`, running.
@@ -97,28 +94,17 @@ impl HubProcess {
 
     /// Kills it with SIGKILL.
     pub(crate) async fn kill(mut self) {
-        self.child
-            .kill()
-            .await
-            .expect("the hub is killed with SIGKILL");
+        self.child.kill().await.expect("the hub is killed");
     }
 
     /// The answer to a path; null without an answer.
     pub(crate) async fn get(&self, path: &str) -> Value {
-        match reqwest::get(format!("{}{path}", self.http)).await {
-            Ok(response) => response.json().await.unwrap_or(Value::Null),
-            Err(_) => Value::Null,
-        }
+        json_at(&format!("{}{path}", self.http)).await
     }
 
     /// The metrics, as text.
     pub(crate) async fn metrics(&self) -> String {
-        let response = reqwest::get(format!("{}/metrics", self.http)).await;
-        response
-            .expect("the hub answers")
-            .text()
-            .await
-            .expect("text")
+        text_at(&format!("{}/metrics", self.http)).await
     }
 
     /// Asks until the answer is as wanted.
@@ -165,58 +151,36 @@ pub(crate) struct Router(Child);
 impl Router {
     /// Starts it; it may not listen yet.
     pub(crate) fn start(endpoint: &str) -> Self {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
         let child = Command::new(python())
-            .arg(folder.join("tests/clients/router.py"))
+            .arg(project("tests/clients/router.py"))
             .arg(endpoint)
-            .arg(folder.join("config/zenoh-router.json5"))
+            .arg(project("config/zenoh-router.json5"))
             .kill_on_drop(true)
             .stdin(Stdio::null())
-            .stdout(Stdio::piped())
+            .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
             .expect("Python starts: `make python`");
         Self(child)
     }
 
-    /// Waits until it listens.
-    pub(crate) async fn until_ready(&mut self) {
-        let out = self.0.stdout.take().expect("piped");
-        let line = timeout(PATIENCE, BufReader::new(out).lines().next_line()).await;
-        assert_eq!(
-            line.expect("it says so in time").expect("text").as_deref(),
-            Some("ready")
-        );
-    }
-
     /// Kills it with SIGKILL.
     pub(crate) async fn kill(mut self) {
-        self.0
-            .kill()
-            .await
-            .expect("the router is killed with SIGKILL");
+        self.0.kill().await.expect("the router is killed");
     }
 }
 
 /// The session of a node's uplink, which waits for its router.
 pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"client\"".to_owned()),
-        ("connect/endpoints", format!("[\"{endpoint}\"]")),
-        ("connect/timeout_ms", "-1".to_owned()),
-        ("connect/exit_on_failure", "false".to_owned()),
-        (
-            "connect/retry",
-            r#"{"period_init_ms":50,"period_max_ms":200}"#.to_owned(),
-        ),
-        ("scouting/multicast/enabled", "false".to_owned()),
-    ] {
-        config
-            .insert_json5(key, &value)
-            .expect("a setting Zenoh knows");
-    }
-    zenoh::open(config).await.expect("a session")
+    let retry = json!({"period_init_ms": 50, "period_max_ms": 200});
+    let settings = [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([endpoint])),
+        ("connect/timeout_ms", json!(-1)),
+        ("connect/exit_on_failure", json!(false)),
+        ("connect/retry", retry),
+    ];
+    zenoh_session(&settings).await.expect("a session")
 }
 
 /// Now, nanoseconds since the Unix epoch.
@@ -242,13 +206,10 @@ pub(crate) async fn send(
             .map(|number| report(node, number, begun_ns))
             .collect(),
     };
+    let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
     let replies = session
         .get(format!("albireo/@report/{node}"))
-        .payload(
-            batch
-                .to_payload(albireo_wire::BatchCompression::Best)
-                .expect("a batch that can be written"),
-        )
+        .payload(payload.expect("a batch that can be written"))
         .timeout(Duration::from_secs(2))
         .await
         .expect("a query");
@@ -281,53 +242,7 @@ fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
 
 /// A report of that number.
 pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
-    let percentiles = Percentiles {
-        count: 10,
-        mean: 5.0,
-        p50: 5.0,
-        p95: 6.0,
-        p99: 7.0,
-    };
-    ClipReport {
-        v: VERSION,
-        id: id(node, number, begun_ns),
-        node: node.to_owned(),
-        camera: "front".to_owned(),
-        clip: format!("window-{number}"),
-        part: 0,
-        count: Some(number),
-        ended_by: ClipEnd::Window,
-        started_ns: begun_ns + number * 1_000_000,
-        duration_s: 40.0,
-        frames: 10,
-        states: FrameStates {
-            i: 10,
-            ..FrameStates::default()
-        },
-        skip_rate: 0.0,
-        degraded_frames: 0,
-        dropped: DroppedFrames::default(),
-        policy: "vanilla".to_owned(),
-        threshold: None,
-        threshold_changes: Vec::new(),
-        model: "detector.onnx".to_owned(),
-        provider: "cpu".to_owned(),
-        total_latency_ms: percentiles,
-        detector_latency_ms: percentiles,
-        detector_used_ms: 0.0,
-        energy: ClipEnergy {
-            joules: Some(10.0),
-            node_joules: Some(10.0),
-            saved_joules_estimated: None,
-            edp: None,
-            quality: EnergyQuality::Measured,
-            source: "rapl".to_owned(),
-            total_from: "input_rail".to_owned(),
-            samples: 1,
-            coverage: 1.0,
-            domains: Vec::new(),
-        },
-        board: None,
-        audit: None,
-    }
+    let mut report = clip_report(node, "front", number, id(node, number, begun_ns));
+    report.started_ns = begun_ns + number * 1_000_000;
+    report
 }

@@ -25,10 +25,7 @@ impl RtspCamera {
     /// The same on a port of one's own.
     pub(crate) async fn start_at(port: u16, codec: &str, login: &[&str]) -> Self {
         let mut child = Command::new("/usr/bin/python3")
-            .arg(concat!(
-                env!("CARGO_MANIFEST_DIR"),
-                "/tests/clients/rtsp_camera.py"
-            ))
+            .arg(super::project("tests/clients/rtsp_camera.py"))
             .args([&port.to_string(), codec])
             .args(login)
             .kill_on_drop(true)

@@ -17,8 +17,9 @@ pub(crate) mod postgres;
 
 pub(crate) use ports::free_port;
 
-use albireo::cli::replay::{FrameSender, Pacing};
-use serde_json::Value;
+use albireo::cli::replay::{FrameSender, Pacing, open_session};
+use albireo_wire::ClipReport;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -29,50 +30,127 @@ use tokio::time::timeout;
 /// The longest any single thing may take on a busy machine before a test gives up on it.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
+/// A file of the project.
+pub(crate) fn project(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// The text of a file of the project.
+#[track_caller]
+pub(crate) fn text(path: &str) -> String {
+    std::fs::read_to_string(project(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
 /// A file of the shared recordings, clips and models.
 pub(crate) fn shared(path: &str) -> PathBuf {
-    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    let file = folder.join(path);
-    assert!(
-        file.exists(),
-        "{} is not there: set ALBIREO_SHARED, or leave tests named shared_ out",
-        file.display()
-    );
+    let folder = std::env::var_os("ALBIREO_SHARED");
+    let file = folder
+        .map_or_else(|| project("../shared"), PathBuf::from)
+        .join(path);
+    let missing = "is not there: set ALBIREO_SHARED, or leave tests named shared_ out";
+    assert!(file.exists(), "{} {missing}", file.display());
     file
 }
 
 /// The Python of the independent clients, as `make python` sets it up.
 pub(crate) fn python() -> String {
-    std::env::var("ALBIREO_PYTHON")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into())
+    let own = project(".cache/python/bin/python").display().to_string();
+    std::env::var("ALBIREO_PYTHON").unwrap_or(own)
 }
 
 /// What a script answers to `request`, both in JSON.
 pub(crate) fn answer_of(script: &mut std::process::Command, request: &Value) -> Value {
+    script.stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut child = script
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
         .spawn()
         .expect("Python starts: `make python` and `make wheel-tests` set it up");
-    let mut stdin = child.stdin.take().expect("its standard input is a pipe");
+    let mut stdin = child.stdin.take().unwrap();
     serde_json::to_writer(&mut stdin, request).expect("it takes the request");
     drop(stdin);
-    let output = child.wait_with_output().expect("Python ends");
+    let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{script:?} failed, see above");
     serde_json::from_slice(&output.stdout).expect("it answers in JSON")
 }
 
-/// The program itself, with a clean environment for its configuration.
-pub(crate) fn albireo() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
-    command
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .kill_on_drop(true)
-        .stdin(Stdio::null());
-    command
+/// Asserts that a text has all of these parts.
+#[track_caller]
+pub(crate) fn assert_says(said: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+}
+
+/// Waits until `is_so`.
+pub(crate) async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
+    let waiting = async {
+        while !is_so().await {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    let in_time = timeout(PATIENCE, waiting).await;
+    in_time.unwrap_or_else(|_| panic!("not in time: {what}"));
+}
+
+/// Sends a process a signal.
+pub(crate) fn signal(process: u32, signal: &str) {
+    let mut kill = std::process::Command::new("kill");
+    let sent = kill.args([signal, &process.to_string()]).status();
+    assert!(sent.expect("kill runs").success());
+}
+
+/// The text at an address; empty without an answer.
+pub(crate) async fn text_at(url: &str) -> String {
+    match reqwest::get(url).await {
+        Ok(response) => response.text().await.unwrap_or_default(),
+        Err(_) => String::new(),
+    }
+}
+
+/// The JSON at an address; null without an answer.
+pub(crate) async fn json_at(url: &str) -> Value {
+    serde_json::from_str(&text_at(url).await).unwrap_or_default()
+}
+
+/// The value of a series in a text of metrics.
+#[track_caller]
+pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
+    let found = metrics
+        .lines()
+        .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+    let found = found.and_then(|rest| rest.split(' ').next()?.parse().ok());
+    found.unwrap_or_else(|| panic!("no {series} in {metrics}"))
+}
+
+/// The value of a series of the service at `http`.
+pub(crate) async fn metric(http: &str, series: &str) -> f64 {
+    value_of(&text_at(&format!("{http}/metrics")).await, series)
+}
+
+/// A Zenoh session with these settings over Zenoh's own.
+pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<zenoh::Session> {
+    let mut config = zenoh::Config::default();
+    config.insert_json5("scouting/multicast/enabled", "false")?;
+    for (key, value) in settings {
+        config.insert_json5(key, &value.to_string())?;
+    }
+    zenoh::open(config).await
+}
+
+/// A client with Zenoh's own settings, shared memory among them.
+pub(crate) async fn zenoh_client(endpoint: &str) -> zenoh::Session {
+    let settings = [
+        ("mode", "client".into()),
+        ("connect/endpoints", vec![endpoint].into()),
+    ];
+    zenoh_session(&settings).await.expect("a session")
+}
+
+/// A peer that listens on a free port, and its endpoint.
+pub(crate) async fn listening_peer() -> (zenoh::Session, String) {
+    let listen = ["tcp/127.0.0.1:0".to_owned()];
+    let session = open_session(&[], &listen, Duration::ZERO).await.unwrap();
+    let locator = session.info().locators().await.into_iter().next().unwrap();
+    (session, locator.to_string())
 }
 
 /// How a run of the program ended, and what it printed.
@@ -83,50 +161,90 @@ pub(crate) struct Ended {
     pub(crate) err: String,
 }
 
-impl Ended {
-    fn of(output: &std::process::Output) -> Self {
-        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+impl From<std::process::Output> for Ended {
+    fn from(output: std::process::Output) -> Self {
         Self {
             code: output.status.code(),
-            out: text(&output.stdout),
-            err: text(&output.stderr),
+            out: String::from_utf8_lossy(&output.stdout).into_owned(),
+            err: String::from_utf8_lossy(&output.stderr).into_owned(),
         }
     }
+}
 
+impl Ended {
     /// What it printed, of a run that must succeed.
     #[track_caller]
     pub(crate) fn succeeds(self) -> String {
-        assert_eq!(self.code, Some(0), "{self:?}");
+        assert_eq!(self.code, Some(0), "{}\n{}", self.out, self.err);
         self.out
     }
 
     /// Its complaint, of a run that must fail.
     #[track_caller]
     pub(crate) fn fails(self) -> String {
-        assert_eq!(self.code, Some(1), "{self:?}");
+        assert_eq!(self.code, Some(1), "{}\n{}", self.out, self.err);
         self.err
     }
 }
 
 /// Runs the program to its end, with these variables in its environment.
 pub(crate) fn run(arguments: &[&str], environment: &[(&str, &str)]) -> Ended {
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
-        .args(arguments)
-        .envs(environment.iter().copied())
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
+    command.args(arguments).envs(environment.iter().copied());
+    run_command(&mut command)
+}
+
+/// Runs a command to its end, in the project's folder unless it says another.
+#[track_caller]
+pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
+    if command.get_current_dir().is_none() {
+        command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    }
+    let output = command.stdin(Stdio::null()).output();
+    output
+        .unwrap_or_else(|error| panic!("{command:?}: {error}"))
+        .into()
+}
+
+/// The program itself, in the project's folder.
+pub(crate) fn albireo() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
+    command
         .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .stdin(Stdio::null())
-        .output();
-    Ended::of(&output.expect("the program starts"))
+        .kill_on_drop(true)
+        .stdin(Stdio::null());
+    command
+}
+
+/// The stand-in for `tegrastats` in `folder`, which does `task`.
+pub(crate) fn fake_tegrastats(folder: &Path, task: &Value) -> PathBuf {
+    let program = folder.join("tegrastats");
+    std::os::unix::fs::symlink(project("tests/fixtures/fake_tegrastats"), &program).unwrap();
+    std::fs::write(folder.join("tegrastats.json"), task.to_string()).unwrap();
+    program
 }
 
 /// A stand-in for `nvpmodel` in `folder` that says the board is in mode `MODE_30W`.
 pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     let program = folder.join("nvpmodel");
-    let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_nvpmodel");
-    std::os::unix::fs::symlink(fake, &program).expect("the stand-in is linked");
-    std::fs::write(folder.join("nvpmodel.says"), "NV Power Mode: MODE_30W\n2\n")
-        .expect("what it says is written");
+    std::os::unix::fs::symlink(project("tests/fixtures/fake_nvpmodel"), &program).unwrap();
+    std::fs::write(folder.join("nvpmodel.says"), "NV Power Mode: MODE_30W\n2\n").unwrap();
     program
+}
+
+/// A script of the shell in `folder`.
+pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let file = folder.join(name);
+    std::fs::write(&file, format!("#!/bin/sh\n{body}\n")).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
+    file
+}
+
+/// A pipe without a writer, whose reader waits.
+pub(crate) fn pipe(path: &Path) {
+    let made = std::process::Command::new("mkfifo").arg(path).status();
+    assert!(made.expect("mkfifo runs").success());
 }
 
 /// The constants that settings change in their comments, `# development: name=value …`.
@@ -151,24 +269,19 @@ pub(crate) struct Node {
 impl Node {
     /// Starts a node with `settings` (TOML) added to its own addresses, and waits until it is ready.
     pub(crate) async fn start(settings: &str) -> Self {
-        Self::start_in(tempfile::tempdir().expect("a temporary folder"), settings).await
+        Self::start_in(tempfile::tempdir().unwrap(), settings).await
     }
 
     /// As [`Self::start`], with the folder of an earlier node.
     pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
-        let node = Self::start_unready_in(folder, settings).await;
+        let node = Self::start_with(folder, settings, &[]).await;
         node.wait_until_ready().await;
         node
     }
 
     /// Starts a node that cannot be ready yet.
     pub(crate) async fn start_unready(settings: &str) -> Self {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        Self::start_unready_in(folder, settings).await
-    }
-
-    async fn start_unready_in(folder: tempfile::TempDir, settings: &str) -> Self {
-        Self::start_with(folder, settings, &[]).await
+        Self::start_with(tempfile::tempdir().unwrap(), settings, &[]).await
     }
 
     /// Starts a node with these variables in its environment.
@@ -193,8 +306,7 @@ impl Node {
         } else {
             "outbox.gather_s = 0\n"
         };
-        std::fs::write(&file, addresses + at_once + settings)
-            .expect("the configuration is written");
+        std::fs::write(&file, addresses + at_once + settings).unwrap();
         let mut child = albireo()
             .args(["node", "--config"])
             .arg(&file)
@@ -203,24 +315,14 @@ impl Node {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");
-        let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
-        let http = timeout(PATIENCE, http_address(&mut lines))
-            .await
-            .expect("the node logs its HTTP address in time");
-        let log = tokio::spawn(async move {
-            let mut log = String::new();
-            while let Ok(Some(line)) = lines.next_line().await {
-                log.push_str(&line);
-                log.push('\n');
-            }
-            log
-        });
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let http = timeout(PATIENCE, http_address(&mut lines)).await;
         Self {
             child,
             folder,
-            http,
+            http: http.expect("the node logs its HTTP address in time"),
             zenoh,
-            log,
+            log: collected(lines),
         }
     }
 
@@ -231,15 +333,16 @@ impl Node {
     }
 
     pub(crate) async fn wait_until_ready(&self) {
-        let ready = async {
-            while reqwest::get(format!("{}/readyz", self.http))
-                .await
-                .is_ok_and(|response| !response.status().is_success())
-            {
-                tokio::time::sleep(Duration::from_millis(20)).await;
-            }
-        };
-        timeout(PATIENCE, ready).await.expect("the node gets ready");
+        until("the node is ready", async || {
+            let ready = reqwest::get(format!("{}/readyz", self.http)).await;
+            ready.is_ok_and(|response| response.status().is_success())
+        })
+        .await;
+    }
+
+    /// What its HTTP interface answers.
+    pub(crate) async fn text(&self, path: &str) -> String {
+        text_at(&format!("{}{path}", self.http)).await
     }
 
     /// The process's id.
@@ -249,44 +352,59 @@ impl Node {
 
     /// Sends the signal a service manager sends.
     pub(crate) fn terminate(&self) {
-        let id = self.child.id().expect("the node runs").to_string();
-        let status = std::process::Command::new("kill")
-            .args(["-TERM", &id])
-            .status()
-            .expect("kill runs");
-        assert!(status.success());
+        signal(self.id(), "-TERM");
     }
 
     /// Waits until the node ends by itself; how it ended, and its log.
     pub(crate) async fn ended(mut self) -> (ExitStatus, String) {
-        let status = self.child.wait().await.expect("its status can be had");
-        (status, self.log.await.expect("its log"))
+        let status = timeout(PATIENCE, self.child.wait()).await;
+        let status = status.expect("the node ends").unwrap();
+        (status, self.log.await.unwrap())
     }
 
     /// Terminates the node; how it ended, how long that took, its log, and its folder.
     pub(crate) async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();
         self.terminate();
-        let status = timeout(PATIENCE, self.child.wait())
-            .await
-            .expect("the node ends")
-            .expect("its status can be had");
-        let took = start.elapsed();
-        (status, took, self.log.await.expect("its log"), self.folder)
+        let status = timeout(PATIENCE, self.child.wait()).await;
+        let status = status.expect("the node ends").unwrap();
+        (
+            status,
+            start.elapsed(),
+            self.log.await.unwrap(),
+            self.folder,
+        )
     }
+
+    /// Terminates the node, which must end well; its log.
+    pub(crate) async fn stop_well(self) -> String {
+        let (status, _, log, _) = self.stop().await;
+        assert!(status.success(), "{log}");
+        log
+    }
+}
+
+/// Reads lines to their end.
+pub(crate) fn collected<R: AsyncRead + Unpin + Send + 'static>(
+    mut lines: Lines<BufReader<R>>,
+) -> tokio::task::JoinHandle<String> {
+    tokio::spawn(async move {
+        let mut log = String::new();
+        while let Ok(Some(line)) = lines.next_line().await {
+            log += &(line + "\n");
+        }
+        log
+    })
 }
 
 async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> String {
     let mut seen = String::new();
     while let Ok(Some(line)) = lines.next_line().await {
-        if let Some(address) = serde_json::from_str::<Value>(&line)
-            .ok()
-            .and_then(|entry| entry["http"].as_str().map(str::to_owned))
-        {
-            return address;
+        let entry: Value = serde_json::from_str(&line).unwrap_or_default();
+        if let Some(address) = entry["http"].as_str() {
+            return address.to_owned();
         }
-        seen.push_str(&line);
-        seen.push('\n');
+        seen += &(line + "\n");
     }
     panic!("the node ended before it listened:\n{seen}");
 }
@@ -295,14 +413,20 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
 pub(crate) async fn both_ways(session: &zenoh::Session, node: &str, camera: &str) {
     let key = format!("albireo/{node}/{camera}/frame");
     let sender = FrameSender::declare(session, &key, Pacing::Drop).await;
-    let sender = sender.expect("a key for frames");
-    let waited = sender.wait_for_receiver(PATIENCE).await;
+    let waited = sender.unwrap().wait_for_receiver(PATIENCE).await;
     waited.expect("the node subscribes");
-    // The node's subscription came over the link on which this side's went out before it, and links keep their order;
-    // a query that is answered says that the node has read what came before.
+    until_read(session, node, camera).await;
+}
+
+/// Waits until a node has read what `session` sent: links keep their order, and a query that is answered comes after.
+pub(crate) async fn until_read(session: &zenoh::Session, node: &str, camera: &str) {
     let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
     let replies = replies.await.expect("a query");
-    while replies.recv_async().await.is_ok() {}
+    while timeout(PATIENCE, replies.recv_async())
+        .await
+        .unwrap()
+        .is_ok()
+    {}
 }
 
 /// The independent client: Eclipse Zenoh's Python binding.
@@ -315,28 +439,18 @@ pub(crate) struct Client {
 impl Client {
     /// Subscribes to `key` at `endpoint` and waits until the subscription is active.
     pub(crate) async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
-        let python = std::env::var("ALBIREO_PYTHON").unwrap_or_else(|_| {
-            concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into()
-        });
-        let mut command = Command::new(&python);
-        command
-            .arg(concat!(
-                env!("CARGO_MANIFEST_DIR"),
-                "/tests/clients/listen.py"
-            ))
+        let mut child = Command::new(python())
+            .arg(project("tests/clients/listen.py"))
             .args([endpoint, key])
+            .args(history.then_some("--history"))
             .kill_on_drop(true)
             .stdin(Stdio::piped())
-            .stdout(Stdio::piped());
-        if history {
-            command.arg("--history");
-        }
-        let mut child = command
+            .stdout(Stdio::piped())
             .spawn()
-            .unwrap_or_else(|error| panic!("{python} does not start ({error}): run `make python`"));
+            .expect("Python starts: run `make python`");
         let mut client = Self {
             stdin: child.stdin.take(),
-            lines: BufReader::new(child.stdout.take().expect("piped")).lines(),
+            lines: BufReader::new(child.stdout.take().unwrap()).lines(),
             child,
         };
         assert_eq!(client.line().await.as_deref(), Some("ready"));
@@ -345,18 +459,12 @@ impl Client {
 
     /// Stops its process, so that it reads nothing more and keeps its connections.
     pub(crate) fn freeze(&self) {
-        let id = self.child.id().expect("it runs").to_string();
-        let stopped = std::process::Command::new("kill")
-            .args(["-STOP", &id])
-            .status();
-        assert!(stopped.expect("kill runs").success());
+        signal(self.child.id().expect("it runs"), "-STOP");
     }
 
     async fn line(&mut self) -> Option<String> {
-        timeout(PATIENCE, self.lines.next_line())
-            .await
-            .expect("the client says something in time")
-            .expect("its output can be read")
+        let line = timeout(PATIENCE, self.lines.next_line()).await;
+        line.expect("the client says something in time").unwrap()
     }
 
     /// The next message: its key and itself. `None` once the client has ended.
@@ -385,4 +493,43 @@ pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
     let line = status.lines().find(|line| line.starts_with(figure));
     let kb = line.and_then(|line| line.split_whitespace().nth(1));
     kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
+}
+
+/// The report of a clip.
+pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid) -> ClipReport {
+    let times = json!({"count": 10, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
+    let threshold = json!({"name": "u", "value": 3e-4});
+    let report = json!({
+        "v": albireo_wire::VERSION, "id": id, "node": node, "camera": camera, "clip": format!("window-{number}"),
+        "count": number, "ended_by": "window", "started_ns": 1_800_000_000_000_000_000_u64, "duration_s": 40.0,
+        "frames": 1200, "states": {"E": 100, "P": 500, "E+I": 50, "I": 400, "AI": 150}, "skip_rate": 0.5,
+        "degraded_frames": 0, "dropped": {}, "policy": "albireo", "threshold": threshold,
+        "threshold_changes": [{"seq": 0, "threshold": threshold}], "model": "detector.onnx", "provider": "cpu",
+        "total_latency_ms": times, "detector_latency_ms": times,
+        "energy": {
+            "joules": 10.0, "node_joules": 10.0, "edp": 333.3, "quality": "estimated", "source": "estimate",
+            "total_from": "idle + utilisation x (busy - idle)", "samples": 400, "coverage": 1.0,
+            "domains": [{"domain": "total", "joules": 10.0, "mean_watts": 0.25}],
+        },
+    });
+    serde_json::from_value(report).expect("a report")
+}
+
+/// Asserts that `found` has what `expected` has; other members of its objects may be there.
+#[track_caller]
+pub(crate) fn assert_has(found: &Value, expected: &Value) {
+    fn has(found: &Value, expected: &Value) -> bool {
+        match (found, expected) {
+            (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
+            (Value::Array(found), Value::Array(expected)) => {
+                found.len() == expected.len()
+                    && found
+                        .iter()
+                        .zip(expected)
+                        .all(|(one, wanted)| has(one, wanted))
+            }
+            _ => found == expected,
+        }
+    }
+    assert!(has(found, expected), "no {expected} in {found}");
 }
