@@ -41,6 +41,9 @@ const LARGEST_PAYLOAD: usize = 1 << 20;
 const MOST_BATCHES: usize = 4096;
 const MOST_BYTES: u64 = 32 << 20;
 
+/// Why a batch is not taken when there is no more room.
+const FULL: &str = "too many batches wait to be written";
+
 /// A batch that waits.
 #[derive(Debug)]
 pub(crate) struct Waiting {
@@ -107,23 +110,13 @@ impl ReportQueue {
         }
         let place = match self.limits.admit(&node, now) {
             Admission::Taken(place) => place,
-            Admission::Later(answer) => {
-                self.counters.refuse(RefusalReason::Busy);
-                if let Some((wait, why)) = answer {
-                    self.busy(query, wait, why);
-                }
-                return;
-            }
+            Admission::Later(Some((wait, why))) => return self.busy(query, wait, why),
+            Admission::Later(None) => return self.counters.refuse(RefusalReason::Busy),
         };
         // Written in time or not at all: what a node has given up waiting for it sends again.
         let full = self.counters.queued_bytes() + payload.len() as u64 > MOST_BYTES;
         if full || self.counters.waited() > self.busy_after {
-            self.counters.refuse(RefusalReason::Busy);
-            return self.busy(
-                query,
-                self.busy_retry,
-                "too many batches wait to be written",
-            );
+            return self.busy(query, self.busy_retry, FULL);
         }
         // A copy, so that what waits holds no buffers of the network.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
@@ -137,16 +130,12 @@ impl ReportQueue {
         if let Err(TrySendError::Full(waiting) | TrySendError::Disconnected(waiting)) =
             self.queue.try_send(waiting)
         {
-            self.counters.refuse(RefusalReason::Busy);
-            self.busy(
-                waiting.query,
-                self.busy_retry,
-                "too many batches wait to be written",
-            );
+            self.busy(waiting.query, self.busy_retry, FULL);
         }
     }
 
     fn busy(&self, query: Query, wait: Duration, why: &str) {
+        self.counters.refuse(RefusalReason::Busy);
         let wait_ms = u64::try_from(wait.as_millis()).unwrap_or(u64::MAX);
         let refusal = refusal(RefusalReason::Busy, why, Some(wait_ms));
         self.replies.refuse(query, refusal);

@@ -1,8 +1,8 @@
 //! One connection to a database, and what is written over it.
 
-use super::row::{Row, read, read_all, row};
+use super::row::{Row, read_all, row};
 use super::tables::{EventRow, LARGEST_SUM, NodeRow, ReportCountsRow, SetupKey, SumRow};
-use super::{Kind, StoreError};
+use super::{Kind, StoreError, migrate};
 use crate::presence::PresenceState;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -56,12 +56,8 @@ pub(crate) struct CameraRow {
 impl dyn Database + '_ {
     /// The id of the database, which a copy of it keeps.
     pub(crate) fn identity(&mut self) -> Result<Uuid, StoreError> {
-        #[derive(Deserialize)]
-        struct Identity {
-            value: Uuid,
-        }
-        let rows = self.query("SELECT value FROM hub_meta WHERE key = 'identity'", &[])?;
-        Ok(read::<Identity>(rows.into_iter().next().unwrap_or_default())?.value)
+        let identity = migrate::meta(self)?.identity;
+        identity.ok_or_else(|| StoreError::Statement("the database has no id".to_owned()))
     }
 
     /// Keeps other hubs out until the commit, where several may write: those that take the same lock wait.

@@ -16,6 +16,25 @@ pub(super) const MARK: &str = "albireo-hub";
 /// Number of the lock that hubs on one PostgreSQL take while they create the tables.
 pub(super) const LOCK: i64 = 0x0a1b_14e0;
 
+/// What a hub's database says of itself.
+#[derive(Deserialize)]
+pub(super) struct Meta {
+    pub(super) program: Option<String>,
+    pub(super) version: Option<String>,
+    /// Its id, which a copy of it keeps.
+    pub(super) identity: Option<Uuid>,
+}
+
+pub(super) fn meta(database: &mut dyn Database) -> Result<Meta, StoreError> {
+    let rows = database.query(
+        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
+         max(CASE key WHEN 'version' THEN value END) AS version, \
+         max(CASE key WHEN 'identity' THEN value END) AS identity FROM hub_meta",
+        &[],
+    )?;
+    read(rows.into_iter().next().unwrap_or_default())
+}
+
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
     database.lock(LOCK)?;
@@ -53,11 +72,6 @@ fn version(database: &mut dyn Database) -> Result<i64, StoreError> {
     struct Table {
         name: String,
     }
-    #[derive(Deserialize)]
-    struct Meta {
-        program: Option<String>,
-        version: Option<String>,
-    }
     let tables = match database.kind() {
         Kind::Sqlite => {
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
@@ -86,12 +100,7 @@ fn version(database: &mut dyn Database) -> Result<i64, StoreError> {
     if !names.iter().any(|name| name == "hub_meta") {
         return Err(stranger(format!("it has the table {}", names.join(", "))));
     }
-    let meta = database.query(
-        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
-         max(CASE key WHEN 'version' THEN value END) AS version FROM hub_meta",
-        &[],
-    )?;
-    let meta: Meta = read(meta.into_iter().next().unwrap_or_default())?;
+    let meta = meta(database)?;
     if meta.program.as_deref() != Some(MARK) {
         return Err(stranger(format!(
             "its table hub_meta names the program {:?}",

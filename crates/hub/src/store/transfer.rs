@@ -1,13 +1,12 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
-use super::migrate::{LOCK, MARK, VERSION};
-use super::row::read;
+use super::migrate::{LOCK, MARK, VERSION, meta};
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::unix_milliseconds;
-use serde::Deserialize;
 use serde_json::Value;
+use uuid::Uuid;
 
 /// Rows of one statement.
 const BATCH: usize = 500;
@@ -76,7 +75,7 @@ pub async fn to_postgres(
     let store = Store::open(&opening).await?;
     let copied = super::blocking(move || {
         let mut target = store.connect(Access::Write, None)?;
-        copy(source, &mut *target, &identity, &shown, &progress)
+        copy(source, &mut *target, identity, &shown, &progress)
     });
     copied.await
 }
@@ -97,7 +96,7 @@ fn number(database: &mut dyn Database, text: &str) -> Result<i64, StoreError> {
 fn copy(
     mut source: Sqlite,
     target: &mut dyn Database,
-    identity: &str,
+    identity: Uuid,
     shown: &str,
     progress: &dyn Fn(Progress),
 ) -> Result<u64, StoreError> {
@@ -150,28 +149,15 @@ fn copy(
     }
     target.query(
         "UPDATE hub_meta SET value = $1 WHERE key = 'identity'",
-        &[identity.into()],
+        &[identity.to_string().into()],
     )?;
     target.commit()?;
     Ok(rows)
 }
 
 /// The identity of the database, if it is one that this program wrote.
-fn identity(from: &str, source: &mut dyn Database) -> Result<String, StoreError> {
-    #[derive(Deserialize)]
-    struct Meta {
-        program: Option<String>,
-        version: Option<String>,
-        identity: Option<String>,
-    }
-    let meta = source.query(
-        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
-         max(CASE key WHEN 'version' THEN value END) AS version, \
-         max(CASE key WHEN 'identity' THEN value END) AS identity FROM hub_meta",
-        &[],
-    );
-    let meta = meta.map_err(|error| refused(from, &error.to_string()))?;
-    let meta: Meta = read(meta.into_iter().next().unwrap_or_default())?;
+fn identity(from: &str, source: &mut dyn Database) -> Result<Uuid, StoreError> {
+    let meta = meta(source).map_err(|error| refused(from, &error.to_string()))?;
     if meta.program.as_deref() != Some(MARK) {
         return Err(refused(from, "it has no mark of a hub"));
     }
