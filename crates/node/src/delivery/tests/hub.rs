@@ -201,7 +201,13 @@ impl Hub {
             self.other.query_row(&text, [], read).unwrap()
         };
         let clips = sums("part = 0", "clips");
-        for table in ["sums_5m", "sums_day"] {
+        // Under camera 0 are the sums of the fleet.
+        for table in [
+            "sums_5m WHERE camera_id > 0",
+            "sums_5m WHERE camera_id = 0",
+            "sums_day WHERE camera_id > 0",
+            "sums_day WHERE camera_id = 0",
+        ] {
             let summed = sums("clips", table);
             if summed != clips {
                 return Err(format!(
