@@ -15,13 +15,14 @@ mod runs;
 
 pub use changes::{ChangeView, Changes, LastLine, OrderLine};
 pub use energy::Energy;
+pub(crate) use live::Reach;
 pub use nodes::{NodeDetail, NodeList};
 pub use runs::{Rollouts, RunView, StageView, Trials};
 
 use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::ingest::IngestCounters;
-use crate::presence::{Fleet, ListenCounters, Notifier};
+use crate::presence::{Fleet, ListenCounters};
 use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
@@ -39,7 +40,6 @@ use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
-use zenoh::Session;
 
 /// What the routes look at.
 #[derive(Clone, Debug)]
@@ -58,9 +58,12 @@ pub struct HubView {
     pub events: watch::Sender<()>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
-    store: Arc<OnceLock<Store>>,
-    tuner: Arc<OnceLock<Arc<Tuner>>>,
-    reach: Arc<OnceLock<live::Reach>>,
+    /// The database, once it is open.
+    pub(crate) opened: Arc<OnceLock<Store>>,
+    /// What tunes the fleet, once it runs.
+    pub(crate) tunes: Arc<OnceLock<Arc<Tuner>>>,
+    /// The way to the nodes, once there is one.
+    pub(crate) reaches: Arc<OnceLock<Reach>>,
     /// Beginning of all keys.
     prefix: Arc<str>,
     /// Places for who watches a node.
@@ -83,9 +86,9 @@ impl HubView {
             listen: Arc::default(),
             events: watch::Sender::default(),
             shutdown,
-            store: Arc::default(),
-            tuner: Arc::default(),
-            reach: Arc::default(),
+            opened: Arc::default(),
+            tunes: Arc::default(),
+            reaches: Arc::default(),
             prefix: config.hub.prefix.as_str().into(),
             live: Arc::new(Semaphore::new(live::MOST_LIVE)),
             config: Arc::new(diag::without_secrets(config)),
@@ -94,35 +97,17 @@ impl HubView {
         }
     }
 
-    /// Gives the routes the database, once it is open.
-    pub(crate) fn attach(&self, store: Store) {
-        // It is opened once.
-        let _ = self.store.set(store);
-    }
-
-    /// Gives the routes what tunes the fleet, once it runs.
-    pub(crate) fn attach_tuner(&self, tuner: Arc<Tuner>) {
-        // It is started once.
-        let _ = self.tuner.set(tuner);
-    }
-
-    /// Gives the routes the Zenoh session and the way to notify nodes, once there are.
-    pub(crate) fn attach_session(&self, session: Session, notifier: Notifier) {
-        // It is opened once.
-        let _ = self.reach.set(live::Reach { session, notifier });
-    }
-
     /// The way to the nodes.
     ///
     /// # Errors
     /// A problem document while the session is not open yet.
-    fn reach(&self) -> Result<&live::Reach, Problem> {
-        attached(&self.reach, "the Zenoh session is not open yet")
+    fn reach(&self) -> Result<&Reach, Problem> {
+        attached(&self.reaches, "the Zenoh session is not open yet")
     }
 
     /// How many Zenoh sessions there are to others; `None` before the hub's own is open.
     pub(crate) async fn sessions(&self) -> Option<usize> {
-        let reach = self.reach.get()?;
+        let reach = self.reaches.get()?;
         Some(reach.session.info().transports().await.count())
     }
 
@@ -131,7 +116,7 @@ impl HubView {
     /// # Errors
     /// A problem document while it does not run yet.
     pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
-        attached(&self.tuner, "the hub is not ready yet")
+        attached(&self.tunes, "the hub is not ready yet")
     }
 
     /// The database.
@@ -139,7 +124,7 @@ impl HubView {
     /// # Errors
     /// A problem document while it is not open yet.
     pub fn store(&self) -> Result<&Store, Problem> {
-        attached(&self.store, "the database is not open yet")
+        attached(&self.opened, "the database is not open yet")
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
-use crate::http::{self, HubView};
+use crate::http::{self, HubView, Reach};
 use crate::ingest::{self, Replies, WriterSetup};
 use crate::presence::{Fleet, ListenSetup, Used, day_of, listen};
 use crate::readiness::Readiness;
@@ -143,7 +143,8 @@ async fn parts(
     for (node, at_ms, one) in used {
         view.fleet.used(&node, at_ms, one);
     }
-    view.attach(store.clone());
+    // Each of these is set once.
+    let _ = view.opened.set(store.clone());
     readiness.release("database");
     let Some(session) = open_session(config, readiness, shutdown).await? else {
         store.close().await;
@@ -186,7 +187,10 @@ async fn parts(
     })
     .await?;
     tasks.essential("presence", Span::none(), receiving);
-    view.attach_session(session.clone(), listening.notifier.clone());
+    let _ = view.reaches.set(Reach {
+        session: session.clone(),
+        notifier: listening.notifier.clone(),
+    });
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
@@ -208,7 +212,7 @@ async fn parts(
     let tuner = patiently(config, readiness, shutdown, opening).await?;
     readiness.release("database");
     if let Some(tuner) = tuner.map(Arc::new) {
-        view.attach_tuner(Arc::clone(&tuner));
+        let _ = view.tunes.set(Arc::clone(&tuner));
         tasks.essential(
             "tuning",
             Span::none(),

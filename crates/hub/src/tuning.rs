@@ -12,8 +12,7 @@ pub mod plan;
 pub mod run;
 pub mod runs;
 pub mod selector;
-mod task;
 pub mod tuner;
 
-pub(crate) use task::follow;
 pub use tuner::Tuner;
+pub(crate) use tuner::follow;

@@ -166,9 +166,7 @@ fn list_of(nodes: &[NodeView]) -> String {
         ]
     });
     table(
-        [
-            "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
-        ],
+        "node|state|since|>value|policy|>waiting|>change|labels|why",
         rows,
     )
 }
@@ -296,17 +294,7 @@ fn sums(energy: &Energy) -> String {
         ]
     });
     table(
-        [
-            "group",
-            "energy",
-            ">clips",
-            ">joules",
-            ">J/clip",
-            ">skip rate",
-            ">avoided",
-            ">recall",
-            ">saved J (est.)",
-        ],
+        "group|energy|>clips|>joules|>J/clip|>skip rate|>avoided|>recall|>saved J (est.)",
         rows,
     )
 }

@@ -363,12 +363,7 @@ fn list(found: &[RunView]) -> String {
             kept.run.kind.basics().why.clone(),
         ]
     });
-    table(
-        [
-            ">id", ">to", "state", ">stage", ">nodes", "begun", "who", "why",
-        ],
-        rows,
-    )
+    table(">id|>to|state|>stage|>nodes|begun|who|why", rows)
 }
 
 fn whole(view: &RunView) -> String {
@@ -439,9 +434,7 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
             name_of(&result.verdict),
         ]
     });
-    let headings = [
-        "   gate", "figure", ">nodes", ">others", ">before", ">after", "change", "verdict",
-    ];
+    let headings = "   gate|figure|>nodes|>others|>before|>after|change|verdict";
     text += &table(headings, rows);
     text
 }
@@ -466,15 +459,7 @@ fn result(result: &TrialResult) -> String {
     };
     let rows = Figure::ALL.into_iter();
     let rows = rows.flat_map(|shown| result.values.iter().filter_map(move |arm| row(shown, arm)));
-    let headings = [
-        "figure",
-        ">value",
-        ">nodes",
-        ">clips",
-        ">before",
-        ">during",
-        "difference",
-    ];
+    let headings = "figure|>value|>nodes|>clips|>before|>during|difference";
     let table = table(headings, rows);
     format!(
         "changes beyond that of the first value's nodes; all intervals together hold at {level} %\n{table}"

@@ -160,7 +160,7 @@ pub(super) async fn changes(
                     node.detail.clone(),
                 ]
             });
-            let nodes = table(["node", "outcome", ">from", "when", "detail"], rows);
+            let nodes = table("node|outcome|>from|when|detail", rows);
             format!("{}\n{nodes}", list(std::slice::from_ref(change)))
         })?;
         return Ok(Ended::Well);
@@ -184,10 +184,7 @@ fn list(changes: &[ChangeView]) -> String {
             change.why.clone(),
         ]
     });
-    table(
-        [">revision", "when", "who", "by", ">to", "outcome", "why"],
-        rows,
-    )
+    table(">revision|when|who|by|>to|outcome|why", rows)
 }
 
 pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
@@ -206,10 +203,7 @@ pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
                 node.why.clone().unwrap_or_default(),
             ]
         });
-        table(
-            ["node", "since", ">desired", ">in force", ">set back", "why"],
-            rows,
-        )
+        table("node|since|>desired|>in force|>set back|why", rows)
     })?;
     Ok(Ended::Well)
 }

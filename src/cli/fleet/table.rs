@@ -3,22 +3,24 @@
 /// Widest line.
 pub(super) const WIDTH: usize = 100;
 
-/// A table with these headings, where one after `>` is aligned to the right: each column as wide as its widest cell, the last
-/// one cut where the line would be too wide.
+/// A table with these headings, `"node|>waiting"`, where one after `>` is aligned to the right: each column as wide as its widest
+/// cell, the last one cut where the line would be too wide.
 pub(super) fn table<const N: usize>(
-    headings: [&str; N],
+    headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
 ) -> String {
     // A name from the network shall not move the cursor.
     let clean = |cell: String| cell.replace(char::is_control, " ");
-    let mut lines = vec![headings.map(|heading| heading.trim_start_matches('>').to_owned())];
-    lines.extend(rows.into_iter().map(|row| row.map(clean)));
+    let headings: Vec<&str> = headings.split('|').collect();
+    let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
+    let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
+    lines.extend((rows.into_iter()).map(|row| row.map(clean).into()));
     let width = |column: usize| {
         let widths = lines.iter().map(|line| line[column].chars().count());
         widths.max().unwrap_or(0)
     };
-    let shown = |line: &[String; N]| {
-        let cells = line.iter().zip(headings).enumerate();
+    let shown = |line: &Vec<String>| {
+        let cells = line.iter().zip(&headings).enumerate();
         let cells = cells.map(|(column, (cell, heading))| {
             let wide = width(column);
             match heading.starts_with('>') {
@@ -93,7 +95,7 @@ mod tests {
             row("cam-1", "5e-4", "x"),
             row("bus-100", "0.01", &"long\n".repeat(40)),
         ];
-        let text = table(["node", ">u", "why"], rows);
+        let text = table("node|>u|why", rows);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[0], "node        u  why");
         assert_eq!(lines[1], "cam-1    5e-4  x");

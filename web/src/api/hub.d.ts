@@ -29,6 +29,22 @@ export interface paths {
                         "application/json": components["schemas"]["Index"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -66,6 +82,22 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["WhoAsks"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -121,6 +153,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -156,10 +196,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["ChangeDetail"];
+                        "application/json": components["schemas"]["ChangeView"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -218,7 +266,7 @@ export interface paths {
                         "application/json": components["schemas"]["ClipPage"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -226,7 +274,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -286,7 +334,7 @@ export interface paths {
                         "text/csv": string;
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -294,7 +342,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -342,6 +390,22 @@ export interface paths {
                         "application/x-tar": number[];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -378,6 +442,22 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["Drift"][];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -431,7 +511,7 @@ export interface paths {
                         "application/json": components["schemas"]["Energy"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -439,7 +519,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -492,7 +572,7 @@ export interface paths {
                         "text/event-stream": string;
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -500,7 +580,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -569,6 +649,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -610,7 +698,7 @@ export interface paths {
                         "application/json": components["schemas"]["NodeDetail"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -618,7 +706,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -656,7 +744,7 @@ export interface paths {
                     };
                     content?: never;
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -664,7 +752,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -715,24 +803,15 @@ export interface paths {
                         "image/jpeg": number[];
                     };
                 };
-                503: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-                /** @description The node did not answer. */
-                504: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -782,7 +861,7 @@ export interface paths {
                         "text/event-stream": string;
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -790,7 +869,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -838,7 +917,15 @@ export interface paths {
                         "application/json": components["schemas"]["Rollouts"];
                     };
                 };
-                503: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -872,10 +959,10 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RolloutView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -883,7 +970,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -924,10 +1011,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RolloutView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -974,10 +1069,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RolloutView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1029,7 +1132,7 @@ export interface paths {
                         "application/json": components["schemas"]["AsidePage"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1037,7 +1140,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1078,7 +1181,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["TargetRequest"];
+                    "application/json": components["schemas"]["NewTarget"];
                 };
             };
             responses: {
@@ -1090,7 +1193,7 @@ export interface paths {
                         "application/json": components["schemas"]["OrderAnswer"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1098,7 +1201,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1139,7 +1242,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["ThresholdRequest"];
+                    "application/json": components["schemas"]["NewChange"];
                 };
             };
             responses: {
@@ -1151,7 +1254,7 @@ export interface paths {
                         "application/json": components["schemas"]["OrderAnswer"];
                     };
                 };
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1159,7 +1262,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1206,7 +1309,15 @@ export interface paths {
                         "application/json": components["schemas"]["Trials"];
                     };
                 };
-                503: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1239,10 +1350,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["TrialView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1283,10 +1402,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["TrialView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1334,10 +1461,18 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["TrialView"];
+                        "application/json": components["schemas"]["RunView"];
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1381,6 +1516,22 @@ export interface paths {
                         "application/json": components["schemas"]["Health"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -1417,6 +1568,22 @@ export interface paths {
                     };
                     content: {
                         "text/plain": string;
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -1465,6 +1632,22 @@ export interface paths {
                         "application/problem+json": components["schemas"]["HubNotReady"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -1479,7 +1662,7 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /** @description A figure of one group. */
+        /** @description A figure of one group of a trial. */
         ArmFigure: {
             /**
              * Format: double
@@ -1523,6 +1706,22 @@ export interface components {
              */
             next?: number | null;
             reports: components["schemas"]["StoredSetAside"][];
+        };
+        /** @description What is known of a setting that a node was asked for. */
+        Ask: {
+            /** @description When the node was asked; one that was away has its time again from its return. */
+            asked_ms: components["schemas"]["i64"];
+            /** @description When the hub heard that it is applied; 0 before. */
+            at_ms: components["schemas"]["i64"];
+            /** @description What became of it. */
+            outcome: components["schemas"]["Outcome"];
+            /** @description Why the node refuses it. */
+            reason?: string;
+            /**
+             * Format: int64
+             * @description Its revision.
+             */
+            revision: number;
         };
         /**
          * @description The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
@@ -1592,6 +1791,53 @@ export interface components {
              */
             rate: number;
         };
+        /** @description What the plans of rollouts and trials have in common. */
+        Basics: {
+            /**
+             * Format: double
+             * @description How long a node in reach may take to report the value, seconds.
+             * @default 120
+             */
+            apply_within_s: number;
+            /**
+             * Format: double
+             * @description How far back the measurements before the change go, seconds.
+             * @default 604800
+             */
+            baseline_s: number;
+            /**
+             * Format: double
+             * @description How sure verdicts are. With 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
+             *     and looks together, and at most one of twenty changes beyond a bound passes its stage. Of a trial it is the probability
+             *     that all intervals hold the truth together.
+             * @default 0.95
+             */
+            confidence: number;
+            /**
+             * Format: int64
+             * @description Fewest clips of a node before and after; those with fewer are left out.
+             * @default 5
+             */
+            fewest_clips: number;
+            /**
+             * Format: int64
+             * @description Draws the order of the nodes, or the groups; chosen by the hub when it is not given.
+             * @default null
+             */
+            seed: number | null;
+            /**
+             * @description Which nodes.
+             * @default [
+             *       "all"
+             *     ]
+             */
+            select: string[];
+            /**
+             * @description Why.
+             * @default
+             */
+            why: string;
+        };
         /**
          * @description Whether frames come from a camera.
          * @enum {string}
@@ -1607,12 +1853,7 @@ export interface components {
             /** @description Who set it. */
             threshold_source: components["schemas"]["SettingSource"];
         };
-        /** @description One order with its nodes. */
-        ChangeDetail: components["schemas"]["ChangeView"] & {
-            /** @description What became of it at each. */
-            nodes: components["schemas"]["ChangeNode"][];
-        };
-        /** @description What became of an order at a node. */
+        /** @description What became of a change at one node. */
         ChangeNode: {
             /**
              * Format: int64
@@ -1624,20 +1865,21 @@ export interface components {
             from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
-            /** @description `applied`, `refused`, `waiting`, `timed_out`, `pending`, `superseded` or `missed`. */
-            outcome: string;
+            /** @description What became of it. */
+            outcome: components["schemas"]["Outcome"];
+            /**
+             * Format: int64
+             * @description The number of the change.
+             */
+            revision: number;
         };
-        /** @description One order of the history. */
-        ChangeView: {
+        /** @description A change: a setting that was ordered for some nodes. */
+        ChangeRow: {
             /**
              * Format: int64
              * @description When, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description How many nodes have which outcome. */
-            counts: {
-                [key: string]: number;
-            };
             /** @description `hand`, `rollout 3`, `trial 4`, `drift`. */
             origin: string;
             /**
@@ -1654,9 +1896,18 @@ export interface components {
             /** @description Why. */
             why: string;
         };
-        /** @description Orders, the newest first. */
+        /** @description A change as the history has it. */
+        ChangeView: components["schemas"]["ChangeRow"] & {
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description What became of it at each; absent in a list. */
+            nodes?: components["schemas"]["ChangeNode"][];
+        };
+        /** @description Changes, the newest first. */
         Changes: {
-            /** @description One entry for each order. */
+            /** @description One entry for each change. */
             changes: components["schemas"]["ChangeView"][];
             /**
              * Format: int64
@@ -2074,6 +2325,35 @@ export interface components {
              */
             upper: number;
         };
+        /** @description A rollout or trial as it is kept, and shown. */
+        KeptRun: components["schemas"]["Run"] & {
+            /** @description When, milliseconds since the Unix epoch. */
+            begun_ms: components["schemas"]["i64"];
+            ended_ms?: components["schemas"]["i64"] | null;
+            /**
+             * Format: int64
+             * @description Its number, among those of its kind.
+             */
+            id: number;
+            /** @description Selected nodes that take no part; only in the answer to its begin. */
+            left_out?: components["schemas"]["LeftOut"][];
+            /** @description Who began it. */
+            who: string;
+        };
+        /** @description A rollout or a trial, with its plan. */
+        Kind: {
+            /** @enum {string} */
+            kind: "rollout";
+            /** @description How. */
+            plan: components["schemas"]["RolloutPlan"];
+            /** @description The new value. */
+            to: components["schemas"]["Threshold"];
+        } | {
+            /** @enum {string} */
+            kind: "trial";
+            /** @description How. */
+            plan: components["schemas"]["TrialPlan"];
+        };
         /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
         Knob: {
             /**
@@ -2127,11 +2407,8 @@ export interface components {
             why: string;
         };
         /** @description One node of a rollout or trial. */
-        Member: components["schemas"]["Outcome"] & {
-            /** @description The target that it was last asked for. */
-            asked: components["schemas"]["MemberTarget"];
-            /** @description When it was asked. */
-            asked_ms: components["schemas"]["i64"];
+        Member: components["schemas"]["Ask"] & {
+            asked?: components["schemas"]["Threshold"] | null;
             /** @description Its value at the beginning. */
             before: components["schemas"]["Threshold"];
             /** @description Its stage or group, from 0. */
@@ -2139,22 +2416,29 @@ export interface components {
             /** @description Its name. */
             node: string;
             /** @description Whether it is in reach. */
-            reachable?: boolean;
-            /**
-             * Format: int64
-             * @description Revision of that.
-             */
-            revision: number;
-            /** @description What it is to have. */
-            target: components["schemas"]["MemberTarget"];
+            reachable: boolean;
+            wanted?: components["schemas"]["Threshold"] | null;
             /** @description Whether it was in reach when the stage that is measured began. */
-            was_reachable?: boolean;
+            was_reachable: boolean;
         };
-        /**
-         * @description What a node is to have.
-         * @enum {string}
-         */
-        MemberTarget: "untouched" | "new" | "old";
+        /** @description A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target. */
+        NewChange: {
+            /** @description Only say who would change. */
+            dry_run?: boolean;
+            /** @description Which nodes: names, globs, labels, `all`. */
+            select: string[];
+            /**
+             * Format: double
+             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+             */
+            wait_s?: number | null;
+            /** @description Why; kept in the history. */
+            why?: string;
+        };
+        /** @description A target that selected nodes are to hold. */
+        NewTarget: components["schemas"]["NewChange"] & {
+            target: components["schemas"]["Target"] | null;
+        };
         /** @description A node with what is known of its reports. */
         NodeDetail: components["schemas"]["NodeView"] & {
             reports?: components["schemas"]["ReportCounts"] | null;
@@ -2254,7 +2538,7 @@ export interface components {
          * @enum {string}
          */
         OnFailure: "return" | "hold";
-        /** @description What an order came to. */
+        /** @description What a change came to. */
         OrderAnswer: {
             /** @description How many nodes have which outcome. */
             counts: {
@@ -2290,33 +2574,11 @@ export interface components {
              */
             waiting: number;
         };
-        /** @description Where a node is with its target. */
-        Outcome: {
-            /** @enum {string} */
-            outcome: "untouched";
-        } | {
-            /** @enum {string} */
-            outcome: "pending";
-        } | {
-            /** @enum {string} */
-            outcome: "waiting";
-        } | {
-            /** @description When the hub heard it. */
-            at_ms: components["schemas"]["i64"];
-            /** @enum {string} */
-            outcome: "applied";
-        } | {
-            /** @enum {string} */
-            outcome: "refused";
-            /** @description Why. */
-            reason: string;
-        } | {
-            /** @enum {string} */
-            outcome: "timed_out";
-        } | {
-            /** @enum {string} */
-            outcome: "missed";
-        };
+        /**
+         * @description What became of a setting at a node.
+         * @enum {string}
+         */
+        Outcome: "untouched" | "pending" | "waiting" | "applied" | "refused" | "timed_out" | "missed" | "superseded" | "unchanged" | "would_change";
         /** @description What an order came to at one node. */
         OutcomeLine: {
             /** @description Why, where there is something to say. */
@@ -2324,59 +2586,16 @@ export interface components {
             from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
-            /**
-             * @description `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
-             *     has the value already, `would_change` in a dry run.
-             */
-            outcome: string;
+            /** @description What became of it. */
+            outcome: components["schemas"]["Outcome"];
             /** @description What was ordered: a threshold or a target. */
             to: components["schemas"]["DesiredSetting"];
         };
-        /** @description Where a rollout is. */
-        Phase: {
-            /** @enum {string} */
-            phase: "applying";
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /**
-             * Format: int32
-             * @description How often its gates were judged.
-             */
-            looks: number;
-            /** @enum {string} */
-            phase: "soaking";
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "held";
-            /** @description Why. */
-            reason: string;
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "finishing";
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "returning";
-            /** @description Why. */
-            reason: string;
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "done";
-        } | {
-            /** @enum {string} */
-            phase: "returned";
-        } | {
-            /** @enum {string} */
-            phase: "stopped";
-        };
+        /**
+         * @description Where a rollout or a trial is.
+         * @enum {string}
+         */
+        Phase: "applying" | "soaking" | "running" | "held" | "finishing" | "returning" | "done" | "returned" | "stopped";
         /**
          * @description How a node is.
          * @enum {string}
@@ -2453,38 +2672,13 @@ export interface components {
          */
         Resolution: "five_minutes" | "day";
         /** @description A change in stages. */
-        RolloutPlan: {
-            /**
-             * Format: double
-             * @description How long a node in reach may take to report the value, seconds.
-             * @default 120
-             */
-            apply_within_s: number;
-            /**
-             * Format: double
-             * @description How far back the measurements before the change go, seconds.
-             * @default 604800
-             */
-            baseline_s: number;
-            /**
-             * Format: double
-             * @description How sure verdicts are: with 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
-             *     and looks together, and at most one of twenty changes beyond a bound passes its stage.
-             * @default 0.95
-             */
-            confidence: number;
+        RolloutPlan: components["schemas"]["Basics"] & {
             /**
              * Format: double
              * @description Share of a stage's nodes in reach that must have reported the value; with fewer the stage has failed.
              * @default 0.9
              */
             fewest_applied: number;
-            /**
-             * Format: int64
-             * @description Fewest clips of a node before and after; those with fewer are left out.
-             * @default 5
-             */
-            fewest_clips: number;
             /**
              * @description What the change may cost.
              * @default [
@@ -2519,19 +2713,6 @@ export interface components {
              */
             patience_s: number;
             /**
-             * Format: int64
-             * @description Draws the order of the nodes; chosen by the hub when it is not given.
-             * @default null
-             */
-            seed: number | null;
-            /**
-             * @description Which nodes.
-             * @default [
-             *       "all"
-             *     ]
-             */
-            select: string[];
-            /**
              * Format: double
              * @description How long a stage is held before its gates are judged, seconds.
              * @default 86400
@@ -2548,54 +2729,6 @@ export interface components {
              *     ]
              */
             stages: string[];
-            /**
-             * @description Why.
-             * @default
-             */
-            why: string;
-        };
-        /** @description A rollout. */
-        RolloutView: components["schemas"]["Phase"] & {
-            /**
-             * Format: int64
-             * @description When, milliseconds since the Unix epoch.
-             */
-            begun_ms: number;
-            /**
-             * Format: int64
-             * @description When it ended.
-             */
-            ended_ms?: number | null;
-            /**
-             * Format: int64
-             * @description Its number.
-             */
-            id: number;
-            /** @description Selected nodes that take no part; only in the answer to its begin. */
-            left_out?: components["schemas"]["LeftOut"][];
-            /** @description Its nodes; absent in a list. */
-            nodes?: components["schemas"]["Member"][] | null;
-            /** @description Whether it is paused. */
-            paused: boolean;
-            /** @description Its plan. */
-            plan: components["schemas"]["RolloutPlan"];
-            /** @description What happened, with its numbers; absent in a list. */
-            record?: components["schemas"]["Entry"][] | null;
-            /**
-             * Format: int64
-             * @description The seed that drew the order of the nodes.
-             */
-            seed: number;
-            /** @description The stage it is in, from 1. */
-            stage: number;
-            /** @description Its stages. */
-            stages: components["schemas"]["StageView"][];
-            /** @description The new value. */
-            to: components["schemas"]["Threshold"];
-            /** @description Who began it. */
-            who: string;
-            /** @description Why the old values were returned; absent where they were not. */
-            why_returned?: string | null;
         };
         /** @description Rollouts, the newest first. */
         Rollouts: {
@@ -2605,7 +2738,7 @@ export interface components {
              */
             next?: number | null;
             /** @description One entry for each. */
-            rollouts: components["schemas"]["RolloutView"][];
+            rollouts: components["schemas"]["RunView"][];
         };
         /** @description A route. */
         Route: {
@@ -2615,6 +2748,51 @@ export interface components {
             path: string;
             /** @description What it is for. */
             summary: string;
+        };
+        /** @description A rollout or a trial: its plan, its nodes, where it is, and its record. */
+        Run: components["schemas"]["Kind"] & {
+            /** @description Who ended a trial before its time. */
+            ended_by?: string | null;
+            /**
+             * Format: int32
+             * @description How often the gates of this stage were judged.
+             */
+            looks?: number;
+            /** @description Its nodes, in the order of their stages; absent in a list. */
+            nodes?: components["schemas"]["Member"][];
+            paused_ms?: components["schemas"]["i64"] | null;
+            /** @description Where it is. */
+            phase: components["schemas"]["Phase"];
+            /** @description Why it is held, or why the old values return or have returned. */
+            reason?: string;
+            /** @description What happened, oldest first; absent in a list. */
+            record?: components["schemas"]["Entry"][];
+            result?: components["schemas"]["TrialResult"] | null;
+            /**
+             * Format: int64
+             * @description The seed that drew the order of the nodes, or the groups.
+             */
+            seed: number;
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+            /**
+             * Format: int32
+             * @description How often this stage was soaked: once, and once more each time a person resumed it after a hold.
+             */
+            soaks: number;
+            /** @description The stage it is in, from 1. */
+            stage: number;
+        };
+        /** @description A rollout or a trial. */
+        RunView: components["schemas"]["KeptRun"] & {
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description Whether it is paused. */
+            paused: boolean;
+            /** @description Its stages or groups. */
+            stages: components["schemas"]["StageView"][];
         };
         /**
          * @description Who set a threshold or a target.
@@ -2626,7 +2804,7 @@ export interface components {
          * @enum {string}
          */
         Sort: "group" | "joules";
-        /** @description A stage of a rollout. */
+        /** @description A stage of a rollout, or a group of a trial. */
         StageView: {
             /** @description How many of them have which outcome. */
             counts: {
@@ -2845,21 +3023,6 @@ export interface components {
             /** @description The same in words. */
             why?: string | null;
         };
-        /** @description The target that selected nodes are to hold. */
-        TargetRequest: {
-            /** @description Only say who would change. */
-            dry_run?: boolean;
-            /** @description Which nodes: names, globs, labels, `all`. */
-            select: string[];
-            target: components["schemas"]["Target"] | null;
-            /**
-             * Format: double
-             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
-             */
-            wait_s?: number | null;
-            /** @description Why; kept in the history. */
-            why?: string;
-        };
         /** @description The state of a target. */
         TargetState: {
             /**
@@ -2908,20 +3071,6 @@ export interface components {
              */
             value: number;
         };
-        /** @description A value for selected nodes. The value is beside these fields under the policy's name for it: `"u": 5e-4`. */
-        ThresholdRequest: {
-            /** @description Only say who would change. */
-            dry_run?: boolean;
-            /** @description Which nodes: names, globs, labels, `all`. */
-            select: string[];
-            /**
-             * Format: double
-             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
-             */
-            wait_s?: number | null;
-            /** @description Why; kept in the history. */
-            why?: string;
-        };
         /** @description What a node's clips of today used. Measured and estimated energy are never added. */
         TodaysEnergy: {
             /**
@@ -2945,46 +3094,8 @@ export interface components {
              */
             skip_rate?: number | null;
         };
-        /** @description Where a trial is. */
-        TrialPhase: {
-            /** @enum {string} */
-            phase: "applying";
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "running";
-            /** @description Since when: clips from then on count. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "returning";
-            /** @description Since when. */
-            since_ms: components["schemas"]["i64"];
-        } | {
-            /** @enum {string} */
-            phase: "done";
-        };
-        /** @description A comparison of values. */
-        TrialPlan: {
-            /**
-             * Format: double
-             * @description How long a node in reach may take to report its value, seconds; one that takes longer is not in the result.
-             * @default 120
-             */
-            apply_within_s: number;
-            /**
-             * Format: double
-             * @description How far back the measurements before the trial go, seconds.
-             * @default 3600
-             */
-            baseline_s: number;
-            /**
-             * Format: double
-             * @description Probability that all intervals of the result hold the truth together.
-             * @default 0.95
-             */
-            confidence: number;
+        /** @description A comparison of values on random groups of nodes over the same time. */
+        TrialPlan: components["schemas"]["Basics"] & {
             /**
              * Format: double
              * @description How long the values hold once the nodes have reported them, seconds.
@@ -2992,34 +3103,10 @@ export interface components {
              */
             duration_s: number;
             /**
-             * Format: int64
-             * @description Fewest clips of a node before and during the trial; those with fewer are left out.
-             * @default 5
-             */
-            fewest_clips: number;
-            /**
-             * Format: int64
-             * @description Draws the groups; chosen by the hub when it is not given.
-             * @default null
-             */
-            seed: number | null;
-            /**
-             * @description Which nodes.
-             * @default [
-             *       "all"
-             *     ]
-             */
-            select: string[];
-            /**
-             * @description The values, two or more of one knob.
+             * @description The values, two or more of one threshold; each is compared with the first.
              * @default []
              */
             values: components["schemas"]["Threshold"][];
-            /**
-             * @description Why.
-             * @default
-             */
-            why: string;
         };
         /** @description What a trial measured. */
         TrialResult: {
@@ -3035,44 +3122,6 @@ export interface components {
             /** @description Each value, in the plan's order. */
             values: components["schemas"]["ArmResult"][];
         };
-        /** @description A trial. */
-        TrialView: components["schemas"]["TrialPhase"] & {
-            /**
-             * Format: int64
-             * @description When, milliseconds since the Unix epoch.
-             */
-            begun_ms: number;
-            /** @description How many nodes have which outcome. */
-            counts: {
-                [key: string]: number;
-            };
-            /** @description Who ended it before its time. */
-            ended_by?: string | null;
-            /**
-             * Format: int64
-             * @description When it ended.
-             */
-            ended_ms?: number | null;
-            /**
-             * Format: int64
-             * @description Its number.
-             */
-            id: number;
-            /** @description Selected nodes that take no part; only in the answer to its begin. */
-            left_out?: components["schemas"]["LeftOut"][];
-            /** @description Its nodes; absent in a list. */
-            nodes?: components["schemas"]["Member"][] | null;
-            /** @description Its plan. */
-            plan: components["schemas"]["TrialPlan"];
-            result?: components["schemas"]["TrialResult"] | null;
-            /**
-             * Format: int64
-             * @description The seed that drew the groups.
-             */
-            seed: number;
-            /** @description Who began it. */
-            who: string;
-        };
         /** @description Trials, the newest first. */
         Trials: {
             /**
@@ -3081,7 +3130,7 @@ export interface components {
              */
             next?: number | null;
             /** @description One entry for each. */
-            trials: components["schemas"]["TrialView"][];
+            trials: components["schemas"]["RunView"][];
         };
         /**
          * @description What a gate or a stage came to.

@@ -48,7 +48,7 @@ export function ordered(what: string, number: number | undefined): { path: strin
   return { path, fields: what.startsWith(HOLD) ? { target: { [what.slice(HOLD.length)]: number } } : { [what]: number } };
 }
 
-export function countOutcomes(lines: Iterable<Pick<OutcomeLine, "outcome">>): Record<string, number> {
+export function countOutcomes(lines: Iterable<{ outcome: string }>): Record<string, number> {
   const counts: Record<string, number> = {};
   for (const line of lines) counts[line.outcome] = (counts[line.outcome] ?? 0) + 1;
   return counts;

@@ -3,7 +3,7 @@
 use albireo_service::http::Problem;
 use albireo_wire::Threshold;
 use axum::http::StatusCode;
-use serde::Deserialize;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
@@ -24,20 +24,28 @@ pub(super) fn object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     Ok(object)
 }
 
-/// A request with other fields beside its own.
-#[derive(Deserialize)]
-struct WithOthers<T> {
-    #[serde(flatten)]
-    request: T,
-    #[serde(flatten)]
-    others: Map<String, Value>,
+/// The request in an object, and the fields that are not its own. Requests have others' fields among theirs, so `serde` cannot
+/// refuse those it does not know.
+fn read<T>(object: Map<String, Value>) -> Result<(T, Map<String, Value>), Problem>
+where
+    T: DeserializeOwned + Serialize + Default,
+{
+    let known = serde_json::to_value(T::default()).unwrap_or_default();
+    let (own, others): (Map<_, _>, Map<_, _>) =
+        (object.into_iter()).partition(|(name, _)| known.get(name).is_some());
+    let request = serde_json::from_value(Value::Object(own));
+    Ok((
+        request.map_err(|error| unusable(error.to_string()))?,
+        others,
+    ))
 }
 
 /// Reads a request that has a threshold beside its own fields, as users write it: `"u": 5e-4`.
-pub(super) fn with_threshold<T: DeserializeOwned>(
-    object: Map<String, Value>,
-) -> Result<(Threshold, T), Problem> {
-    let WithOthers { request, others } = read(object)?;
+pub(super) fn with_threshold<T>(object: Map<String, Value>) -> Result<(Threshold, T), Problem>
+where
+    T: DeserializeOwned + Serialize + Default,
+{
+    let (request, others) = read(object)?;
     let mut others = others.into_iter();
     match (others.next(), others.next()) {
         (Some((name, value)), None) => match value.as_f64().filter(|value| value.is_finite()) {
@@ -64,16 +72,15 @@ pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
 }
 
 /// Reads a request of which every field is known.
-pub(super) fn rest<T: DeserializeOwned>(object: Map<String, Value>) -> Result<T, Problem> {
-    let WithOthers { request, others } = read(object)?;
+pub(super) fn rest<T>(object: Map<String, Value>) -> Result<T, Problem>
+where
+    T: DeserializeOwned + Serialize + Default,
+{
+    let (request, others) = read(object)?;
     match others.keys().next() {
         None => Ok(request),
-        Some(name) => Err(unusable(format!("`{name}` is not known here"))),
+        Some(name) => Err(unusable(format!("unknown field `{name}`"))),
     }
-}
-
-fn read<T: DeserializeOwned>(object: Map<String, Value>) -> Result<T, Problem> {
-    serde_json::from_value(Value::Object(object)).map_err(|error| unusable(error.to_string()))
 }
 
 /// Where the next page begins, if more was found than the `limit` of this one; then only that much is kept.

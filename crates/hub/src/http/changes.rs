@@ -3,6 +3,7 @@
 
 use super::{HubView, body};
 use crate::store::{ChangeNode, ChangeRow};
+use crate::tuning::Tuner;
 use crate::tuning::change::{Change, ChangeRequest};
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::plan::check_why;
@@ -19,6 +20,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use utoipa::{IntoParams, ToSchema};
@@ -31,6 +33,8 @@ const LINES: &str = "application/x-ndjson";
 const LONGEST_WAIT_S: f64 = 8.0;
 /// What of the time of a request is left for the order and the answer.
 const ANSWER_S: f64 = 1.0;
+/// Time between two looks at what became of a change.
+const LOOK: Duration = Duration::from_millis(100);
 /// How long a stream of outcomes lasts at most.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
@@ -68,7 +72,7 @@ pub enum OrderLine {
 }
 
 /// A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target.
-#[derive(Debug, Deserialize, ToSchema)]
+#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub(super) struct NewChange {
     /// Which nodes: names, globs, labels, `all`.
     #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
@@ -85,7 +89,7 @@ pub(super) struct NewChange {
 }
 
 /// A target that selected nodes are to hold.
-#[derive(Debug, Deserialize, ToSchema)]
+#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub(super) struct NewTarget {
     /// Such as `{"skip_rate": 0.5}`; null for nothing: the threshold then stays where it is.
     #[schema(required)]
@@ -190,6 +194,7 @@ async fn carry_out(
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);
     let mut following = Following {
+        tuner: Arc::clone(view.tuner()?),
         change,
         until,
         last: BTreeMap::new(),
@@ -226,6 +231,7 @@ async fn carry_out(
 
 /// Brings the outcomes until every node has one, or the time is over.
 struct Following {
+    tuner: Arc<Tuner>,
     change: Change,
     until: Instant,
     last: BTreeMap<String, OutcomeLine>,
@@ -233,36 +239,36 @@ struct Following {
 
 impl Following {
     async fn next(&mut self) -> Option<OutcomeLine> {
-        let line = match self.change.lines.pop() {
-            Some(line) => line,
-            None if self.change.awaited.is_empty() => return None,
-            None => match tokio::time::timeout_at(self.until, self.change.follow.recv()).await {
-                Ok(line) => line?,
-                Err(_) => self.not_answered()?,
-            },
-        };
-        if line.is_final() {
-            self.change.awaited.remove(&line.node);
-        }
-        self.last.insert(line.node.clone(), line.clone());
-        Some(line)
-    }
-
-    /// The time is over: answers that are still missing are reported, once.
-    fn not_answered(&mut self) -> Option<OutcomeLine> {
-        while let Some(node) = self.change.awaited.iter().next().cloned() {
-            self.change.awaited.remove(&node);
-            if !self.last.contains_key(&node) {
-                return Some(OutcomeLine {
-                    node,
-                    outcome: Outcome::Pending,
-                    from: None,
+        while self.change.lines.is_empty() {
+            let (is_over, revision) = (Instant::now() >= self.until, self.change.revision?);
+            self.change.awaited.retain(|node, from| {
+                let (outcome, detail) = self.tuner.outcome(node, revision);
+                let is_pending = outcome == Outcome::Pending;
+                if is_pending && !is_over {
+                    return true;
+                }
+                self.change.lines.push(OutcomeLine {
+                    node: node.clone(),
+                    outcome,
+                    from: *from,
                     to: self.change.setting,
-                    detail: "not answered yet".to_owned(),
+                    detail: match is_pending {
+                        true => "not answered yet".to_owned(),
+                        false => detail,
+                    },
                 });
+                false
+            });
+            if self.change.lines.is_empty() {
+                if self.change.awaited.is_empty() {
+                    return None;
+                }
+                tokio::time::sleep(LOOK).await;
             }
         }
-        None
+        let line = self.change.lines.pop()?;
+        self.last.insert(line.node.clone(), line.clone());
+        Some(line)
     }
 
     fn counts(&self) -> Counts {

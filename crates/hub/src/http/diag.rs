@@ -46,20 +46,13 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let mut unwell = Vec::new();
     view.fleet.each(|name, node| {
         if node.state != PresenceState::Online {
-            unwell.push((node.state, Arc::clone(name)));
+            unwell.push((Reverse(node.state), Arc::clone(name)));
         }
     });
     // The worst first.
-    unwell
-        .sort_by_key(|(state, _)| Reverse(PresenceState::ALL.iter().position(|one| one == state)));
+    unwell.sort_by_key(|(state, _)| *state);
     let unwell: Vec<_> = (unwell.iter().take(MOST_NODES))
         .filter_map(|(_, name)| view.fleet.view(name))
-        .collect();
-    let states = PresenceState::ALL.map(PresenceState::name);
-    let states: serde_json::Map<String, Value> = states
-        .into_iter()
-        .zip(view.fleet.by_state())
-        .map(|(state, nodes)| (state.to_owned(), nodes.into()))
         .collect();
     let about = json!({
         "program": "albireo hub",
@@ -69,7 +62,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "running_s": view.started.elapsed().as_secs_f64(),
         "database": view.store().ok().map(Store::kind),
         "not_working": view.readiness.reasons(),
-        "nodes": states,
+        "nodes": view.counts(),
     });
     let metrics = super::metrics::page(&view, view.sessions().await);
     let files = [

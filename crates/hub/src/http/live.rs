@@ -43,6 +43,14 @@ pub(crate) struct Reach {
 }
 
 impl HubView {
+    /// How a node that is known is reached, and its keys.
+    fn way_to(&self, node: &str) -> Result<(Reach, NodeKeys), Problem> {
+        let reach = self.reach()?.clone();
+        self.fleet.view(node).ok_or_else(|| unknown(node))?;
+        let keys = NodeKeys::new(&self.prefix, node).map_err(|_| unknown(node))?;
+        Ok((reach, keys))
+    }
+
     /// Lets the node send for a while, and notifies it.
     fn watch(&self, reach: &Reach, node: &str) {
         self.desires.watch(node, LEASE);
@@ -89,9 +97,7 @@ pub(super) async fn live(
     State(view): State<HubView>,
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let reach = view.reach()?.clone();
-    let keys = NodeKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
-    view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let (reach, keys) = view.way_to(&node)?;
     let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
@@ -150,9 +156,7 @@ pub(super) async fn picture(
     State(view): State<HubView>,
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
-    let reach = view.reach()?.clone();
-    let keys = NodeKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
-    view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let (reach, keys) = view.way_to(&node)?;
     check_segment("camera name", &camera)
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?;
     let key = keys
@@ -195,11 +199,11 @@ pub(super) async fn picture(
         .map_err(|_| late())??;
     match reply.result() {
         Ok(sample) => {
-            let attachment = sample
+            let frame = sample
                 .attachment()
                 .map(|bytes| bytes.to_bytes().into_owned());
-            let seq = attachment.and_then(|bytes| String::from_utf8(bytes).ok());
-            let seq = seq
+            let frame = frame.and_then(|bytes| String::from_utf8(bytes).ok());
+            let seq = frame
                 .filter(|text| text.parse::<u64>().is_ok())
                 .unwrap_or_default();
             let headers = [

@@ -75,6 +75,19 @@ pub struct Counts {
     pub offline: u64,
 }
 
+impl HubView {
+    /// Nodes by state.
+    pub(super) fn counts(&self) -> Counts {
+        let [online, degraded, silent, offline] = self.fleet.by_state();
+        Counts {
+            online,
+            degraded,
+            silent,
+            offline,
+        }
+    }
+}
+
 /// Nodes of the fleet.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct NodeList {
@@ -143,16 +156,10 @@ pub(super) async fn list(
         (_, true) => found.sort_by_key(|(key, _)| Reverse(*key)),
         (_, false) => found.sort_by_key(|(key, _)| *key),
     }
-    let [online, degraded, silent, offline] = view.fleet.by_state();
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
     Ok(Json(NodeList {
-        counts: Counts {
-            online,
-            degraded,
-            silent,
-            offline,
-        },
+        counts: view.counts(),
         waiting,
         total: found.len(),
         offset: selection.offset,

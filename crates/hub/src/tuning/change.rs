@@ -8,8 +8,7 @@ use crate::presence::NodeSettings;
 use crate::setting::is_applied;
 use crate::store::StoreError;
 use albireo_wire::DesiredSetting;
-use std::collections::HashSet;
-use tokio::sync::mpsc;
+use std::collections::{BTreeMap, HashSet};
 
 /// A value or a target for selected nodes.
 #[derive(Clone, Debug)]
@@ -31,12 +30,10 @@ pub struct Change {
     pub(crate) setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
-    /// What is known at once.
+    /// What is known and not reported yet.
     pub(crate) lines: Vec<OutcomeLine>,
-    /// Nodes whose answer is awaited.
-    pub(crate) awaited: HashSet<String>,
-    /// Brings their answers.
-    pub(crate) follow: mpsc::UnboundedReceiver<OutcomeLine>,
+    /// Nodes whose answer is awaited, with what they have.
+    pub(crate) awaited: BTreeMap<String, Option<DesiredSetting>>,
 }
 
 impl Tuner {
@@ -96,8 +93,7 @@ impl Tuner {
             lines.push(line(name, Outcome::Refused, None, detail));
         }
         lines.sort_by(|a, b| a.node.cmp(&b.node));
-        let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();
-        let (sender, follow) = mpsc::unbounded_channel();
+        let awaited = nodes.iter().cloned().collect();
         let revision = if nodes.is_empty() {
             None
         } else {
@@ -109,14 +105,13 @@ impl Tuner {
                 origin: "hand".to_owned(),
                 selector: select.to_string(),
             };
-            Some(self.order(order, Some(sender), now).await?)
+            Some(self.order(order, now).await?)
         };
         Ok(Change {
             setting,
             revision,
             lines,
             awaited,
-            follow,
         })
     }
 }

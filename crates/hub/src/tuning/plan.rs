@@ -137,7 +137,7 @@ pub struct Basics {
 impl Default for Basics {
     fn default() -> Self {
         Self {
-            select: Selector::everybody(),
+            select: Selector::default(),
             // Nodes vary from hour to hour: a week has enough of them.
             baseline_s: 7.0 * DAY_S,
             apply_within_s: 120.0,

@@ -342,7 +342,7 @@ impl Tuner {
                 origin: format!("{} {id}", run.kind.name()),
                 selector: String::new(),
             };
-            let revision = self.order(new, None, now).await?;
+            let revision = self.order(new, now).await?;
             run.asked(&order, revision, now);
             changed = true;
         }

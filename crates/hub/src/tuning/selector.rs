@@ -25,23 +25,13 @@ pub struct SelectorError {
 /// Which nodes are meant. In JSON it is a list of terms.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<String>", into = "Vec<String>")]
-pub struct Selector(Vec<Term>);
+pub struct Selector(Vec<String>);
 
-/// Parts that must all match.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Term(Vec<Part>);
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Part {
-    negated: bool,
-    what: What,
-}
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum What {
-    All,
-    Name(String),
-    Label { key: String, value: String },
+impl Default for Selector {
+    /// Every node.
+    fn default() -> Self {
+        Self(vec!["all".to_owned()])
+    }
 }
 
 impl Selector {
@@ -61,74 +51,72 @@ impl Selector {
             return Err(fault("…", "it has more than 1000 terms"));
         }
         let read = |term: &T| {
-            let term = term.as_ref();
-            let parts: Result<Vec<_>, _> = term.split('&').map(part).collect();
-            parts.map(Term).map_err(|reason| fault(term, reason))
+            let term = term.as_ref().trim();
+            let checked = parts(term).try_for_each(|part| part.check());
+            checked.map_err(|reason| fault(term, reason))?;
+            Ok(term.to_owned())
         };
         Ok(Self(terms.iter().map(read).collect::<Result<_, _>>()?))
     }
 
-    /// Selects every node.
-    pub(crate) fn everybody() -> Self {
-        Self(vec![Term(vec![Part {
-            negated: false,
-            what: What::All,
-        }])])
-    }
-
     /// Whether a node of that name and those labels is meant.
     pub fn selects(&self, name: &str, labels: &BTreeMap<String, String>) -> bool {
-        let holds = |part: &Part| {
-            let found = match &part.what {
-                What::All => true,
-                What::Name(pattern) => glob(pattern, name),
-                What::Label { key, value } => labels.get(key).is_some_and(|has| glob(value, has)),
+        let holds = |part: Part<'_>| {
+            let found = match part.key {
+                Some(key) => labels.get(key).is_some_and(|has| glob(part.pattern, has)),
+                None => part.pattern == "all" || glob(part.pattern, name),
             };
             found != part.negated
         };
-        self.0.iter().any(|term| term.0.iter().all(holds))
+        self.0.iter().any(|term| parts(term).all(holds))
     }
 
     /// The names that stand in it without a glob: a caller who names a node wants to hear when there is none of
     /// that name.
     pub fn named(&self) -> impl Iterator<Item = &str> {
-        self.0.iter().filter_map(|term| match term.0.as_slice() {
-            [
-                Part {
-                    negated: false,
-                    what: What::Name(name),
-                },
-            ] if !name.contains(['*', '?']) => Some(name.as_str()),
-            _ => None,
-        })
+        let plain = |term: &&String| *term != "all" && !term.contains(['*', '?', '=', '!', '&']);
+        self.0.iter().filter(plain).map(String::as_str)
     }
 }
 
-fn part(text: &str) -> Result<Part, &'static str> {
-    let text = text.trim();
-    let (negated, text) = match text.strip_prefix('!') {
-        Some(rest) => (true, rest.trim_start()),
-        None => (false, text),
-    };
-    let pattern = |text: &str| {
+/// One of the parts of a term that must all match.
+struct Part<'a> {
+    negated: bool,
+    /// The name of a label; without it the pattern is of nodes' names.
+    key: Option<&'a str>,
+    pattern: &'a str,
+}
+
+fn parts(term: &str) -> impl Iterator<Item = Part<'_>> {
+    term.split('&').map(|text| {
+        let (negated, text) = match text.trim().strip_prefix('!') {
+            Some(rest) => (true, rest.trim_start()),
+            None => (false, text.trim()),
+        };
+        let (key, pattern) = match text.split_once('=') {
+            Some((key, value)) => (Some(key.trim()), value.trim()),
+            None => (None, text),
+        };
+        Part {
+            negated,
+            key,
+            pattern,
+        }
+    })
+}
+
+impl Part<'_> {
+    fn check(&self) -> Result<(), &'static str> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.*?/:".contains(c);
-        if text.is_empty() {
+        let texts = [self.key.unwrap_or("*"), self.pattern];
+        if texts.contains(&"") {
             Err("a part of it is empty")
-        } else if !text.chars().all(plain) {
+        } else if !texts.iter().all(|text| text.chars().all(plain)) {
             Err("it has a character that no name has")
         } else {
-            Ok(text.to_owned())
+            Ok(())
         }
-    };
-    let what = match text.split_once('=') {
-        Some((key, value)) => What::Label {
-            key: pattern(key.trim())?,
-            value: pattern(value.trim())?,
-        },
-        None if text == "all" || text == "*" => What::All,
-        None => What::Name(pattern(text)?),
-    };
-    Ok(Part { negated, what })
+    }
 }
 
 /// Whether `text` matches `pattern`: `*` stands for any characters, `?` for one. Linear in the product of
@@ -184,33 +172,13 @@ impl TryFrom<Vec<String>> for Selector {
 
 impl From<Selector> for Vec<String> {
     fn from(selector: Selector) -> Self {
-        selector.0.iter().map(ToString::to_string).collect()
+        selector.0
     }
 }
 
 impl fmt::Display for Selector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (i, term) in self.0.iter().enumerate() {
-            let comma = if i == 0 { "" } else { ", " };
-            write!(f, "{comma}{term}")?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for Term {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (i, part) in self.0.iter().enumerate() {
-            let and = if i == 0 { "" } else { " & " };
-            let not = if part.negated { "!" } else { "" };
-            write!(f, "{and}{not}")?;
-            match &part.what {
-                What::All => f.write_str("all")?,
-                What::Name(name) => f.write_str(name)?,
-                What::Label { key, value } => write!(f, "{key}={value}")?,
-            }
-        }
-        Ok(())
+        f.write_str(&self.0.join(", "))
     }
 }
 

@@ -8,13 +8,16 @@ use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::setting::is_applied;
 use crate::store::tables::EventRow;
 use crate::store::{ChangeNode, ChangeRow, Store, StoreError};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use tokio::sync::mpsc;
+use std::time::Duration;
+use tokio::time::MissedTickBehavior;
+use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
 /// How long after a notice that was not followed a node is notified again.
@@ -43,13 +46,6 @@ pub struct OutcomeLine {
     pub detail: String,
 }
 
-impl OutcomeLine {
-    /// Whether nothing more is to come for the node within a request.
-    pub(crate) fn is_final(&self) -> bool {
-        self.outcome != Outcome::Pending
-    }
-}
-
 /// A value or a target for some nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct NewOrder {
@@ -63,7 +59,7 @@ pub(crate) struct NewOrder {
     pub(crate) selector: String,
 }
 
-/// An order that a node has not answered finally.
+/// What was ordered of a node last.
 #[derive(Clone, Debug)]
 struct OpenOrder {
     ask: Ask,
@@ -116,8 +112,8 @@ pub struct Tuner {
     pub(super) driver: String,
     /// Highest revision that was read from the database: what this hub orders itself says nothing of the others'.
     learned: AtomicI64,
+    /// What was ordered of each node last, as far as this hub saw it.
     open: Mutex<HashMap<String, OpenOrder>>,
-    followers: Mutex<HashMap<u64, mpsc::UnboundedSender<OutcomeLine>>>,
     drift: Mutex<BTreeMap<String, Drift>>,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
 }
@@ -125,6 +121,45 @@ pub struct Tuner {
 impl std::fmt::Debug for Tuner {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Tuner").finish_non_exhaustive()
+    }
+}
+
+/// Interval at which reports of nodes are read.
+const LOOK: Duration = Duration::from_millis(250);
+/// Such intervals between two checks of rollouts, trials and other hubs' changes, and of drift.
+const DRIVE_EVERY: u64 = 4;
+const DRIFT_EVERY: u64 = 20;
+
+/// Follows orders, rollouts and trials until `shutdown`. A database that is away is tried again at the next look.
+pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
+    let mut every = tokio::time::interval(LOOK);
+    every.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut failing = false;
+    for look in 0_u64.. {
+        tokio::select! {
+            _ = every.tick() => {}
+            () = shutdown.cancelled() => return,
+        }
+        let now = unix_milliseconds();
+        let worked = async {
+            tuner.look(now).await?;
+            if look.is_multiple_of(DRIVE_EVERY) {
+                tuner.drive(now).await?;
+                tuner.learn().await?;
+            }
+            if look.is_multiple_of(DRIFT_EVERY) {
+                tuner.look_for_drift(now).await?;
+            }
+            Ok::<_, StoreError>(())
+        };
+        match worked.await {
+            Ok(()) => failing = false,
+            Err(error) if failing => tracing::debug!(%error, "orders cannot be followed"),
+            Err(error) => {
+                tracing::warn!(%error, "orders cannot be followed; trying again");
+                failing = true;
+            }
+        }
     }
 }
 
@@ -151,7 +186,6 @@ impl Tuner {
             driver,
             learned: AtomicI64::new(0),
             open: Mutex::default(),
-            followers: Mutex::default(),
             drift: Mutex::default(),
             runs: tokio::sync::Mutex::default(),
         };
@@ -220,13 +254,8 @@ impl Tuner {
     }
 
     /// Orders a value or a target: when this returns it is in the database, pulls are answered with it, and the nodes were
-    /// notified. `follower` gets what the nodes report.
-    pub(crate) async fn order(
-        &self,
-        order: NewOrder,
-        follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
-        now: Millis,
-    ) -> Result<u64, StoreError> {
+    /// notified.
+    pub(crate) async fn order(&self, order: NewOrder, now: Millis) -> Result<u64, StoreError> {
         let open = |revision, from, outcome| OpenOrder {
             ask: Ask::new(revision, now, outcome),
             setting: order.setting,
@@ -265,18 +294,10 @@ impl Tuner {
             Ok(row.revision.unsigned_abs())
         });
         let revision = written.await?;
-        if let Some(follower) = follower {
-            let mut followers = self.followers.lock();
-            followers.retain(|_, follower| !follower.is_closed());
-            followers.insert(revision, follower);
-        }
         for (node, from) in &order.nodes {
             self.desire(node, revision, order.setting);
             let present = open(revision, *from, Outcome::Pending);
-            if let Some(mut before) = (self.open.lock()).insert(node.clone(), present) {
-                before.ask.outcome = Outcome::Superseded;
-                self.send_outcome(&before, node);
-            }
+            self.open.lock().insert(node.clone(), present);
             self.drift.lock().remove(node);
             self.notifier.notify(node, revision);
         }
@@ -287,27 +308,17 @@ impl Tuner {
     pub(super) fn stop_following(&self, node: &str) {
         self.desires.remove(node);
         self.drift.lock().remove(node);
-        let order = self.open.lock().remove(node);
-        if let Some(mut order) = order {
-            order.ask.outcome = Outcome::Missed;
-            order.ask.reason = "the node was forgotten".to_owned();
-            self.send_outcome(&order, node);
-        }
+        self.open.lock().remove(node);
     }
 
-    fn send_outcome(&self, order: &OpenOrder, node: &str) {
-        let mut followers = self.followers.lock();
-        if let Some(follower) = followers.get(&order.ask.revision) {
-            let line = OutcomeLine {
-                node: node.to_owned(),
-                outcome: order.ask.outcome,
-                from: order.from,
-                to: order.setting,
-                detail: order.ask.reason.clone(),
-            };
-            if follower.send(line).is_err() {
-                followers.remove(&order.ask.revision);
+    /// What became of the order of `revision` at `node`.
+    pub(crate) fn outcome(&self, node: &str, revision: u64) -> (Outcome, String) {
+        match self.open.lock().get(node) {
+            Some(order) if order.ask.revision == revision => {
+                (order.ask.outcome, order.ask.reason.clone())
             }
+            Some(_) => (Outcome::Superseded, String::new()),
+            None => (Outcome::Missed, "the node was forgotten".to_owned()),
         }
     }
 
@@ -319,6 +330,9 @@ impl Tuner {
         let patience = milliseconds(self.config.apply_within_s);
         let (mut rows, mut changed) = (Vec::new(), Vec::new());
         for (node, order) in self.open.lock().iter() {
+            if matches!(order.ask.outcome, Outcome::Applied | Outcome::Refused) {
+                continue;
+            }
             let Some(settings) = self.fleet.settings(node) else {
                 continue;
             };
@@ -345,17 +359,11 @@ impl Tuner {
                 .await?;
         }
         for (node, order) in changed {
-            let mut open = self.open.lock();
-            let present = open.get(&node).map(|present| present.ask.revision);
-            if present != Some(order.ask.revision) {
-                continue;
+            if let Some(present) = self.open.lock().get_mut(&node)
+                && present.ask.revision == order.ask.revision
+            {
+                *present = order;
             }
-            match order.ask.outcome {
-                Outcome::Applied | Outcome::Refused => open.remove(&node),
-                _ => open.insert(node.clone(), order.clone()),
-            };
-            drop(open);
-            self.send_outcome(&order, &node);
         }
         Ok(())
     }
@@ -441,7 +449,7 @@ impl Tuner {
                 origin: "drift".to_owned(),
                 selector: String::new(),
             };
-            self.order(order, None, now).await?;
+            self.order(order, now).await?;
             // Ordering forgets the drift; how often a node was set back must be known the next time.
             self.list_drift(drifted);
         }

@@ -531,58 +531,19 @@ fn commands_that_make_no_sense_are_refused() {
 
 #[test]
 fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
-    let basics = |basics| RolloutPlan { basics, ..plan() };
-    for (field, wrong) in [
-        (
-            "stages",
-            RolloutPlan {
-                stages: vec![],
-                ..plan()
-            },
-        ),
-        (
-            "held_for_s",
-            RolloutPlan {
-                held_for_s: 0.0,
-                ..plan()
-            },
-        ),
-        (
-            "soak_s",
-            RolloutPlan {
-                soak_s: f64::NAN,
-                ..plan()
-            },
-        ),
-        (
-            "soak_s",
-            RolloutPlan {
-                soak_s: 0.0,
-                ..plan()
-            },
-        ),
-        (
-            "confidence",
-            basics(Basics {
-                confidence: 1.0,
-                ..Basics::default()
-            }),
-        ),
-        (
-            "fewest_clips",
-            basics(Basics {
-                fewest_clips: 1,
-                ..Basics::default()
-            }),
-        ),
-        (
-            "fewest_applied",
-            RolloutPlan {
-                fewest_applied: 0.0,
-                ..plan()
-            },
-        ),
-    ] {
+    type Spoil = fn(&mut RolloutPlan);
+    let spoilt: [(&str, Spoil); 7] = [
+        ("stages", |plan| plan.stages.clear()),
+        ("held_for_s", |plan| plan.held_for_s = 0.0),
+        ("soak_s", |plan| plan.soak_s = f64::NAN),
+        ("soak_s", |plan| plan.soak_s = 0.0),
+        ("confidence", |plan| plan.basics.confidence = 1.0),
+        ("fewest_clips", |plan| plan.basics.fewest_clips = 1),
+        ("fewest_applied", |plan| plan.fewest_applied = 0.0),
+    ];
+    for (field, spoil) in spoilt {
+        let mut wrong = plan();
+        spoil(&mut wrong);
         assert_eq!(wrong.check().unwrap_err().field, field);
     }
     plan().check().unwrap();
