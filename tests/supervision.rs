@@ -12,6 +12,7 @@ use albireo_wire::{ClipEnd, HealthState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
 
 /// `inner` with a bug: it panics after this many frames.
 fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
@@ -283,4 +284,41 @@ async fn a_detector_that_finds_only_the_impossible_is_told_by_readiness_until_it
     let works = changes.wait_for(|status| !status.reasons.contains_key("detector"));
     timeout(LONG, works).await.expect("it works again").unwrap();
     bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
+    let folder = tempfile::tempdir().unwrap();
+    // Who opens a pipe to write waits until somebody reads.
+    let pipe = folder.path().join("lock");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.unwrap().success());
+    let mut config = configuration();
+    config.node.state_dir = Some(folder.path().to_owned());
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let shutdown = CancellationToken::new();
+    let stop = shutdown.clone();
+    let running = tokio::spawn(async move { albireo_node::run(&config, listener, stop).await });
+    let status = async |path: &str| {
+        let answer = reqwest::get(format!("http://{address}{path}")).await;
+        answer.map_or(0, |answer| answer.status().as_u16())
+    };
+    let mut found = Vec::new();
+    for path in ["/healthz", "/readyz", "/api/v1/cameras"] {
+        found.push(status(path).await);
+    }
+    // Before anything is asserted: a test that fails would wait for the writer.
+    let reader = tokio::task::spawn_blocking(move || std::fs::File::open(pipe));
+    let _reader = reader.await.unwrap().unwrap();
+    assert_eq!(found, [200, 503, 503]);
+    let begun = Instant::now();
+    while status("/api/v1/cameras").await != 200 {
+        assert!(begun.elapsed() < LONG, "the node does not go on");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(status("/healthz").await, 200);
+    shutdown.cancel();
+    timeout(LONG, running).await.unwrap().unwrap().unwrap();
 }

@@ -25,7 +25,7 @@ use crate::camera::audit::{CameraAudit, DrawnFrame};
 use crate::camera::clip::{ClipTracker, ClosedClip, FrameArrival};
 use crate::camera::decider::PendingFrame;
 use crate::camera::evidence::Times;
-use crate::camera::publishing::Detections;
+use crate::camera::publishing::Outlet;
 use crate::camera::settled::FrameLabel;
 use crate::input::Ring;
 use crate::input::receiver::{DropCounts, SequencedFrame, kind_of};
@@ -39,28 +39,24 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// One camera's loop and all it works with.
-pub(crate) struct Camera {
+/// What stays of a camera when its loop is built anew.
+pub(crate) struct CameraParts {
     /// What HTTP and metrics see of it.
     pub board: Arc<CameraBoard>,
     /// Frames from the receiver.
     pub ring: Arc<Ring<SequencedFrame>>,
     /// Dropped frames, shared with the receiver.
     pub drops: Arc<DropCounts>,
-    /// What decides frames.
-    pub decider: Decider,
     /// Where answers go.
-    pub detections: Arc<Detections>,
-    /// Where the final answers of pending frames go.
-    pub late: Option<Arc<Detections>>,
+    pub detections: Outlet,
+    /// Where the final answers of pending frames go, if frames are answered at once.
+    pub late: Option<Outlet>,
     /// Where every frame goes once more when its boxes are settled.
-    pub settled: Option<SettledStream>,
+    pub settled: Option<Arc<Outlet>>,
     /// Which boxes are published.
     pub min_confidence: MinConfidence,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
-    /// The open clip.
-    pub clip: ClipTracker,
     /// Where closed clips go. Unbounded, because a clip is some kilobytes every some seconds and must not be lost; their
     /// reporter's own waiting is bounded.
     pub closed: mpsc::UnboundedSender<ClosedClip>,
@@ -68,6 +64,17 @@ pub(crate) struct Camera {
     pub audit: Arc<CameraAudit>,
     /// Whether a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
+}
+
+/// One camera's loop: knows nothing of frames before it was built.
+pub(crate) struct Camera {
+    pub parts: Arc<CameraParts>,
+    /// What decides frames.
+    pub decider: Decider,
+    /// The frames that are held back until their boxes are settled.
+    pub settled: Option<SettledStream>,
+    /// The open clip.
+    pub clip: ClipTracker,
 }
 
 /// What the loop remembers from frame to frame.
@@ -108,7 +115,7 @@ impl Camera {
     /// Runs until `shutdown`; finishes the current or pending frame, and closes the open clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         let mut stream = Stream {
-            threshold: self.board.watch_threshold(),
+            threshold: self.parts.board.watch_threshold(),
             last_index: None,
             newest: None,
             first_index: 0,
@@ -126,43 +133,45 @@ impl Camera {
                 () = shutdown.cancelled() => break,
                 fetched = self.decider.fetched() => {
                     let decided = self.decider.deliver(fetched, &mut stream.outcome);
-                    self.finish(decided, &mut stream.outcome).await;
+                    self.finish(decided, &mut stream.outcome);
                 }
                 // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
-                incoming = self.ring.next(), if !waits => self.process(incoming, &mut stream).await,
-                () = at(due), if !waits => self.tick().await,
+                incoming = self.parts.ring.next(), if !waits => self.process(incoming, &mut stream),
+                () = at(due), if !waits => self.tick(),
             }
         }
         while self.decider.is_pending() {
             let fetched = self.decider.fetched().await;
             let decided = self.decider.deliver(fetched, &mut stream.outcome);
-            self.finish(decided, &mut stream.outcome).await;
+            self.finish(decided, &mut stream.outcome);
         }
         if let Some(settled) = &mut self.settled {
             settled.flush();
-            settled.publish().await;
+            settled.publish();
         }
         self.end();
     }
 
-    async fn tick(&mut self) {
+    fn tick(&mut self) {
         self.count_others();
         let closed = self.clip.tick(Instant::now());
         self.hand_over(closed);
         if let Some(settled) = &mut self.settled {
             settled.tick();
-            settled.publish().await;
+            settled.publish();
         }
     }
 
     /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
     fn end(&mut self) {
-        for mut frame in self.ring.close() {
+        for mut frame in self.parts.ring.close() {
             let reason = "the camera's loop ended before its turn";
-            self.drops.count(|dropped| &mut dropped.stopped, 1, &reason);
+            self.parts
+                .drops
+                .count(|dropped| &mut dropped.stopped, 1, &reason);
             frame.refuse(reason);
         }
-        self.audit.give_up();
+        self.parts.audit.give_up();
         self.count_others();
         let ended = self.clip.nothing_is_pending();
         self.hand_over(ended);
@@ -170,25 +179,26 @@ impl Camera {
         self.hand_over(closed);
     }
 
-    /// Counts for the open clip what others have counted: dropped frames, and what the audit has found.
+    /// Counts for the open clip what others have counted: dropped frames, and what the audit has found. Without one it goes
+    /// to the next.
     fn count_others(&mut self) {
-        self.clip.dropped(&self.drops.take());
-        if let Some(found) = self.audit.take() {
-            self.clip.audited(&found);
+        if self.clip.clip().is_some() {
+            let (dropped, found) = (self.parts.drops.take(), self.parts.audit.take());
+            self.clip.count_others(&dropped, found.as_deref());
         }
     }
 
     fn hand_over(&self, closed: Option<ClosedClip>) {
         if let Some(closed) = closed
-            && self.closed.send(closed).is_err()
+            && self.parts.closed.send(closed).is_err()
         {
             tracing::error!("a clip ended and its reporter has stopped");
         }
     }
 
-    async fn process(&mut self, mut incoming: SequencedFrame, stream: &mut Stream) {
+    fn process(&mut self, mut incoming: SequencedFrame, stream: &mut Stream) {
         incoming.taken();
-        let Some(frame) = self.begin(incoming, stream).await else {
+        let Some(frame) = self.begin(incoming, stream) else {
             return;
         };
         let outcome = &mut stream.outcome;
@@ -199,13 +209,13 @@ impl Camera {
             ..Times::default()
         };
         if need == Need::Nothing {
-            let message = self.answer(&frame, outcome, &times, Answer::Final).await;
+            let message = self.answer(&frame, outcome, &times, Answer::Final);
             let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
             return self.count(&record, &frame, outcome, Answer::Final);
         }
         let mut first_answer = None;
         if self.decider.answers_at_once() {
-            let message = self.answer(&frame, outcome, &times, Answer::Pending).await;
+            let message = self.answer(&frame, outcome, &times, Answer::Pending);
             self.clip.pending(message.seq, frame.threshold);
             first_answer = Some(frame.incoming.frame.received.elapsed());
         }
@@ -213,7 +223,7 @@ impl Camera {
     }
 
     /// Publishes and counts the final answer of a frame that was pending, if there is one.
-    async fn finish(&mut self, decided: Option<PendingFrame>, outcome: &mut Outcome) {
+    fn finish(&mut self, decided: Option<PendingFrame>, outcome: &mut Outcome) {
         let Some(PendingFrame {
             frame,
             first_answer,
@@ -225,13 +235,13 @@ impl Camera {
             return;
         };
         if let Some(fault) = fault {
-            return self.drops.count(kind_of(&fault), 1, &fault);
+            return self.parts.drops.count(kind_of(&fault), 1, &fault);
         }
         let answer = match first_answer {
             Some(_) => Answer::Late,
             None => Answer::Final,
         };
-        let message = self.answer(&frame, outcome, &times, answer).await;
+        let message = self.answer(&frame, outcome, &times, answer);
         let received = frame.incoming.frame.received;
         let record = FrameRecord {
             times,
@@ -241,7 +251,7 @@ impl Camera {
     }
 
     /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
-    async fn begin(&mut self, incoming: SequencedFrame, stream: &mut Stream) -> Option<BegunFrame> {
+    fn begin(&mut self, incoming: SequencedFrame, stream: &mut Stream) -> Option<BegunFrame> {
         let taken = Instant::now();
         let frame = &incoming.frame;
         if stream
@@ -250,7 +260,9 @@ impl Camera {
         {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            self.drops.count(|dropped| &mut dropped.late, 1, &reason);
+            self.parts
+                .drops
+                .count(|dropped| &mut dropped.late, 1, &reason);
             return None;
         }
         let restarted = stream
@@ -258,9 +270,9 @@ impl Camera {
             .replace((incoming.index, incoming.epoch))
             .is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != stream.clip;
-        if restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
+        if restarted || (new_clip && self.parts.reset_at_clip && stream.clip.is_some()) {
             let given_up = self.decider.give_up(&mut stream.outcome);
-            self.finish(given_up, &mut stream.outcome).await;
+            self.finish(given_up, &mut stream.outcome);
             self.decider.reset();
             stream.last_index = None;
         }
@@ -289,7 +301,11 @@ impl Camera {
         });
         self.hand_over(closed);
         let clip = self.clip.clip().map_or_else(|| "".into(), Arc::clone);
-        let knob = self.board.knob().zip(self.decider.policy().knob_value());
+        let knob = self
+            .parts
+            .board
+            .knob()
+            .zip(self.decider.policy().knob_value());
         Some(BegunFrame {
             head,
             clip,
@@ -300,7 +316,7 @@ impl Camera {
     }
 
     /// Publishes an answer of a frame. Of the boxes in `outcome` those stay that are published.
-    async fn answer(
+    fn answer(
         &mut self,
         frame: &BegunFrame,
         outcome: &mut Outcome,
@@ -325,7 +341,7 @@ impl Camera {
                 _ => settled.frame(incoming.index, label, outcome, answer == Answer::Pending),
             }
         }
-        self.min_confidence.select(&mut outcome.boxes);
+        self.parts.min_confidence.select(&mut outcome.boxes);
         let message = Arc::new(detections_message(
             outcome,
             &AnswerContext {
@@ -333,7 +349,7 @@ impl Camera {
                 clip: &frame.clip,
                 pending: answer == Answer::Pending,
                 threshold: frame.threshold,
-                class_names: &self.class_names,
+                class_names: &self.parts.class_names,
                 latency: Latency {
                     total: milliseconds(received.elapsed()),
                     waiting: milliseconds(frame.taken - received),
@@ -344,23 +360,23 @@ impl Camera {
                 },
             },
         ));
-        let publisher = match answer {
-            Answer::Late => self.late.as_ref(),
-            _ => Some(&self.detections),
+        let outlet = match answer {
+            Answer::Late => self.parts.late.as_ref(),
+            _ => Some(&self.parts.detections),
         };
-        match (serde_json::to_vec(&*message), publisher) {
-            (Ok(json), Some(publisher)) => publisher.publish(json).await,
+        match (serde_json::to_vec(&*message), outlet) {
+            (Ok(json), Some(outlet)) => outlet.put(json),
             (Ok(_), None) => {}
             (Err(error), _) => {
-                tracing::error!(camera = self.board.name(), %error, "detections not written");
+                tracing::error!(camera = self.parts.board.name(), %error, "detections not written");
             }
         }
         if let Some(settled) = &mut self.settled {
-            settled.publish().await;
+            settled.publish();
         }
         match answer {
-            Answer::Late => self.board.show_late(Arc::clone(&message)),
-            _ => self.board.show(Arc::clone(&message)),
+            Answer::Late => self.parts.board.show_late(Arc::clone(&message)),
+            _ => self.parts.board.show(Arc::clone(&message)),
         }
         message
     }
@@ -379,10 +395,10 @@ impl Camera {
         } else {
             self.clip.count(record);
         }
-        self.board.record_frame(record);
+        self.parts.board.record_frame(record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
-        if skipped && self.audit.draws(frame.incoming.index) {
-            self.audit.offer(DrawnFrame {
+        if skipped && self.parts.audit.draws(frame.incoming.index) {
+            self.parts.audit.offer(DrawnFrame {
                 picture: frame.incoming.frame.picture.clone(),
                 shown: outcome.boxes.clone(),
             });
@@ -397,7 +413,7 @@ impl Camera {
         if let Some(value) = *threshold.borrow_and_update()
             && let Err(error) = self.decider.set_knob(value)
         {
-            tracing::error!(camera = self.board.name(), %error, "threshold not taken by the policy");
+            tracing::error!(camera = self.parts.board.name(), %error, "threshold not taken by the policy");
         }
     }
 }
@@ -407,7 +423,7 @@ impl Drop for Camera {
     fn drop(&mut self) {
         // What panicked may be what is asked here; a second panic must not end the process.
         if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
-            tracing::error!(camera = self.board.name(), "the open clip is lost");
+            tracing::error!(camera = self.parts.board.name(), "the open clip is lost");
         }
     }
 }

@@ -10,6 +10,7 @@ use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
 use albireo_vision::screen::ScreenHandle;
 use albireo_wire::NodeKeys;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Sender, channel};
@@ -64,11 +65,8 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
     if config.uplink.is_set() {
         let uplink = config.uplink.clone();
         let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
-        let opened = match tokio::time::timeout(ANSWER, opening).await {
-            Ok(Ok(opened)) => opened.map_err(|error| format!("{error:#}")),
-            Ok(Err(error)) => Err(error.to_string()),
-            Err(_) => Err(late(&config.uplink.connect)),
-        };
+        let opened = in_time(&config.uplink.connect, opening).await;
+        let opened = opened.and_then(|opened| opened.map_err(|error| format!("{error:#}")));
         report("uplink.connect", hub_answer(opened, fleet).await);
     } else if !config.zenoh.connect.is_empty() && config.zenoh.config_file.is_none() {
         // As a client that listens nowhere: the ports are the running node's.
@@ -78,11 +76,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
             ..config.zenoh.clone()
         };
         let opening = session::open(&client, config.frame.max_payload_bytes, |_| {});
-        let opened = match tokio::time::timeout(ANSWER, opening).await {
-            Ok(opened) => opened.map_err(|error| format!("{error:#}")),
-            Err(_) => Err(late(&config.zenoh.connect)),
-        };
-        let reached = match opened {
+        let reached = match in_time(&config.zenoh.connect, opening).await {
             Err(reason) => Err(reason),
             Ok(session) => {
                 close(session).await;
@@ -93,9 +87,19 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
     }
 }
 
-fn late(endpoints: &[String]) -> String {
-    let seconds = ANSWER.as_secs();
-    format!("{} did not answer in {seconds} s", endpoints.join(", "))
+/// What `opening` gives if that comes in time, or why it does not.
+async fn in_time<T, E: Display>(
+    endpoints: &[String],
+    opening: impl Future<Output = Result<T, E>>,
+) -> Result<T, String> {
+    match tokio::time::timeout(ANSWER, opening).await {
+        Ok(opened) => opened.map_err(|error| format!("{error:#}")),
+        Err(_) => Err(format!(
+            "{} did not answer in {} s",
+            endpoints.join(", "),
+            ANSWER.as_secs()
+        )),
+    }
 }
 
 /// Which provider runs the model, and how long a run takes.

@@ -6,7 +6,11 @@ use crate::state::board::Board;
 use crate::state::readiness;
 use crate::{Node, NodeError, PreparedNode};
 use albireo_service::config::without_secrets;
-use axum::http::Method;
+use albireo_service::http::{HttpError, Problem, run_with_tokens};
+use axum::http::{Method, StatusCode};
+use axum::routing::{any, get};
+use axum::{Json, Router};
+use serde_json::json;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -15,8 +19,8 @@ use tokio_util::sync::CancellationToken;
 
 /// Runs a node and its HTTP interface on `listener` until `shutdown`.
 ///
-/// HTTP answers first, so that a health check sees a node that still connects or loads its model; the node is
-/// ready when its cameras can be heard.
+/// HTTP answers first, so that a health check sees a node that opens its state file, connects or loads its model; the
+/// node is ready when its cameras can be heard.
 ///
 /// # Errors
 /// When a part of the node cannot start, a task it cannot do without fails, or the HTTP interface may not be
@@ -26,11 +30,56 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
+    let refused = |source| NodeError::System {
+        what: "the listener cannot be used",
+        source,
+    };
     // The state file is opened and checked: on a slow card that takes a while.
-    let opened = config.clone();
-    let prepared = tokio::task::spawn_blocking(move || PreparedNode::new(&opened)).await;
+    let listener = listener.into_std().map_err(refused)?;
+    let early = listener.try_clone().and_then(TcpListener::from_std);
+    let opened = CancellationToken::new();
+    let until_opened = opened.clone().drop_guard();
+    let routes = early_routes(&config.node.name);
+    tokio::spawn(serve(config, routes, early.map_err(refused)?, opened));
+    let opening = config.clone();
+    let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
+    let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
+        return Ok(());
+    };
+    drop(until_opened);
     let prepared = prepared.map_err(|error| NodeError::State(error.to_string()))??;
+    let listener = TcpListener::from_std(listener).map_err(refused)?;
     run_prepared(config, prepared, listener, shutdown).await
+}
+
+/// What is answered while the state file is not open.
+fn early_routes(node: &str) -> Router {
+    let alive = json!({
+        "status": "ok",
+        "node": node,
+        "version": env!("CARGO_PKG_VERSION"),
+        "uptime_s": 0.0,
+    });
+    let opening = || async {
+        let reason = "the state directory is being opened";
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, reason)
+    };
+    Router::new()
+        .route("/healthz", get(move || async move { Json(alive) }))
+        .route("/", any(opening))
+        .route("/{*path}", any(opening))
+}
+
+/// Serves HTTP as configured, until `stop`.
+fn serve(
+    config: &NodeConfig,
+    routes: Router,
+    listener: TcpListener,
+    stop: CancellationToken,
+) -> impl Future<Output = Result<(), HttpError>> + Send + use<> {
+    let (http, tokens) = (config.http.clone(), config.tokens.clone());
+    let methods = [Method::GET, Method::PUT];
+    async move { run_with_tokens(&http, &tokens, &methods, routes, listener, stop).await }
 }
 
 /// As [`run`], with a node whose board others read too.
@@ -56,21 +105,8 @@ pub async fn run_prepared(
     // HTTP outlives the node, so that the counters can be read until the end.
     let serving = CancellationToken::new();
     let router = http::router(view, serving.clone());
-    let (http_config, stop) = (config.http.clone(), serving.clone());
-    let tokens = config.tokens.clone();
     // A separate task: nothing the node waits for may keep a health check waiting.
-    let http = tokio::spawn(async move {
-        let methods = [Method::GET, Method::PUT];
-        albireo_service::http::run_with_tokens(
-            &http_config,
-            &tokens,
-            &methods,
-            router,
-            listener,
-            stop,
-        )
-        .await
-    });
+    let http = tokio::spawn(serve(config, router, listener, serving.clone()));
     // Without its interface a node cannot be watched or stopped: it ends.
     let unserved = shutdown.clone();
     let http = async move {

@@ -310,10 +310,8 @@ impl Node {
             std::future::pending().await
         };
         let subscriptions = std::mem::take(&mut self.subscriptions);
-        // Zenoh's calls may block, so each gets a thread.
-        let undeclared = tokio::task::spawn_blocking(move || {
-            subscriptions.undeclare();
-        });
+        // Zenoh's calls may block.
+        let undeclared = tokio::task::spawn_blocking(move || drop(subscriptions));
         let ending = tokio::select! {
             ended = tokio::time::timeout_at(tasks_until, async {
                 let (_, ()) = tokio::join!(undeclared, self.tasks.finish());

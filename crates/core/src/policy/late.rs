@@ -42,9 +42,12 @@ pub struct NotPending {
     pub frame: u64,
 }
 
-/// A policy whose frames are answered before their evidence has come. At most one frame is pending at a time.
+/// A policy whose frames are answered before their evidence has come, or, where they [wait](Self::waiting), when it has. At
+/// most one frame is pending at a time.
 pub struct LatePolicy {
     policy: Box<dyn Policy>,
+    /// Whether frames wait for their evidence.
+    waits: bool,
     pending: Option<Step>,
     /// The frames since the pending one.
     steps: Vec<Step>,
@@ -63,11 +66,26 @@ impl LatePolicy {
             return Err(CannotRewind { policy });
         }
         Ok(Self {
+            waits: false,
+            ..Self::waiting(policy)
+        })
+    }
+
+    /// Lets frames wait for the evidence that `policy` asks for. A frame whose evidence never comes is given up when the next
+    /// one begins.
+    pub fn waiting(policy: Box<dyn Policy>) -> Self {
+        Self {
             policy,
+            waits: true,
             pending: None,
             steps: Vec::new(),
             unused: Outcome::default(),
-        })
+        }
+    }
+
+    /// Whether frames wait for their evidence.
+    pub const fn waits(&self) -> bool {
+        self.waits
     }
 
     /// The policy, as far as the last frame.
@@ -90,13 +108,18 @@ impl LatePolicy {
 
     /// Answers a frame at once: writes state `P` (not `degraded`, without a cause) and predicted boxes over `outcome`.
     /// Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending until
-    /// [`deliver`](Self::deliver) says so. A frame needs nothing while another one is pending.
+    /// [`deliver`](Self::deliver) says so. A frame needs nothing while another one is pending. Where frames wait, a frame that
+    /// needs something has no answer yet.
     pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
         let step = Step {
             head,
             threshold: self.policy.knob_value(),
         };
         let need = self.policy.begin(head);
+        if self.waits {
+            self.pending = Some(step);
+            return self.finish_unless(need, outcome);
+        }
         if self.pending.is_some() {
             self.remember(step);
             predict(&mut *self.policy, need, outcome);
@@ -125,14 +148,15 @@ impl LatePolicy {
         let Some(pending) = self.pending.filter(|step| step.head.index == frame) else {
             return Err(NotPending { frame });
         };
+        if self.waits {
+            let need = self.policy.answer(evidence);
+            return Ok(self.finish_unless(need, outcome));
+        }
         let threshold = self.policy.knob_value();
         self.policy.rewind();
         restore(&mut *self.policy, pending.threshold);
         let need = self.policy.answer(evidence);
-        if need == Need::Nothing {
-            self.policy.finish(outcome);
-            self.pending = None;
-        } else {
+        if self.finish_unless(need, outcome) != Need::Nothing {
             self.policy.save();
             predict(&mut *self.policy, need, &mut self.unused);
         }
@@ -153,6 +177,15 @@ impl LatePolicy {
         self.pending = None;
         self.steps.clear();
         self.policy.reset();
+    }
+
+    /// Finishes the pending frame, unless it needs something.
+    fn finish_unless(&mut self, need: Need, outcome: &mut Outcome) -> Need {
+        if need == Need::Nothing {
+            self.policy.finish(outcome);
+            self.pending = None;
+        }
+        need
     }
 
     /// Keeps a frame, to be predicted again.

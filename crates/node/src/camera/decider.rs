@@ -3,9 +3,7 @@
 use super::BegunFrame;
 use super::evidence::{LiveEvidence, Times};
 use crate::rate_limit::SharedLimit;
-use albireo_core::policy::{
-    CannotRewind, Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy,
-};
+use albireo_core::policy::{Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy};
 use albireo_vision::picture::FrameFault;
 use std::future::Future;
 use std::pin::Pin;
@@ -16,20 +14,12 @@ static BROKEN: SharedLimit = SharedLimit::new();
 
 /// Decides a camera's frames, one after the other.
 pub(crate) struct Decider {
-    policy: Answering,
+    policy: LatePolicy,
     /// The frame that waits for evidence.
     pending: Option<PendingFrame>,
     /// Where evidence comes from; not here while some is being fetched.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
-}
-
-/// The policy, and what becomes of a frame that needs evidence.
-enum Answering {
-    /// It is answered when that has come.
-    WhenKnown(Box<dyn Policy>),
-    /// It is answered by prediction, and once more when that has come.
-    AtOnce(LatePolicy),
 }
 
 /// A frame that waits for evidence.
@@ -53,24 +43,8 @@ pub(super) struct Fetched {
 }
 
 impl Decider {
-    /// Frames wait for the evidence that `policy` asks for.
-    pub(crate) fn when_known(policy: Box<dyn Policy>, evidence: LiveEvidence) -> Self {
-        Self::new(Answering::WhenKnown(policy), evidence)
-    }
-
-    /// Frames are answered at once by `policy`.
-    ///
-    /// # Errors
-    /// [`CannotRewind`] for a policy that does not predict.
-    pub(crate) fn at_once(
-        policy: Box<dyn Policy>,
-        evidence: LiveEvidence,
-    ) -> Result<Self, CannotRewind> {
-        let policy = LatePolicy::new(policy)?;
-        Ok(Self::new(Answering::AtOnce(policy), evidence))
-    }
-
-    fn new(policy: Answering, evidence: LiveEvidence) -> Self {
+    /// Decides by `policy`.
+    pub(crate) fn new(policy: LatePolicy, evidence: LiveEvidence) -> Self {
         Self {
             policy,
             pending: None,
@@ -80,25 +54,16 @@ impl Decider {
     }
 
     pub(super) fn policy(&self) -> &dyn Policy {
-        match &self.policy {
-            Answering::WhenKnown(policy) => &**policy,
-            Answering::AtOnce(policy) => policy.policy(),
-        }
+        self.policy.policy()
     }
 
     pub(super) fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        match &mut self.policy {
-            Answering::WhenKnown(policy) => policy.set_knob(value),
-            Answering::AtOnce(policy) => policy.set_knob(value),
-        }
+        self.policy.set_knob(value)
     }
 
     /// Forgets the objects. The pending frame must have been [given up](Self::give_up).
     pub(super) fn reset(&mut self) {
-        match &mut self.policy {
-            Answering::WhenKnown(policy) => policy.reset(),
-            Answering::AtOnce(policy) => policy.reset(),
-        }
+        self.policy.reset();
     }
 
     /// Whether a frame waits for evidence.
@@ -108,18 +73,13 @@ impl Decider {
 
     /// Whether frames that need evidence are answered by prediction first.
     pub(super) fn answers_at_once(&self) -> bool {
-        matches!(self.policy, Answering::AtOnce(_))
+        !self.policy.waits()
     }
 
     /// Begins a frame. Returns what it needs; with [`Need::Nothing`], `outcome` has its final answer, else the prediction
     /// where frames are answered at once.
     pub(super) fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
-        match &mut self.policy {
-            Answering::WhenKnown(policy) => {
-                finished(&mut **policy, |policy| policy.begin(head), outcome)
-            }
-            Answering::AtOnce(policy) => policy.frame(head, outcome),
-        }
+        self.policy.frame(head, outcome)
     }
 
     /// Fetches what a frame needs, whose answer has taken `times` so far.
@@ -237,15 +197,8 @@ impl Decider {
     fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<PendingFrame> {
         let mut pending = self.pending.take()?;
         let deciding = Instant::now();
-        pending.need = match &mut self.policy {
-            Answering::WhenKnown(policy) => {
-                finished(&mut **policy, |policy| policy.answer(evidence), outcome)
-            }
-            Answering::AtOnce(policy) => {
-                let delivered = policy.deliver(pending.frame.head.index, evidence, outcome);
-                delivered.unwrap_or(Need::Nothing)
-            }
-        };
+        let delivered = (self.policy).deliver(pending.frame.head.index, evidence, outcome);
+        pending.need = delivered.unwrap_or(Need::Nothing);
         pending.times.policy += deciding.elapsed();
         if pending.need == Need::Nothing {
             return Some(pending);
@@ -253,17 +206,4 @@ impl Decider {
         self.pending = Some(pending);
         None
     }
-}
-
-/// What `policy` needs after `step`; where that is nothing, the frame is finished.
-fn finished(
-    policy: &mut dyn Policy,
-    step: impl FnOnce(&mut dyn Policy) -> Need,
-    outcome: &mut Outcome,
-) -> Need {
-    let need = step(policy);
-    if need == Need::Nothing {
-        policy.finish(outcome);
-    }
-    need
 }

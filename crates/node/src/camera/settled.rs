@@ -1,7 +1,7 @@
 //! Publishes each frame once more, in order, with its boxes drawn between two detector calls.
 
 use super::answer::box_messages;
-use super::publishing::Detections;
+use super::publishing::Outlet;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{MinConfidence, Outcome, OutputBox, SettledFrame, Settler};
 use albireo_wire::{SettledMessage, VERSION};
@@ -22,7 +22,7 @@ pub(super) struct FrameLabel {
 pub(crate) struct SettledStream {
     settler: Settler,
     out: Out,
-    publisher: Arc<Detections>,
+    outlet: Arc<Outlet>,
     start: Instant,
 }
 
@@ -40,7 +40,7 @@ impl SettledStream {
     /// Holds a frame back for at most `longest`.
     pub(crate) fn new(
         longest: Duration,
-        publisher: Arc<Detections>,
+        outlet: Arc<Outlet>,
         min_confidence: MinConfidence,
         class_names: Arc<[String]>,
     ) -> Self {
@@ -53,7 +53,7 @@ impl SettledStream {
                 min_confidence,
                 class_names,
             },
-            publisher,
+            outlet,
             start: Instant::now(),
         }
     }
@@ -101,9 +101,9 @@ impl SettledStream {
     }
 
     /// Publishes what is due.
-    pub(super) async fn publish(&mut self) {
+    pub(super) fn publish(&mut self) {
         for json in self.out.due.drain(..) {
-            self.publisher.publish(json).await;
+            self.outlet.put(json);
         }
     }
 }

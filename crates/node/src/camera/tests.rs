@@ -9,7 +9,7 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits};
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, MinConfidence, PolicyConfig};
+use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
@@ -62,16 +62,13 @@ impl Bench {
         let slot = CameraSlot(0);
         let frames = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, 64, 0)));
         let power = PowerHandle::none();
-        let mut tracker = ClipTracker::new(clip, power.camera("front"));
-        if audit.share > 0.0 {
-            tracker = tracker.audited_with(audit.share);
-        }
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let audit = Arc::new(CameraAudit::new(
             audit.draw(),
             audit.share,
             Arc::clone(&camera),
         ));
+        let tracker = ClipTracker::new(clip, power.camera("front"), audit.share());
         let size = PictureSize::new(640, 360);
         let scene = BoxScene::new(5, size);
         let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
@@ -83,11 +80,21 @@ impl Bench {
             energy: power.camera("front"),
         };
         let camera = Camera {
-            board: camera,
-            ring: Arc::clone(&frames),
-            drops,
-            decider: Decider::when_known(
-                config.policy.build().unwrap(),
+            parts: Arc::new(CameraParts {
+                board: camera,
+                ring: Arc::clone(&frames),
+                drops,
+                detections: Outlet::new(silent_publisher().await, Counter::default()),
+                late: None,
+                settled: None,
+                min_confidence: MinConfidence::new(None, 0.5),
+                class_names: detector.class_names().into(),
+                closed,
+                audit,
+                reset_at_clip: false,
+            }),
+            decider: Decider::new(
+                LatePolicy::waiting(config.policy.build().unwrap()),
                 LiveEvidence::new(
                     detector.clone(),
                     CameraScreen::new(&ScreenConfig::default(), None),
@@ -95,18 +102,8 @@ impl Bench {
                     pixels,
                 ),
             ),
-            detections: Arc::new(Detections::Live(Outlet::new(
-                silent_publisher().await,
-                Counter::default(),
-            ))),
-            late: None,
             settled: None,
-            min_confidence: MinConfidence::new(None, 0.5),
-            class_names: detector.class_names().into(),
             clip: tracker,
-            closed,
-            audit,
-            reset_at_clip: false,
         };
         Self {
             board,
@@ -221,16 +218,22 @@ async fn a_new_stream_is_begun_with_an_empty_policy_whichever_of_its_frames_come
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_frame_that_was_overtaken_is_dropped_and_counted_late() {
+async fn a_frame_that_was_overtaken_is_counted_late_and_one_dropped_before_a_clip_in_the_next() {
     let bench = Bench::new(vanilla(), ClipConfig::default()).await;
+    let drops = &bench.camera.parts.drops;
+    drops.count(|dropped| &mut dropped.undecodable, 3, &"broken");
     for index in [1, 0, 2, 2, 3] {
         bench.put(index, 0, Instant::now());
     }
     let (board, clips) = bench.play().await;
     let snapshot = board.camera("front").unwrap().snapshot();
     assert_eq!(snapshot.states.frames(), 3);
-    assert_eq!((snapshot.dropped.late, snapshot.dropped.total()), (2, 2));
-    assert_eq!(clips[0].clip.dropped.late, 2);
+    let dropped = &clips[0].clip.dropped;
+    assert_eq!(
+        (dropped.late, dropped.undecodable, dropped.total()),
+        (2, 3, 5)
+    );
+    assert_eq!(snapshot.dropped, *dropped);
 }
 
 /// All that is published for a drive of the dashcam, frame by frame, without times; the audit's part of the clip, and

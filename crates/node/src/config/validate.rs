@@ -3,7 +3,7 @@
 use super::{CameraConfig, NodeConfig};
 use crate::camera::AnswerTime;
 use crate::input::Delivery;
-use crate::input::source::SourceKind;
+use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
 use albireo_core::policy::{Albireo, ExpectedLoss, Knob, LatePolicy, Policy};
 use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
@@ -24,6 +24,14 @@ const ONE_METER: &str =
     "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
 const NO_GPU: &str =
     "the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
+
+const WRITTEN: &str = "is what this node writes or answers itself; frames need a key of their own";
+const NO_SOURCE: &str = "is of a camera with a source, and this one has none";
+const FOR_FFMPEG: &str =
+    "is for ffmpeg; in a GStreamer pipeline name the decoder as one of its elements";
+const BESIDE_SOURCE: &str = "is there beside source: frames come from the one or the other";
+const NEVER_WAITS: &str =
+    "`every` needs a sender that waits, and a source does not: use `albireo replay --every`";
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
@@ -189,17 +197,14 @@ impl NodeConfig {
     }
 
     fn check_figures(&self, findings: &mut Findings) {
-        if let Some(confidence) = self.report.confidence
-            && !(0.0..=1.0).contains(&confidence)
-        {
-            findings.add(
-                "report.confidence",
-                format!("must be from 0 to 1, not {confidence}"),
-            );
-        }
-        if !(0.0..=1.0).contains(&self.audit.share) {
-            let share = self.audit.share;
-            findings.add("audit.share", format!("must be from 0 to 1, not {share}"));
+        let shares = [
+            ("report.confidence", self.report.confidence.unwrap_or(0.0)),
+            ("audit.share", self.audit.share),
+        ];
+        for (key, share) in shares {
+            if !(0.0..=1.0).contains(&share) {
+                findings.add(key, format!("must be from 0 to 1, not {share}"));
+            }
         }
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
         findings.above_zero("clip.longest_s", self.clip.longest_s, 3600.0);
@@ -207,13 +212,8 @@ impl NodeConfig {
         if self.clip.window_s > self.clip.longest_s && self.clip.window_s <= DAY_S {
             findings.add("clip.window_s", "is above clip.longest_s: raise that too");
         }
-        let frame = &self.frame;
-        findings.count(
-            "frame.max_payload_bytes",
-            frame.max_payload_bytes as u64,
-            1,
-            1 << 30,
-        );
+        let largest = self.frame.max_payload_bytes as u64;
+        findings.count("frame.max_payload_bytes", largest, 1, 1 << 30);
         for (key, reason) in self.power.problems() {
             findings.add(format!("power.{key}"), reason);
         }
@@ -306,37 +306,26 @@ impl NodeConfig {
 
     /// Two cameras on one key would be one camera twice, and a camera on a key that a node writes would hear itself.
     fn check_keys(&self, findings: &mut Findings) {
+        let Ok(node) = self.keys() else { return };
+        let mut written = vec![node.target()];
+        for keys in (self.cameras.iter()).filter_map(|camera| node.camera(&camera.name).ok()) {
+            written.extend([
+                keys.detections(),
+                keys.late(),
+                keys.settled(),
+                keys.clip(),
+                keys.counters(),
+                keys.threshold(),
+            ]);
+        }
         let mut owners: HashMap<String, &str> = HashMap::new();
         for (index, camera) in self.cameras.iter().enumerate() {
             let at = format!("camera[{index}].key");
             let Ok(key) = self.frame_key(camera) else {
                 continue;
             };
-            let written = self.keys().and_then(|keys| {
-                let names = self.cameras.iter().map(|camera| keys.camera(&camera.name));
-                names.collect::<Result<Vec<_>, _>>()
-            });
-            if self.keys().is_ok_and(|keys| keys.target() == key) {
-                findings.add(
-                    at.clone(),
-                    format!("`{key}` is where this node answers for its target; frames need a key of their own"),
-                );
-            }
-            for keys in written.into_iter().flatten() {
-                let outputs = [
-                    keys.detections(),
-                    keys.late(),
-                    keys.settled(),
-                    keys.clip(),
-                    keys.counters(),
-                    keys.threshold(),
-                ];
-                if outputs.contains(&key) {
-                    findings.add(
-                        at.clone(),
-                        format!("`{key}` is what this node writes or answers itself; frames need a key of their own"),
-                    );
-                }
+            if written.contains(&key) {
+                findings.add(at.clone(), format!("`{key}` {WRITTEN}"));
             }
             // Cameras with the same name are already reported.
             if let Some(other) = owners.insert(key.clone(), &camera.name)
@@ -404,54 +393,37 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if camera.hardware.as_ref().is_some_and(String::is_empty) {
         findings.add(key("hardware"), "is empty; leave the key out instead");
     }
-    let Some(source) = &camera.source else {
-        let plain = CameraConfig::named(camera.name.clone());
-        for (name, configured) in [
-            ("max_rate", camera.max_rate.is_some()),
-            (
-                "rtsp_transport",
-                camera.rtsp_transport != plain.rtsp_transport,
-            ),
-            ("hardware", camera.hardware.is_some()),
-            ("source_options", !camera.source_options.is_empty()),
-        ] {
-            if configured {
-                findings.add(
-                    key(name),
-                    "is of a camera with a source, and this one has none",
-                );
-            }
+    let checks = [
+        camera
+            .source
+            .as_ref()
+            .map(|source| ("source", source.check())),
+        Some(("source_options", camera.source_options.check())),
+    ];
+    for (name, checked) in checks.into_iter().flatten() {
+        if let Err(error) = checked {
+            findings.add(key(name), error.to_string());
         }
-        return;
-    };
-    if let Err(error) = source.check() {
-        findings.add(key("source"), error.to_string());
     }
-    if let Err(error) = camera.source_options.check() {
-        findings.add(key("source_options"), error.to_string());
-    }
-    if camera.key.is_some() {
-        findings.add(
-            key("key"),
-            "is there beside source: frames come from the one or the other",
-        );
-    }
-    if camera.delivery == Delivery::Every {
-        findings.add(
-            key("delivery"),
-            "`every` needs a sender that waits, and a source does not: use `albireo replay --every`",
-        );
-    }
-    let is_pipeline = source.kind() == SourceKind::Pipeline;
-    if is_pipeline && (camera.hardware.is_some() || !camera.source_options.is_empty()) {
-        let name = if camera.hardware.is_some() {
-            "hardware"
-        } else {
-            "source_options"
-        };
-        findings.add(
-            key(name),
-            "is for ffmpeg; in a GStreamer pipeline name the decoder as one of its elements",
-        );
+    let source = camera.source.as_ref().map(SourceAddress::kind);
+    let (none, is_pipeline) = (source.is_none(), source == Some(SourceKind::Pipeline));
+    let rate = camera.max_rate.is_some();
+    let transport = camera.rtsp_transport != RtspTransport::default();
+    let hardware = camera.hardware.is_some();
+    let options = !camera.source_options.is_empty();
+    let every = camera.delivery == Delivery::Every;
+    for (name, is_wrong, reason) in [
+        ("max_rate", none && rate, NO_SOURCE),
+        ("rtsp_transport", none && transport, NO_SOURCE),
+        ("hardware", none && hardware, NO_SOURCE),
+        ("source_options", none && options, NO_SOURCE),
+        ("hardware", is_pipeline && hardware, FOR_FFMPEG),
+        ("source_options", is_pipeline && options, FOR_FFMPEG),
+        ("key", !none && camera.key.is_some(), BESIDE_SOURCE),
+        ("delivery", !none && every, NEVER_WAITS),
+    ] {
+        if is_wrong {
+            findings.add(key(name), reason);
+        }
     }
 }

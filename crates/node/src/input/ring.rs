@@ -116,6 +116,8 @@ impl<T> Ring<T> {
 
     /// The oldest item; waits for one. Cancelling the future loses nothing.
     pub(crate) async fn next(&self) -> T {
+        // A camera whose frames never run out leaves room for other tasks.
+        tokio::task::consume_budget().await;
         loop {
             let oldest = self.state.lock().items.pop_front();
             if let Some((_, item)) = oldest {

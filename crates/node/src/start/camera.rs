@@ -4,19 +4,19 @@ use super::{PolicyMaker, refused};
 use crate::api::key_service::KeyService;
 use crate::api::threshold::ThresholdKey;
 use crate::camera::audit::{Auditor, CameraAudit};
-use crate::camera::clip::{ClipTracker, ClosedClip};
+use crate::camera::clip::ClipTracker;
 use crate::camera::evidence::LiveEvidence;
-use crate::camera::publishing::{self, Detections, Outlet};
-use crate::camera::{AnswerTime, Camera, Decider, SettledStream};
+use crate::camera::publishing::{self, Outlet};
+use crate::camera::{AnswerTime, Camera, CameraParts, Decider, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
 use crate::error::NodeError;
-use crate::input::receiver::{DropCounts, FrameReceiver, SequencedFrame, SourceFeed};
+use crate::input::receiver::{DropCounts, FrameReceiver, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
 use crate::input::{Delivery, Ring, RingLimits};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
-use albireo_core::policy::MinConfidence;
+use albireo_core::policy::{LatePolicy, MinConfidence};
 use albireo_power::PowerHandle;
 use albireo_service::readiness::Effect;
 use albireo_service::supervise::Supervisor;
@@ -24,35 +24,20 @@ use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
 use albireo_wire::{CameraKeys, stream_of_token, stream_tokens};
+use std::any::Any;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
+use zenoh::Session;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
-use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
 
-/// The Zenoh subscribers and queryables that receive frames.
-#[derive(Default)]
-pub(super) struct Subscriptions {
-    subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
-    /// For cameras that answer every frame.
-    queryables: Vec<zenoh::query::Queryable<()>>,
-}
-
-impl Subscriptions {
-    pub(super) fn undeclare(self) {
-        for subscriber in self.subscribers {
-            let _ = subscriber.undeclare().wait();
-        }
-        for queryable in self.queryables {
-            let _ = queryable.undeclare().wait();
-        }
-    }
-}
+/// The Zenoh subscribers and queryables that receive frames: dropped, they are undeclared.
+pub(super) type Subscriptions = Vec<Box<dyn Any + Send + Sync>>;
 
 /// What all cameras share.
 pub(super) struct Shared {
@@ -123,29 +108,30 @@ impl Cameras<'_> {
             Arc::clone(board),
         ));
         self.add_auditor(name, &audit);
-        let factory = CameraFactory {
-            shared: Arc::clone(&shared),
-            config: config.clone(),
-            slot,
+        let report = shared.config.report.confidence;
+        let parts = Arc::new(CameraParts {
             board: Arc::clone(board),
-            drops: Arc::clone(&drops),
             ring: Arc::clone(&ring),
-            audit,
+            drops: Arc::clone(&drops),
             detections,
             late,
-            settled,
+            settled: settled.map(Arc::new),
+            min_confidence: MinConfidence::new(report, shared.config.detector.confidence),
+            class_names: shared.detector.class_names().into(),
             closed,
-        };
-        let (factory, stop) = (Arc::new(factory), self.shutdown.clone());
+            audit,
+            reset_at_clip: config.reset_at_clip,
+        });
+        let stop = self.shutdown.clone();
         self.tasks.restarting(
             format!("camera {name}"),
             tracing::info_span!("camera", name),
             Effect::NotReady,
             move || {
-                let (factory, stop) = (Arc::clone(&factory), stop.clone());
+                let camera = shared.camera(slot, Arc::clone(&parts));
+                let stop = stop.clone();
                 async move {
-                    let camera = factory.build()?;
-                    camera.run(stop).await;
+                    camera?.run(stop).await;
                     Ok::<(), NodeError>(())
                 }
             },
@@ -153,7 +139,7 @@ impl Cameras<'_> {
         let reporter = Reporter {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
-            detector: shared.detector.clone(),
+            detector: self.shared.detector.clone(),
             listeners: reports,
         };
         self.tasks.essential(
@@ -176,9 +162,9 @@ impl Cameras<'_> {
             drops,
             ring,
             config.format,
-            shared.config.frame,
+            self.shared.config.frame,
         );
-        if let Some(settings) = config.source_settings(shared.config.frame) {
+        if let Some(settings) = config.source_settings(self.shared.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
         let key = board.key();
@@ -193,7 +179,7 @@ impl Cameras<'_> {
                 .callback(move |query| every_frame.take_query(query))
                 .await
                 .map_err(refused())?;
-            self.subscriptions.queryables.push(queryable);
+            self.subscriptions.push(Box::new(queryable));
         }
         let publishers = Arc::clone(&receiver);
         let tokens = self
@@ -213,17 +199,17 @@ impl Cameras<'_> {
             .callback(move |sample| receiver.take(&sample))
             .await
             .map_err(refused())?;
-        self.subscriptions.subscribers.extend([tokens, frames]);
+        self.subscriptions.push(Box::new((tokens, frames)));
         Ok(())
     }
 
     /// A publisher of a camera's answers: a replay loses none.
     async fn publisher(
-        &mut self,
+        &self,
         config: &CameraConfig,
         key: String,
         board: &CameraBoard,
-    ) -> Result<Arc<Detections>, NodeError> {
+    ) -> Result<Outlet, NodeError> {
         let (congestion, priority) = match config.delivery {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
             Delivery::Every => (CongestionControl::Block, publishing::EVERY),
@@ -235,19 +221,7 @@ impl Cameras<'_> {
             .priority(priority)
             .await
             .map_err(refused(format!("`{key}` cannot be published")))?;
-        let outlet = Outlet::new(publisher, board.unpublished());
-        Ok(Arc::new(match config.delivery {
-            Delivery::Newest => Detections::Live(outlet),
-            Delivery::Every => {
-                let (detections, thread) = Detections::every(outlet);
-                let span = tracing::info_span!("detections", key);
-                self.tasks
-                    .essential(format!("publisher {key}"), span, async move {
-                        thread.await.map_err(|error| error.to_string())
-                    });
-                detections
-            }
-        }))
+        Ok(Outlet::new(publisher, board.unpublished()))
     }
 
     /// Runs the detector on some of the camera's skipped frames, after their answers.
@@ -281,90 +255,60 @@ impl Cameras<'_> {
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(|error| NodeError::State(error.to_string()))??;
         let readiness = self.board.readiness();
-        let part = readiness.part_of(readiness::CAMERAS, name.to_owned());
         let feed = SourceFeed {
-            source: Arc::new(source),
             receiver: Arc::new(receiver),
-            part,
+            part: readiness.part_of(readiness::CAMERAS, name.to_owned()),
         };
-        let stop = self.shutdown.clone();
+        let (source, stop) = (Arc::new(source), self.shutdown.clone());
         self.tasks.restarting(
             format!("source {name}"),
             tracing::info_span!("source", camera = name),
             Effect::Degraded,
-            move || feed.clone().run(stop.clone()),
+            move || Arc::clone(&source).run(feed.clone(), stop.clone()),
         );
         Ok(())
     }
 }
 
-/// Builds a camera's loop, at its start and whenever it has failed.
-struct CameraFactory {
-    shared: Arc<Shared>,
-    config: CameraConfig,
-    slot: CameraSlot,
-    board: Arc<CameraBoard>,
-    drops: Arc<DropCounts>,
-    ring: Arc<Ring<SequencedFrame>>,
-    audit: Arc<CameraAudit>,
-    detections: Arc<Detections>,
-    /// Only where frames are answered at once.
-    late: Option<Arc<Detections>>,
-    settled: Option<Arc<Detections>>,
-    closed: mpsc::UnboundedSender<ClosedClip>,
-}
-
-impl CameraFactory {
-    /// A loop that knows nothing of earlier frames and begins a new clip. It takes over the threshold in force with its
-    /// first frame.
-    fn build(&self) -> Result<Camera, NodeError> {
-        let Shared {
+impl Shared {
+    /// A camera's loop, at its start and whenever it has failed: it begins a new clip, and takes over the threshold in force
+    /// with its first frame.
+    fn camera(&self, slot: CameraSlot, parts: Arc<CameraParts>) -> Result<Camera, NodeError> {
+        let Self {
             config, detector, ..
-        } = &*self.shared;
-        let policy = (self.shared.policies)(&self.config.name)?;
+        } = self;
+        let name = parts.board.name();
+        let policy = (self.policies)(name)?;
         let evidence = LiveEvidence::new(
             detector.clone(),
-            CameraScreen::new(&config.screen, self.shared.screen.clone()),
-            self.slot,
-            self.shared.pixels.clone(),
+            CameraScreen::new(&config.screen, self.screen.clone()),
+            slot,
+            self.pixels.clone(),
         )
-        .giving_up_on(self.shared.give_up.clone());
-        let decider = match self.late {
-            Some(_) => Decider::at_once(policy, evidence)
-                .map_err(|error| NodeError::State(error.to_string()))?,
-            None => Decider::when_known(policy, evidence),
+        .giving_up_on(self.give_up.clone());
+        let policy = match parts.late {
+            Some(_) => {
+                LatePolicy::new(policy).map_err(|error| NodeError::State(error.to_string()))?
+            }
+            None => LatePolicy::waiting(policy),
         };
-        let class_names: Arc<[String]> = detector.class_names().into();
-        let min_confidence =
-            MinConfidence::new(config.report.confidence, config.detector.confidence);
-        let settled = self.settled.as_ref().map(|publisher| {
+        let decider = Decider::new(policy, evidence);
+        let settled = parts.settled.as_ref().map(|publisher| {
             SettledStream::new(
                 config.settle.longest(),
                 Arc::clone(publisher),
-                min_confidence,
-                Arc::clone(&class_names),
+                parts.min_confidence,
+                Arc::clone(&parts.class_names),
             )
         });
-        self.ring.open();
-        let energy = self.shared.power.camera(&self.config.name);
-        let mut clip = ClipTracker::new(config.clip, energy);
-        if let Some(share) = self.audit.share() {
-            clip = clip.audited_with(share);
-        }
+        let energy = self.power.camera(name);
+        let clip = ClipTracker::new(config.clip, energy, parts.audit.share());
+        parts.ring.open();
         Ok(Camera {
-            board: Arc::clone(&self.board),
-            ring: Arc::clone(&self.ring),
-            drops: Arc::clone(&self.drops),
+            parts,
             decider,
-            detections: Arc::clone(&self.detections),
-            late: self.late.clone(),
             settled,
-            min_confidence,
-            class_names,
             clip,
-            closed: self.closed.clone(),
-            audit: Arc::clone(&self.audit),
-            reset_at_clip: self.config.reset_at_clip,
         })
     }
 }

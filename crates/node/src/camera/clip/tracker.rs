@@ -45,19 +45,12 @@ struct OpenClip {
     pending: bool,
 }
 
-/// The audit that a camera's clips report.
-#[derive(Debug)]
-struct Audited {
-    share: f64,
-    /// Counted while no clip was open: it goes to the next.
-    pending: AuditCount,
-}
-
 /// Counts the open clip of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
     energy: CameraEnergy,
-    audit: Option<Audited>,
+    /// Share of the skipped frames that an audit draws.
+    audit: Option<f64>,
     window: Duration,
     longest: Duration,
     silence: Duration,
@@ -65,8 +58,6 @@ pub(crate) struct ClipTracker {
     open: Option<OpenClip>,
     /// A clip that ended before the final answer of its last frame.
     ended: Option<ClosedClip>,
-    /// Drops counted while no clip was open: they go to the next.
-    pending: DroppedFrames,
     /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
     full: Option<FullClip>,
 }
@@ -81,42 +72,32 @@ struct FullClip {
 }
 
 impl ClipTracker {
-    /// No clip yet, of a camera whose part of the node's energy is `energy`.
-    pub(crate) fn new(config: ClipConfig, energy: CameraEnergy) -> Self {
+    /// No clip yet, of a camera whose part of the node's energy is `energy`. Clips also report an audit that draws `share`.
+    pub(crate) fn new(config: ClipConfig, energy: CameraEnergy, share: Option<f64>) -> Self {
         let seconds =
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
         Self {
             energy,
-            audit: None,
+            audit: share,
             window: seconds(config.window_s, 0.001),
             longest: seconds(config.longest_s, 0.001),
             silence: seconds(config.silence_s, 0.001),
             windows: 0,
             open: None,
             ended: None,
-            pending: DroppedFrames::default(),
             full: None,
         }
     }
 
-    /// Clips also report an audit that draws `share`.
-    #[must_use]
-    pub(crate) fn audited_with(mut self, share: f64) -> Self {
-        self.audit = Some(Audited {
-            share,
-            pending: AuditCount::default(),
-        });
-        self
-    }
-
-    /// Counts what an audit has found.
-    pub(crate) fn audited(&mut self, more: &AuditCount) {
-        let Some(audit) = &mut self.audit else {
+    /// Counts for the open clip, if there is one, frames that were not processed, and what an audit has found.
+    pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: Option<&AuditCount>) {
+        let Some(OpenClip { clip, .. }) = &mut self.open else {
             return;
         };
-        let open = (self.open.as_mut()).and_then(|open| open.clip.audit.as_mut());
-        open.map_or(&mut audit.pending, |open| &mut open.count)
-            .merge(more);
+        clip.dropped += dropped;
+        if let (Some(audit), Some(found)) = (&mut clip.audit, found) {
+            audit.count.merge(found);
+        }
     }
 
     /// Takes note of a frame about to be processed: it belongs to the clip that is open afterwards (see
@@ -183,15 +164,6 @@ impl ClipTracker {
         if frame.detections.state.is_skipped() && !frame.detections.degraded {
             self.energy.call_avoided();
         }
-    }
-
-    /// Counts frames that were not processed.
-    pub(crate) fn dropped(&mut self, more: &DroppedFrames) {
-        let dropped = self
-            .open
-            .as_mut()
-            .map_or(&mut self.pending, |open| &mut open.clip.dropped);
-        *dropped += more;
     }
 
     /// The clip the last frame belongs to.
@@ -278,9 +250,9 @@ impl ClipTracker {
         let arrival = frame.arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
-        let audit = self.audit.as_mut().map(|audit| ClipAudit {
-            share: audit.share,
-            count: std::mem::take(&mut audit.pending),
+        let audit = self.audit.map(|share| ClipAudit {
+            share,
+            count: AuditCount::default(),
         });
         self.open = Some(OpenClip {
             clip: Clip {
@@ -290,7 +262,7 @@ impl ClipTracker {
                 start,
                 states: FrameStates::default(),
                 degraded: 0,
-                dropped: std::mem::take(&mut self.pending),
+                dropped: DroppedFrames::default(),
                 threshold: None,
                 threshold_changes: Vec::new(),
                 total: Latencies::default(),

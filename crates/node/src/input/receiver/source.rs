@@ -1,31 +1,18 @@
 //! Pictures of a source that the node itself keeps open, on their way into a camera's ring.
 
 use super::FrameReceiver;
-use crate::input::source::{LiveSource, SourceSink};
+use crate::input::source::SourceSink;
 use albireo_service::readiness::Part;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio_util::sync::CancellationToken;
 
-/// A camera's source, and where its pictures go.
+/// Where the pictures of a camera's source go.
 #[derive(Clone, Debug)]
 pub(crate) struct SourceFeed {
-    pub source: Arc<LiveSource>,
     pub receiver: Arc<FrameReceiver>,
     /// The camera's part of the readiness.
     pub part: Part,
-}
-
-impl SourceFeed {
-    /// Feeds the camera until `shutdown`.
-    ///
-    /// # Errors
-    /// When the thread that reads fails.
-    pub(crate) async fn run(self, shutdown: CancellationToken) -> Result<(), String> {
-        let source = Arc::clone(&self.source);
-        source.run(self, shutdown).await
-    }
 }
 
 impl SourceSink for SourceFeed {

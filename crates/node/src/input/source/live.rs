@@ -5,7 +5,6 @@ use super::program::{PictureProgram, RunningProgram, SourceError, output_of};
 use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
 use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
 use bytes::Bytes;
-use std::collections::VecDeque;
 use std::io::BufReader;
 use std::path::Path;
 use std::sync::Arc;
@@ -27,9 +26,6 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
 const CONNECT_LIMIT: Duration = Duration::from_secs(3);
 /// The first parts that all must be something else before motion JPEG is given up.
 const FIRST_PARTS: u32 = 3;
-/// How often within `SWITCH_PERIOD` a source may be opened in the other way at once.
-const MAX_SWITCHES: usize = 2;
-const SWITCH_PERIOD: Duration = Duration::from_secs(60);
 /// What is read of a program's output at once.
 const BUFFER: usize = 1 << 18;
 
@@ -151,15 +147,14 @@ impl LiveSource {
     /// # Errors
     /// When the thread that reads fails.
     pub async fn run<S: SourceSink>(
-        self: &Arc<Self>,
+        self: Arc<Self>,
         mut sink: S,
         shutdown: CancellationToken,
     ) -> Result<(), String> {
         let mut pause = FIRST_PAUSE;
-        let mut switches = VecDeque::new();
         loop {
             let begun = Instant::now();
-            let (source, stop) = (Arc::clone(self), shutdown.clone());
+            let (source, stop) = (Arc::clone(&self), shutdown.clone());
             let reading = tokio::task::spawn_blocking(move || {
                 let end = source.read(&mut sink, stop);
                 (sink, end)
@@ -173,21 +168,17 @@ impl LiveSource {
                 pause = FIRST_PAUSE;
             }
             let reason = match end {
-                End::Failed(reason) => reason,
+                End::Failed(reason) => Some(reason),
                 End::Nothing(reason) => tokio::select! {
                     () = shutdown.cancelled() => return Ok(()),
-                    unreachable = self.unreachable() => unreachable.unwrap_or(reason),
+                    unreachable = self.unreachable() => Some(unreachable.unwrap_or(reason)),
                 },
-                End::Switch => {
-                    switches.retain(|at: &Instant| at.elapsed() < SWITCH_PERIOD);
-                    switches.push_back(Instant::now());
-                    if switches.len() <= MAX_SWITCHES {
-                        continue;
-                    }
-                    "it sends now motion JPEG, now something else".to_owned()
-                }
+                End::Switch => (pause > FIRST_PAUSE)
+                    .then(|| "it sends now motion JPEG, now something else".to_owned()),
             };
-            sink.fails(&reason, pause);
+            if let Some(reason) = reason {
+                sink.fails(&reason, pause);
+            }
             tokio::select! {
                 () = shutdown.cancelled() => return Ok(()),
                 () = tokio::time::sleep(pause) => {}

@@ -26,47 +26,13 @@ const PROTOCOLS: &str =
     "file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rtsps,rtmp,rtmps,http,https,httpproxy,crypto,srt,data";
 
 /// Options that ffmpeg itself or a decoder takes, and no camera: they stay on the command line.
-const PROGRAM_OPTIONS: [&str; 24] = [
-    "an",
-    "autorotate",
-    "c",
-    "codec",
-    "discard",
-    "ec",
-    "err_detect",
-    "f",
-    "flags",
-    "flags2",
-    "hwaccel",
-    "hwaccel_device",
-    "hwaccel_output_format",
-    "init_hw_device",
-    "itsoffset",
-    "lowres",
-    "noautorotate",
-    "r",
-    "re",
-    "skip_frame",
-    "skip_idct",
-    "skip_loop_filter",
-    "thread_queue_size",
-    "threads",
-];
+const PROGRAM_OPTIONS: &str = "an autorotate c codec discard ec err_detect f flags flags2 hwaccel hwaccel_device \
+    hwaccel_output_format init_hw_device itsoffset lowres noautorotate r re skip_frame skip_idct skip_loop_filter \
+    thread_queue_size threads";
 
 /// Frameworks that ffmpeg hands decoding to (`ffmpeg -hwaccels`); every other name is a decoder's.
-const ACCELERATIONS: [&str; 11] = [
-    "auto",
-    "cuda",
-    "d3d11va",
-    "drm",
-    "dxva2",
-    "opencl",
-    "qsv",
-    "vaapi",
-    "vdpau",
-    "videotoolbox",
-    "vulkan",
-];
+const ACCELERATIONS: &str =
+    "auto cuda d3d11va drm dxva2 opencl qsv vaapi vdpau videotoolbox vulkan";
 
 /// How an RTSP camera sends its packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -159,7 +125,7 @@ pub(super) fn ffmpeg(
     arguments.add(&["-hide_banner", "-nostats", "-v", "level+info", "-max_alloc"]);
     arguments.add(&[&max_block.to_string()]);
     match settings.hardware.as_deref().filter(|_| !untouched) {
-        Some(name) if ACCELERATIONS.contains(&name) => arguments.add(&["-hwaccel", name]),
+        Some(name) if is_among(ACCELERATIONS, name) => arguments.add(&["-hwaccel", name]),
         Some(name) => arguments.add(&["-c:v", name]),
         None => {}
     }
@@ -203,7 +169,7 @@ pub(super) fn ffmpeg(
     let scripted = hidden_address || (networked && takes_options && secrets.peek().is_some());
     secrets.for_each(|secret| resolved.secrets.add(secret));
     for (name, value) in settings.options.pairs() {
-        let of_program = PROGRAM_OPTIONS.contains(&name.split(':').next().unwrap_or(name));
+        let of_program = is_among(PROGRAM_OPTIONS, name.split(':').next().unwrap_or(name));
         match value {
             Some(value) if scripted && !of_program => camera.push((name, value.to_owned())),
             _ => {
@@ -216,15 +182,8 @@ pub(super) fn ffmpeg(
         if !takes_options && !settings.options.is_empty() {
             return Err(SourceError::OldFfmpeg(settings.address.to_string()));
         }
-        arguments.add(&[
-            "-f",
-            "concat",
-            "-safe",
-            "0",
-            "-protocol_whitelist",
-            PROTOCOLS,
-        ]);
-        arguments.add(&["-i", "pipe:0"]);
+        arguments.add(&["-f", "concat", "-safe", "0"]);
+        arguments.add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
         let address = address.replace('\\', "%5C").replace('\'', "%27");
         let mut script = format!("ffconcat version 1.0\nfile '{address}'\n");
         for (name, value) in camera.iter().filter(|_| takes_options) {
@@ -262,14 +221,8 @@ pub(super) fn ffmpeg(
         match settings.decoded {
             Handover::Pixels => arguments.add(&["-c:v", "ppm", "-f", "image2pipe"]),
             Handover::Jpeg(quality) => {
-                arguments.add(&[
-                    "-c:v",
-                    "mjpeg",
-                    "-q:v",
-                    &quality.to_string(),
-                    "-f",
-                    "mpjpeg",
-                ]);
+                arguments.add(&["-c:v", "mjpeg", "-q:v", &quality.to_string()]);
+                arguments.add(&["-f", "mpjpeg"]);
             }
         }
     }
@@ -334,6 +287,11 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
         secrets: resolved.secrets,
         ..PictureProgram::default()
     })
+}
+
+/// Whether `name` is one of the `words`.
+fn is_among(words: &str, name: &str) -> bool {
+    words.split_whitespace().any(|word| word == name)
 }
 
 #[derive(Default)]

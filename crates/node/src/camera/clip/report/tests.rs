@@ -135,7 +135,7 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     let start = Instant::now();
     let mut cameras: Vec<_> = ["front", "rear"]
         .iter()
-        .map(|name| ClipTracker::new(ClipConfig::default(), power.camera(name)))
+        .map(|name| ClipTracker::new(ClipConfig::default(), power.camera(name), None))
         .collect();
     for second in 0..60_u32 {
         for (i, tracker) in cameras.iter_mut().enumerate() {
@@ -185,7 +185,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
         (10_000, 15.0),
     ] {
         let (power, stop) = TenWatts::start(ms(interval), until_s);
-        let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"));
+        let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"), None);
         // Past an interval, so that the next is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
@@ -215,7 +215,11 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
 
 #[tokio::test(start_paused = true)]
 async fn without_a_meter_no_report_waits() {
-    let mut tracker = ClipTracker::new(ClipConfig::default(), PowerHandle::none().camera("front"));
+    let mut tracker = ClipTracker::new(
+        ClipConfig::default(),
+        PowerHandle::none().camera("front"),
+        None,
+    );
     let start = Instant::now();
     for clip in 0..1000 {
         if let Some(closed) = tracker.arrive(&frame(&clip.to_string())) {
@@ -241,7 +245,7 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     }
     let stop = CancellationToken::new();
     let (power, _task) = start_with(Box::new(Silent), ms(10_000), stop.clone());
-    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"));
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"), None);
     tracker.arrive(&frame("last"));
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();

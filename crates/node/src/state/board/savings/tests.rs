@@ -104,7 +104,11 @@ async fn play(
     detector: Arc<Detector>,
     power: PowerHandle,
 ) -> ClipReport {
-    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(&camera.to_string()));
+    let mut tracker = ClipTracker::new(
+        ClipConfig::default(),
+        power.camera(&camera.to_string()),
+        None,
+    );
     let mut outcome = Outcome::default();
     let start = Instant::now();
     let mut last: Option<u64> = None;
