@@ -117,6 +117,13 @@ impl Corners {
         }
     }
 
+    /// The part inside the picture, for normalised corners.
+    pub fn clipped(self) -> Self {
+        let Self { x1, y1, x2, y2 } = self;
+        let [x1, y1, x2, y2] = [x1, y1, x2, y2].map(|side| side.clamp(0.0, 1.0));
+        Self { x1, y1, x2, y2 }
+    }
+
     /// Area; zero for an inverted box.
     #[inline]
     pub fn area(self) -> f64 {

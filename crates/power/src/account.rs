@@ -15,9 +15,6 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Rules for the total that one measurement names.
-const MOST_RULES: usize = 8;
-
 /// Energy of the whole node between two instants.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Energy {
@@ -88,7 +85,7 @@ impl Notes {
     }
 
     fn add_rule(&mut self, sample: &Sample) {
-        if self.rules.len() < MOST_RULES && !self.rules.contains(&sample.total_from) {
+        if !self.rules.contains(&sample.total_from) {
             self.rules.push(Arc::clone(&sample.total_from));
         }
     }

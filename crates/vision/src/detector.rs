@@ -21,7 +21,7 @@ mod signature;
 mod status;
 
 pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
-pub use error::{InferenceError, RunError, StartError};
+pub use error::{InferenceError, StartError};
 pub use gpu::GpuConfig;
 pub use handle::{Detected, DetectorCounts, DetectorHandle, DetectorMeter, SpareTurn};
 pub use head_name::HeadName;
@@ -32,7 +32,7 @@ pub use preparation::Preparation;
 pub use preparation::PreparedPicture;
 pub(crate) use preparation::prepare_off_thread;
 pub use reader::HeadCounts;
-pub use session::{OnnxSession, SessionSettings};
+pub use session::OnnxSession;
 pub use sessions::end_all_sessions;
 pub use signature::PictureInput;
 pub(crate) use signature::shape_text;

@@ -60,9 +60,7 @@ pub struct PreparedFrame {
 }
 
 /// The right to have a picture decoded for the detector.
-pub struct Place {
-    _permit: OwnedSemaphorePermit,
-}
+pub type Place = OwnedSemaphorePermit;
 
 impl PreparedFrame {
     /// Whether nothing more has to be done for `stage`.
@@ -177,8 +175,7 @@ impl PixelWork {
 
     /// Waits for a place: those who ask first get one first.
     pub async fn place(&self) -> Option<Place> {
-        let permit = Arc::clone(&self.0.places).acquire_owned().await;
-        permit.ok().map(|_permit| Place { _permit })
+        Arc::clone(&self.0.places).acquire_owned().await.ok()
     }
 
     /// Makes of the picture what is missing in `frame`.

@@ -15,7 +15,7 @@ mod thread;
 pub use counters::{WorkerCounts, WorkerMeter};
 
 use crate::detector::{
-    CameraSlot, DetectorStatus, ExecutionProvider, InferenceError, RunError, StartError, fault,
+    CameraSlot, DetectorStatus, ExecutionProvider, InferenceError, StartError, fault,
 };
 use queue::{Queue, Request};
 use std::sync::Arc;
@@ -56,7 +56,7 @@ pub(crate) trait Model: 'static {
     ///
     /// # Errors
     /// When the run failed.
-    fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, RunError>;
+    fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, InferenceError>;
 
     /// What runs it.
     fn provider(&self) -> ExecutionProvider;
@@ -137,7 +137,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
             thread,
             requests: received,
             queue: Queue::new(settings.batch_size, settings.batch_wait),
-            refusal: None,
+            is_stopping: false,
             provider: ExecutionProvider::Cpu,
             status,
             idle,
@@ -178,12 +178,8 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         if self.stop.0.is_cancelled() {
             return Err(InferenceError::Stopped);
         }
-        let refusal = match &*self.status.borrow() {
-            DetectorStatus::Ready { .. } | DetectorStatus::Implausible { .. } => return Ok(()),
-            DetectorStatus::Starting => InferenceError::Unavailable("it starts".to_owned()),
-            DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
-                InferenceError::Unavailable(reason.clone())
-            }
+        let Some(refusal) = self.status.borrow().refusal() else {
+            return Ok(());
         };
         self.meter.update(|counts| counts.refused += 1);
         Err(refusal)
@@ -288,8 +284,8 @@ struct Task<M: Model> {
     thread: ModelThread<M>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
-    /// The immediate answer to every request while no session can take pictures.
-    refusal: Option<InferenceError>,
+    /// Whether every request is refused, since the worker was stopped.
+    is_stopping: bool,
     provider: ExecutionProvider,
     status: watch::Sender<DetectorStatus>,
     idle: watch::Sender<bool>,
@@ -314,7 +310,7 @@ impl<M: Model> Task<M> {
 
     /// After the last run: waits until the thread has dropped its model, at most as long as a run may take.
     async fn finish(mut self, served: Result<(), End>) -> Result<(), String> {
-        self.close(InferenceError::Stopped);
+        self.close();
         match served {
             Err(End::Stuck(reason)) => return Err(reason),
             Err(End::StoppedLate) => return Ok(()),
@@ -334,11 +330,10 @@ impl<M: Model> Task<M> {
     /// # Errors
     /// When the worker should stop, which is reported once, or its thread has ended.
     async fn event(&mut self, time: Option<Instant>) -> Result<Event<M>, End> {
-        let stopping = self.is_stopping();
         tokio::select! {
             biased;
-            () = self.stop.cancelled(), if !stopping => {
-                self.close(InferenceError::Stopped);
+            () = self.stop.cancelled(), if !self.is_stopping => {
+                self.close();
                 Err(End::Stopped)
             }
             outcome = self.thread.outcomes.recv() => match outcome {
@@ -346,7 +341,7 @@ impl<M: Model> Task<M> {
                 None => Err(self.stuck("is gone".to_owned())),
             },
             Some(request) = self.requests.recv() => {
-                match self.refusal.clone() {
+                match self.refusal() {
                     None => self.queue.push(request),
                     Some(refusal) => self.refuse([request], &refusal),
                 }
@@ -357,8 +352,12 @@ impl<M: Model> Task<M> {
         }
     }
 
-    fn is_stopping(&self) -> bool {
-        matches!(self.refusal, Some(InferenceError::Stopped))
+    /// The immediate answer to every request while no session can take pictures.
+    fn refusal(&self) -> Option<InferenceError> {
+        match self.is_stopping {
+            true => Some(InferenceError::Stopped),
+            false => self.status.borrow().refusal(),
+        }
     }
 
     /// Returns when the next run may begin.
@@ -404,7 +403,7 @@ impl<M: Model> Task<M> {
                         return Err(self.stuck(format!("has not come back for {seconds} s")));
                     };
                     self.too_late(waiting);
-                    if self.is_stopping() {
+                    if self.is_stopping {
                         return Err(End::StoppedLate);
                     }
                     deadline += STUCK_AFTER;
@@ -444,7 +443,7 @@ impl<M: Model> Task<M> {
                 pictures,
             }));
         }
-        if self.is_stopping() {
+        if self.is_stopping {
             return Err(End::Stopped);
         }
         Ok(has_failed)
@@ -557,8 +556,7 @@ impl<M: Model> Task<M> {
 
     /// From now on pictures are taken, unless the worker is stopping.
     fn open(&mut self, status: DetectorStatus) {
-        if !self.is_stopping() {
-            self.refusal = None;
+        if !self.is_stopping {
             self.status.send_if_modified(|now| {
                 let changed = *now != status;
                 *now = status;
@@ -570,22 +568,28 @@ impl<M: Model> Task<M> {
     /// From now on pictures are refused for this reason, unless the worker is stopping. The status says so first, so
     /// that it is set when a caller gets the error.
     fn degraded(&mut self, reason: String, lost: bool) {
-        if self.is_stopping() {
+        if self.is_stopping {
             return;
         }
-        let (provider, words) = (self.provider, reason.clone());
+        let provider = self.provider;
         self.status.send_replace(match lost {
             true => DetectorStatus::Lost { reason, provider },
             false => DetectorStatus::Degraded { reason, provider },
         });
-        self.close(InferenceError::Unavailable(words));
+        self.refuse_waiting();
     }
 
-    /// Refuses with `error` all waiting requests and all later ones.
-    fn close(&mut self, error: InferenceError) {
+    /// Refuses all waiting requests and all later ones: the worker stops.
+    fn close(&mut self) {
+        self.is_stopping = true;
+        self.refuse_waiting();
+    }
+
+    fn refuse_waiting(&mut self) {
         let waiting = self.queue.take_all();
-        self.refuse(waiting, &error);
-        self.refusal = Some(error);
+        if let Some(refusal) = self.refusal() {
+            self.refuse(waiting, &refusal);
+        }
         self.count_waiting();
     }
 

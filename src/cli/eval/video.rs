@@ -356,7 +356,7 @@ fn start_observer(pass: &PassArguments) -> anyhow::Result<Observer> {
         &ScreenConfig {
             model: pass.screen_model.clone(),
             color_order: pass.screen_color_order,
-            empty_class: usize::from(pass.screen_empty_class),
+            empty_is_second: pass.screen_empty_class == 1,
             timeout_ms: TIMEOUT_MS,
             ..ScreenConfig::default()
         },

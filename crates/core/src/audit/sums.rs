@@ -164,15 +164,7 @@ impl AuditSums {
 
 /// The boxes as far as they lie in the picture, in normalised coordinates.
 fn visible(boxes: impl Iterator<Item = BoundingBox>) -> Vec<Corners> {
-    let clipped = boxes.map(|bounding_box| {
-        let corners = bounding_box.corners();
-        Corners {
-            x1: corners.x1.clamp(0.0, 1.0),
-            y1: corners.y1.clamp(0.0, 1.0),
-            x2: corners.x2.clamp(0.0, 1.0),
-            y2: corners.y2.clamp(0.0, 1.0),
-        }
-    });
+    let clipped = boxes.map(|bounding_box| bounding_box.corners().clipped());
     clipped.filter(|corners| corners.area() > 0.0).collect()
 }
 

@@ -34,6 +34,18 @@ impl Tree {
     }
 }
 
+/// The reading a second after the first, before which these zones rise to these counts.
+fn second_reading(tree: &Tree, counts: &[(&str, u64)]) -> Reading {
+    let mut meter = tree.open().unwrap();
+    let start = Instant::now();
+    meter.poll(start).unwrap();
+    for (zone, energy) in counts {
+        tree.set(zone, *energy);
+    }
+    let later = start + Duration::from_secs(1);
+    meter.poll(later).unwrap().remove(0)
+}
+
 fn joules(reading: &Reading, domain: Domain) -> Option<f64> {
     reading.value(domain)?.joules()
 }
@@ -49,17 +61,13 @@ fn subzones_and_the_mmio_duplicate_are_not_added_to_the_package() {
         (SECOND, "uncore", 100_000),
         ("intel-rapl-mmio:0", "package-0", 1_000_000),
     ]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl:0", 31_000_000);
-    tree.set("intel-rapl-mmio:0", 31_000_000);
-    tree.set(CORE, 20_500_000);
-    tree.set(SECOND, 4_100_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [
+        ("intel-rapl:0", 31_000_000),
+        ("intel-rapl-mmio:0", 31_000_000),
+        (CORE, 20_500_000),
+        (SECOND, 4_100_000),
+    ];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(30.0));
     assert_eq!(joules(&reading, Domain::Gpu), Some(4.0));
     assert_eq!(joules(&reading, Domain::Cpu), Some(26.0));
@@ -76,17 +84,13 @@ fn two_sockets_and_their_memory_add_up() {
         ("intel-rapl:1", "package-1", 0),
         ("intel-rapl:1/intel-rapl:1:0", "dram", 0),
     ]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl:0", 10_000_000);
-    tree.set(CORE, 2_000_000);
-    tree.set("intel-rapl:1", 20_000_000);
-    tree.set("intel-rapl:1/intel-rapl:1:0", 3_000_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [
+        ("intel-rapl:0", 10_000_000),
+        (CORE, 2_000_000),
+        ("intel-rapl:1", 20_000_000),
+        ("intel-rapl:1/intel-rapl:1:0", 3_000_000),
+    ];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(35.0));
     assert_eq!(joules(&reading, Domain::Cpu), Some(30.0));
     assert_eq!(joules(&reading, Domain::IoMem), Some(5.0));
@@ -98,15 +102,8 @@ fn psys_is_the_whole_platform_and_packages_are_not_added_to_it() {
         ("intel-rapl:0", "package-0", 0),
         ("intel-rapl:1", "psys", 0),
     ]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl:0", 10_000_000);
-    tree.set("intel-rapl:1", 25_000_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [("intel-rapl:0", 10_000_000), ("intel-rapl:1", 25_000_000)];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(25.0));
     assert_eq!(joules(&reading, Domain::Cpu), Some(10.0));
     assert_eq!(&*reading.total_from, "input_rail");
@@ -115,28 +112,16 @@ fn psys_is_the_whole_platform_and_packages_are_not_added_to_it() {
 #[test]
 fn a_counter_that_wraps_goes_on_counting() {
     let tree = Tree::new(&[("intel-rapl:0", "package-0", 262_143_328_850 - 4_000_000)]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl:0", 6_000_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [("intel-rapl:0", 6_000_000)];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(10.0));
 }
 
 #[test]
 fn a_counter_that_was_reset_is_not_taken_for_one_that_wrapped() {
     let tree = Tree::new(&[("intel-rapl:0", "package-0", 5_000_000_000)]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl:0", 1_000_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [("intel-rapl:0", 1_000_000)];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(0.0));
 }
 
@@ -152,14 +137,8 @@ fn a_machine_without_powercap_says_what_was_looked_for() {
 #[test]
 fn only_the_mmio_zone_is_used_where_there_is_no_other() {
     let tree = Tree::new(&[("intel-rapl-mmio:0", "package-0", 0)]);
-    let mut meter = tree.open().unwrap();
-    let start = Instant::now();
-    meter.poll(start).unwrap();
-    tree.set("intel-rapl-mmio:0", 3_000_000);
-    let reading = meter
-        .poll(start + Duration::from_secs(1))
-        .unwrap()
-        .remove(0);
+    let counts = [("intel-rapl-mmio:0", 3_000_000)];
+    let reading = second_reading(&tree, &counts);
     assert_eq!(joules(&reading, Domain::Total), Some(3.0));
 }
 

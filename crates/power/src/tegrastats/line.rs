@@ -16,12 +16,8 @@ pub struct TegrastatsLine {
     pub temperatures: Vec<(String, f64)>,
     /// Mean clock of the cores that are on, MHz.
     pub cpu_mhz: Option<f64>,
-    /// Mean load of the cores that are on, 0 to 1.
-    pub cpu_load: Option<f64>,
     /// GPU clock, MHz; the mean of several.
     pub gpu_mhz: Option<f64>,
-    /// GPU load, 0 to 1.
-    pub gpu_load: Option<f64>,
 }
 
 impl TegrastatsLine {
@@ -55,10 +51,8 @@ impl TegrastatsLine {
             }
             let Some(value) = words.get(i + 1) else { break };
             match *word {
-                "CPU" | "cpu" if value.starts_with('[') => {
-                    (found.cpu_load, found.cpu_mhz) = cores(value);
-                }
-                "GR3D_FREQ" | "GR3D" => (found.gpu_load, found.gpu_mhz) = load_and_clock(value),
+                "CPU" | "cpu" if value.starts_with('[') => found.cpu_mhz = cores(value),
+                "GR3D_FREQ" | "GR3D" => found.gpu_mhz = clock(value),
                 "NC" => {}
                 name if is_name(name) => {
                     if let Some(watts) = watts(value) {
@@ -104,30 +98,18 @@ fn temperature(word: &str) -> Option<(String, f64)> {
     (is_name(name) && celsius > -200.0).then(|| (name.to_ascii_lowercase(), celsius))
 }
 
-/// `[5%@729,off,7%@1100]`, `[17%,13%]@408`: mean load and clock of the cores that are on.
-fn cores(word: &str) -> (Option<f64>, Option<f64>) {
-    let Some((list, after)) = word.trim_start_matches('[').split_once(']') else {
-        return (None, None);
-    };
-    let (loads, clocks): (Vec<_>, Vec<_>) = list
-        .split(',')
-        .filter(|core| *core != "off")
-        .map(load_and_clock)
-        .unzip();
-    let common = after.strip_prefix('@').and_then(|mhz| mhz.parse().ok());
-    let mean = |values: Vec<Option<f64>>| mean(values.into_iter().flatten());
-    (mean(loads), mean(clocks).or(common))
+/// `[5%@729,off,7%@1100]`, `[17%,13%]@408`: mean clock of the cores that are on.
+fn cores(word: &str) -> Option<f64> {
+    let (list, after) = word.trim_start_matches('[').split_once(']')?;
+    let clocks = mean(list.split(',').filter_map(clock));
+    clocks.or_else(|| after.strip_prefix('@')?.parse().ok())
 }
 
-/// `63%`, `63%@621`, `0%@[1300,1300]`, `@[314,314,314]`.
-fn load_and_clock(word: &str) -> (Option<f64>, Option<f64>) {
-    let (load, clock) = word.split_once('@').unwrap_or((word, ""));
-    let percent = load.strip_suffix('%').and_then(|l| l.parse::<f64>().ok());
+/// `63%@621`, `0%@[1300,1300]`, `@[314,314,314]`; `63%` and `off` say nothing of the clock.
+fn clock(word: &str) -> Option<f64> {
+    let (_, clock) = word.split_once('@')?;
     let clocks = clock.trim_start_matches('[').trim_end_matches(']');
-    (
-        percent.map(|p| p / 100.0),
-        mean(clocks.split(',').filter_map(|mhz| mhz.parse().ok())),
-    )
+    mean(clocks.split(',').filter_map(|mhz| mhz.parse().ok()))
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {

@@ -4,88 +4,7 @@ use super::{ClassNames, HeadName, Metadata, StartError};
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
 /// category numbers, which is the order detectors trained on it use.
-pub(super) const COCO_CLASSES: [&str; 80] = [
-    "person",
-    "bicycle",
-    "car",
-    "motorcycle",
-    "airplane",
-    "bus",
-    "train",
-    "truck",
-    "boat",
-    "traffic light",
-    "fire hydrant",
-    "stop sign",
-    "parking meter",
-    "bench",
-    "bird",
-    "cat",
-    "dog",
-    "horse",
-    "sheep",
-    "cow",
-    "elephant",
-    "bear",
-    "zebra",
-    "giraffe",
-    "backpack",
-    "umbrella",
-    "handbag",
-    "tie",
-    "suitcase",
-    "frisbee",
-    "skis",
-    "snowboard",
-    "sports ball",
-    "kite",
-    "baseball bat",
-    "baseball glove",
-    "skateboard",
-    "surfboard",
-    "tennis racket",
-    "bottle",
-    "wine glass",
-    "cup",
-    "fork",
-    "knife",
-    "spoon",
-    "bowl",
-    "banana",
-    "apple",
-    "sandwich",
-    "orange",
-    "broccoli",
-    "carrot",
-    "hot dog",
-    "pizza",
-    "donut",
-    "cake",
-    "chair",
-    "couch",
-    "potted plant",
-    "bed",
-    "dining table",
-    "toilet",
-    "tv",
-    "laptop",
-    "mouse",
-    "remote",
-    "keyboard",
-    "cell phone",
-    "microwave",
-    "oven",
-    "toaster",
-    "sink",
-    "refrigerator",
-    "book",
-    "clock",
-    "vase",
-    "scissors",
-    "teddy bear",
-    "hair drier",
-    "toothbrush",
-];
+pub(super) const COCO_CLASSES: &str = include_str!("coco.txt");
 
 /// COCO's category numbers that no category has. Models that answer with category numbers (RF-DETR) have 91
 /// classes, from 0 to 90.
@@ -93,11 +12,11 @@ const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 8
 
 /// The names of COCO by category number; empty where there is no category.
 fn coco_categories() -> Vec<String> {
-    let mut names = COCO_CLASSES.iter();
+    let mut names = COCO_CLASSES.lines();
     (0..=90)
         .map(|number| match UNUSED_CATEGORIES.contains(&number) {
             true => String::new(),
-            false => names.next().copied().unwrap_or_default().to_owned(),
+            false => names.next().unwrap_or_default().to_owned(),
         })
         .collect()
 }
@@ -164,9 +83,8 @@ pub(super) fn read(
 
 /// The list that belongs to a head, if it is as long.
 fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
-    let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
     match (head, classes?) {
-        (_, 80) => Some(owned(&COCO_CLASSES)),
+        (_, 80) => Some(COCO_CLASSES.lines().map(str::to_owned).collect()),
         (HeadName::Detr, 91) => Some(coco_categories()),
         _ => None,
     }

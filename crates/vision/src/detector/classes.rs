@@ -146,7 +146,8 @@ mod tests {
 
     #[test]
     fn by_default_the_seven_classes_of_bdd100k_are_reported_and_no_other() {
-        let coco = classes(&COCO_CLASSES, &DetectorConfig::default());
+        let names: Vec<_> = COCO_CLASSES.lines().collect();
+        let coco = classes(&names, &DetectorConfig::default());
         assert_eq!(coco.reported, BDD100K_CLASSES);
         for (number, expected) in [
             (0, Some("pedestrian")),
@@ -180,8 +181,9 @@ mod tests {
 
     #[test]
     fn an_empty_list_reports_all_under_their_own_numbers() {
-        let coco = classes(&COCO_CLASSES, &config(Some(&[]), &[]));
-        assert_eq!(coco.reported, COCO_CLASSES);
+        let names: Vec<_> = COCO_CLASSES.lines().collect();
+        let coco = classes(&names, &config(Some(&[]), &[]));
+        assert_eq!(coco.reported, names);
         assert!(
             (0..80)
                 .all(|number| { coco.reported_as(ClassId(number)) == Some(Some(ClassId(number))) })

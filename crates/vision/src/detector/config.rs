@@ -67,9 +67,6 @@ pub struct DetectorConfig {
     /// Non-maximum suppression drops a box that overlaps a better one of its class more than this. Models that
     /// end with finished boxes have no use for it.
     pub suppression_overlap: f64,
-    /// Whether only boxes of the same class suppress each other. No setting of a node.
-    #[serde(skip)]
-    pub suppression_per_class: bool,
     /// The most detections of a frame, the most confident ones. No setting of a node.
     #[serde(skip)]
     pub most_detections: usize,
@@ -103,7 +100,6 @@ impl Default for DetectorConfig {
             report_classes: None,
             confidence: 0.5,
             suppression_overlap: 0.45,
-            suppression_per_class: true,
             most_detections: 300,
             providers: vec![ExecutionProvider::Cpu],
             gpu: GpuConfig::default(),
@@ -163,7 +159,6 @@ impl DetectorConfig {
             let reason = format!("`{}` is there twice", provider.as_str());
             check("providers", is_new, reason);
         }
-        problems.extend(self.gpu.problems());
         problems
     }
 

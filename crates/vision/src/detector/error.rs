@@ -112,17 +112,6 @@ pub enum StartError {
     },
 }
 
-/// Why one run of a model failed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum RunError {
-    /// The model or what runs it is at fault; its session should not be used again.
-    #[error("{0}")]
-    Failed(String),
-    /// Everything found in this run and in the runs before it is impossible; the next run may be better.
-    #[error("{0}")]
-    Implausible(String),
-}
-
 /// Why a picture was not answered. The frame it belongs to can be answered from prediction.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InferenceError {

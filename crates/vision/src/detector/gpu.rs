@@ -9,7 +9,7 @@ use std::path::PathBuf;
 pub struct GpuConfig {
     /// Which GPU, as CUDA numbers them. No setting of a node: `CUDA_VISIBLE_DEVICES` chooses.
     #[serde(skip)]
-    pub device: u32,
+    pub device: i32,
     /// The most GPU memory that CUDA's arena, and TensorRT's workspace while it builds an engine, may take, MiB;
     /// 0 for no limit. No setting of a node.
     #[serde(skip)]
@@ -39,23 +39,6 @@ impl GpuConfig {
         let bytes = usize::try_from(self.memory_limit_mib).ok()? << 20;
         (bytes > 0).then_some(bytes)
     }
-
-    /// The number of the GPU as ONNX Runtime takes it.
-    pub(crate) fn device_id(&self) -> i32 {
-        i32::try_from(self.device).unwrap_or(i32::MAX)
-    }
-
-    /// Everything that is wrong: the key within `[detector]`, and what its value should be.
-    pub fn problems(&self) -> Vec<(&'static str, String)> {
-        let right = self.device < 64;
-        let reason = || {
-            (
-                "gpu.device",
-                format!("must be from 0 to 63, not {}", self.device),
-            )
-        };
-        (!right).then(reason).into_iter().collect()
-    }
 }
 
 #[cfg(test)]
@@ -68,15 +51,5 @@ mod tests {
         assert_eq!(gpu.memory_limit(), None);
         gpu.memory_limit_mib = 512;
         assert_eq!(gpu.memory_limit(), Some(512 * 1024 * 1024));
-    }
-
-    #[test]
-    fn a_gpu_that_no_machine_has_is_named() {
-        let gpu = GpuConfig {
-            device: 64,
-            ..GpuConfig::default()
-        };
-        assert_eq!(gpu.problems()[0].0, "gpu.device");
-        assert!(GpuConfig::default().problems().is_empty());
     }
 }

@@ -66,7 +66,7 @@ impl DetectorMeter {
     pub fn read(&self) -> DetectorCounts {
         DetectorCounts {
             worker: self.worker.read(),
-            head: self.head.counts(),
+            head: *self.head.lock(),
         }
     }
 }

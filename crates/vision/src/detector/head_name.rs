@@ -5,26 +5,17 @@ use serde::{Deserialize, Serialize};
 /// How a model's output tensors are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
 pub enum HeadName {
     /// As the model's metadata, or its outputs' names and shapes, tell.
-    #[serde(rename = "auto")]
-    #[cfg_attr(feature = "cli", value(name = "auto"))]
     Auto,
     /// YOLOv8, YOLO11, YOLO26 one-to-many: `[1, 4 + classes, anchors]`, suppression by us.
-    #[serde(rename = "yolo")]
-    #[cfg_attr(feature = "cli", value(name = "yolo"))]
     Yolo,
     /// YOLO26, YOLOv10 and exports with suppression inside: `[1, boxes, 6]`.
-    #[serde(rename = "end-to-end")]
-    #[cfg_attr(feature = "cli", value(name = "end-to-end"))]
     EndToEnd,
     /// RF-DETR: `[1, queries, 4]` and `[1, queries, classes]`.
-    #[serde(rename = "detr")]
-    #[cfg_attr(feature = "cli", value(name = "detr"))]
     Detr,
     /// YOLOX: `[1, cells, 5 + classes]`, not decoded.
-    #[serde(rename = "yolox")]
-    #[cfg_attr(feature = "cli", value(name = "yolox"))]
     Yolox,
     /// FastestDet: `[1, 5 + classes, rows, columns]`, not decoded.
     #[serde(rename = "fastestdet")]

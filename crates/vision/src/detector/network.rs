@@ -5,8 +5,8 @@ use super::classes::Classes;
 use super::head::{self, Head, TensorView, Unrecognised};
 use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
 use super::{
-    DetectorConfig, ExecutionProvider, HeadName, OnnxSession, PictureInput, Preparation,
-    PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec, class_names,
+    DetectorConfig, ExecutionProvider, HeadName, InferenceError, OnnxSession, PictureInput,
+    Preparation, PreparedPicture, Signature, StartError, TensorSpec, class_names,
 };
 use crate::picture::{InputFormat, Picture};
 use crate::worker::Model;
@@ -55,13 +55,7 @@ impl DetectorNetwork {
         config: &DetectorConfig,
         counters: Arc<HeadCounters>,
     ) -> Result<Self, StartError> {
-        let session = OnnxSession::open(&SessionSettings {
-            model: config.model.clone(),
-            providers: config.providers.clone(),
-            gpu: config.gpu.clone(),
-            threads: config.threads,
-            onnxruntime: config.onnxruntime.clone(),
-        })?;
+        let session = OnnxSession::open(config)?;
         check_batch(config, session.signature())?;
         let head = head_for(config, session.signature())?;
         let names = class_names::read(
@@ -113,9 +107,9 @@ impl DetectorNetwork {
     ///
     /// # Errors
     /// When the run failed.
-    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
+    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, InferenceError> {
         let found = self.run(std::slice::from_ref(picture))?.pop();
-        found.ok_or_else(|| RunError::Failed("the model gave no answer".to_owned()))
+        found.ok_or_else(|| InferenceError::Failed("the model gave no answer".to_owned()))
     }
 
     /// Where pictures become the model's input.
@@ -214,7 +208,7 @@ impl Model for DetectorNetwork {
         (self.class_names().to_vec(), self.input_format())
     }
 
-    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, InferenceError> {
         let Self {
             session,
             preparation,
@@ -250,7 +244,7 @@ impl Model for DetectorNetwork {
             false => 0,
         };
         if self.impossible_runs >= IMPOSSIBLE_RUNS {
-            return Err(RunError::Implausible(format!(
+            return Err(InferenceError::Implausible(format!(
                 "everything that the model finds is impossible (numbers that are not finite, boxes without an area or \
                  outside of the picture), {IMPOSSIBLE_RUNS} runs in a row or more: export it again, and where it \
                  computes in half precision, without"

@@ -84,30 +84,26 @@ impl Search {
         let named = configured
             .map(|path| ("detector.onnxruntime", path.to_owned()))
             .or_else(variable);
-        let mut folders = Vec::new();
-        if let Some(folder) = std::env::current_exe()
-            .ok()
+        let program = std::env::current_exe().ok();
+        let beside = program
             .as_deref()
             .and_then(Path::parent)
-        {
-            folders.push(folder.to_owned());
-        }
-        folders.push(PathBuf::from(".cache/onnxruntime"));
-        if let Some(path) = std::env::var_os("LD_LIBRARY_PATH") {
-            folders
-                .extend(std::env::split_paths(&path).filter(|path| !path.as_os_str().is_empty()));
-        }
+            .map(Path::to_owned);
+        let listed = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+        let listed = std::env::split_paths(&listed).filter(|path| !path.as_os_str().is_empty());
         let multiarch = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);
-        folders.extend(
-            [
-                "/usr/local/lib",
-                &multiarch,
-                "/usr/lib64",
-                "/usr/lib",
-                "/opt/onnxruntime/lib",
-            ]
-            .map(PathBuf::from),
-        );
+        let usual = [
+            "/usr/local/lib",
+            &multiarch,
+            "/usr/lib64",
+            "/usr/lib",
+            "/opt/onnxruntime/lib",
+        ];
+        let folders = (beside.into_iter())
+            .chain([PathBuf::from(".cache/onnxruntime")])
+            .chain(listed)
+            .chain(usual.map(PathBuf::from))
+            .collect();
         Self { named, folders }
     }
 

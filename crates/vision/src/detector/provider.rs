@@ -12,20 +12,20 @@ pub(super) fn registrations(
     configured: &[ExecutionProvider],
     gpu: &GpuConfig,
 ) -> Vec<ExecutionProviderDispatch> {
-    let mut providers = Vec::new();
-    if provider == ExecutionProvider::TensorRt {
-        providers.push(tensorrt(gpu).build().error_on_failure());
+    let cuda = || cuda(gpu).build().error_on_failure();
+    let tensorrt = || tensorrt(gpu).build().error_on_failure();
+    match provider {
+        ExecutionProvider::Cpu => Vec::new(),
+        ExecutionProvider::Cuda => vec![cuda()],
+        ExecutionProvider::TensorRt if configured.contains(&ExecutionProvider::Cuda) => {
+            vec![tensorrt(), cuda()]
+        }
+        ExecutionProvider::TensorRt => vec![tensorrt()],
     }
-    let for_the_rest =
-        provider == ExecutionProvider::TensorRt && configured.contains(&ExecutionProvider::Cuda);
-    if provider == ExecutionProvider::Cuda || for_the_rest {
-        providers.push(cuda(gpu).build().error_on_failure());
-    }
-    providers
 }
 
 fn cuda(gpu: &GpuConfig) -> CUDA {
-    let cuda = CUDA::default().with_device_id(gpu.device_id());
+    let cuda = CUDA::default().with_device_id(gpu.device);
     match gpu.memory_limit() {
         Some(limit) => cuda
             .with_memory_limit(limit)
@@ -37,7 +37,7 @@ fn cuda(gpu: &GpuConfig) -> CUDA {
 
 fn tensorrt(gpu: &GpuConfig) -> TensorRT {
     let mut tensorrt = TensorRT::default()
-        .with_device_id(gpu.device_id())
+        .with_device_id(gpu.device)
         .with_fp16(gpu.fp16);
     if let Some(limit) = gpu.memory_limit() {
         tensorrt = tensorrt.with_max_workspace_size(limit);

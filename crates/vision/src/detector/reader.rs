@@ -2,12 +2,13 @@
 
 use super::classes::Classes;
 use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
-use super::{DetectorConfig, HeadName, RunError, shape_text};
+use super::{DetectorConfig, HeadName, InferenceError, shape_text};
 use crate::picture::InputMapping;
 use albireo_core::detection::Detection;
-use albireo_core::geometry::Corners;
+use albireo_core::geometry::PictureSize;
+use parking_lot::Mutex;
+use std::ops::AddAssign;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What was found in the model's output and not reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,34 +24,17 @@ pub struct HeadCounts {
     pub over_limit: u64,
 }
 
+impl AddAssign for HeadCounts {
+    fn add_assign(&mut self, more: Self) {
+        self.rejected += more.rejected;
+        self.outside += more.outside;
+        self.unknown_class += more.unknown_class;
+        self.over_limit += more.over_limit;
+    }
+}
+
 /// The same while it is being counted; outlives the session.
-#[derive(Debug, Default)]
-pub(super) struct HeadCounters {
-    rejected: AtomicU64,
-    outside: AtomicU64,
-    unknown_class: AtomicU64,
-    over_limit: AtomicU64,
-}
-
-impl HeadCounters {
-    pub(super) fn counts(&self) -> HeadCounts {
-        HeadCounts {
-            rejected: self.rejected.load(Ordering::Relaxed),
-            outside: self.outside.load(Ordering::Relaxed),
-            unknown_class: self.unknown_class.load(Ordering::Relaxed),
-            over_limit: self.over_limit.load(Ordering::Relaxed),
-        }
-    }
-
-    fn add(&self, counts: HeadCounts) {
-        self.rejected.fetch_add(counts.rejected, Ordering::Relaxed);
-        self.outside.fetch_add(counts.outside, Ordering::Relaxed);
-        self.unknown_class
-            .fetch_add(counts.unknown_class, Ordering::Relaxed);
-        self.over_limit
-            .fetch_add(counts.over_limit, Ordering::Relaxed);
-    }
-}
+pub(super) type HeadCounters = Mutex<HeadCounts>;
 
 /// What is found in the output for one picture.
 pub(super) struct ReadOut {
@@ -78,7 +62,7 @@ impl Reader {
             confidence: config.confidence,
             suppression: Suppression {
                 overlap: config.suppression_overlap,
-                per_class: config.suppression_per_class,
+                per_class: true,
                 most: config.most_detections,
             },
             classes,
@@ -103,7 +87,7 @@ impl Reader {
 
     /// What was found in the model's output and not reported.
     pub(super) fn counts(&self) -> HeadCounts {
-        self.counters.counts()
+        *self.counters.lock()
     }
 
     /// What is found in the output for one picture.
@@ -114,12 +98,12 @@ impl Reader {
         &mut self,
         outputs: &[TensorView<'_>],
         mapping: InputMapping,
-    ) -> Result<ReadOut, RunError> {
+    ) -> Result<ReadOut, InferenceError> {
         self.candidates.clear();
         let rejected = self
             .head
             .read(outputs, self.confidence, &mut self.candidates)
-            .map_err(RunError::Failed)?;
+            .map_err(InferenceError::Failed)?;
         Ok(self.detections(mapping, rejected))
     }
 
@@ -153,7 +137,7 @@ impl Reader {
             .filter_map(|candidate| detection(candidate, mapping))
             .collect();
         counts.outside = (self.candidates.len() - detections.len()) as u64;
-        self.counters.add(counts);
+        *self.counters.lock() += counts;
         let some_are_impossible = counts.rejected + counts.outside > 0;
         ReadOut {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
@@ -164,15 +148,9 @@ impl Reader {
 
 /// The candidate clipped to the source picture; `None` when nothing of it is inside.
 fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> {
-    let corners = mapping.to_source(candidate.corners).corners();
-    let clipped = Corners {
-        x1: corners.x1.clamp(0.0, 1.0),
-        y1: corners.y1.clamp(0.0, 1.0),
-        x2: corners.x2.clamp(0.0, 1.0),
-        y2: corners.y2.clamp(0.0, 1.0),
-    };
+    let clipped = mapping.to_source(candidate.corners).corners().clipped();
     (clipped.area() > 0.0).then(|| Detection {
-        bounding_box: clipped.normalise(albireo_core::geometry::PictureSize::new(1, 1)),
+        bounding_box: clipped.normalise(PictureSize::new(1, 1)),
         class: candidate.class,
         confidence: f64::from(candidate.confidence),
     })
@@ -189,12 +167,12 @@ impl Parts {
     ///
     /// # Errors
     /// When an output is of another number of pictures.
-    pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, RunError> {
+    pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, InferenceError> {
         let shape_of_one = |output: &TensorView<'_>| match output.shape {
             [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => {
                 Ok([&[1], rest].concat())
             }
-            shape => Err(RunError::Failed(format!(
+            shape => Err(InferenceError::Failed(format!(
                 "the model gave an output of {} for {pictures} pictures",
                 shape_text(shape)
             ))),

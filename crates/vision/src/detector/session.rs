@@ -3,8 +3,8 @@
 use super::head::TensorView;
 use super::sessions::{Entry, SESSIONS};
 use super::{
-    ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
-    TensorSpec,
+    DetectorConfig, ElementType, ExecutionProvider, InferenceError, Metadata, Signature,
+    StartError, TensorSpec,
 };
 use super::{fault, onnxruntime, provider};
 use half::f16;
@@ -14,24 +14,9 @@ use ort::logging::LogLevel;
 use ort::session::{RunOptions, Session};
 use ort::value::{DynValue, Outlet, TensorElementType, TensorRef, ValueType};
 use std::borrow::Cow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use tracing::warn;
-
-/// What a session is made from.
-#[derive(Clone, Debug)]
-pub struct SessionSettings {
-    /// ONNX file.
-    pub model: PathBuf,
-    /// In order of preference.
-    pub providers: Vec<ExecutionProvider>,
-    /// Settings of a provider on a GPU.
-    pub gpu: GpuConfig,
-    /// Threads inside one run; 0 for one less than the machine has cores.
-    pub threads: usize,
-    /// The library, if it is named.
-    pub onnxruntime: Option<PathBuf>,
-}
 
 /// A loaded model with what runs it.
 pub struct OnnxSession {
@@ -48,11 +33,11 @@ pub struct OnnxSession {
 }
 
 impl OnnxSession {
-    /// Loads the model with the first execution provider that works.
+    /// Loads the model that `settings` name with the first execution provider that works.
     ///
     /// # Errors
     /// When there is no library, no readable model, or no provider as configured.
-    pub fn open(settings: &SessionSettings) -> Result<Self, StartError> {
+    pub fn open(settings: &DetectorConfig) -> Result<Self, StartError> {
         // Told apart from what ONNX Runtime says of a damaged model.
         if let Err(error) = std::fs::File::open(&settings.model) {
             return Err(StartError::ModelUnreadable {
@@ -76,7 +61,7 @@ impl OnnxSession {
 
     fn open_with(
         environment: &Environment,
-        settings: &SessionSettings,
+        settings: &DetectorConfig,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
         let (session, options, entry) = build(environment, settings, provider)
@@ -118,8 +103,8 @@ impl OnnxSession {
         mut shape: [i64; 4],
         pictures: &[&[f32]],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
-    ) -> Result<R, RunError> {
-        let failed = |error: ort::Error| RunError::Failed(in_words(&error));
+    ) -> Result<R, InferenceError> {
+        let failed = |error: ort::Error| InferenceError::Failed(in_words(&error));
         let Self {
             session,
             options,
@@ -214,7 +199,7 @@ fn terminate(options: &RunOptions) {
 
 fn build(
     environment: &Environment,
-    settings: &SessionSettings,
+    settings: &DetectorConfig,
     provider: ExecutionProvider,
 ) -> ort::Result<(Session, Arc<RunOptions>, Entry<'static>)> {
     let threads = match settings.threads {

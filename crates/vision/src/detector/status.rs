@@ -1,6 +1,6 @@
 //! The state of the detector, for readiness, metrics and clip reports.
 
-use super::ExecutionProvider;
+use super::{ExecutionProvider, InferenceError};
 
 /// The state of a model's worker, published on a watch channel.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +45,17 @@ impl DetectorStatus {
             Self::Implausible { reason, .. }
             | Self::Degraded { reason, .. }
             | Self::Lost { reason, .. } => Some(reason),
+        }
+    }
+
+    /// What a picture is refused with now, if it is.
+    pub(crate) fn refusal(&self) -> Option<InferenceError> {
+        match self {
+            Self::Ready { .. } | Self::Implausible { .. } => None,
+            Self::Starting => Some(InferenceError::Unavailable("it starts".to_owned())),
+            Self::Degraded { reason, .. } | Self::Lost { reason, .. } => {
+                Some(InferenceError::Unavailable(reason.clone()))
+            }
         }
     }
 

@@ -68,28 +68,19 @@ pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
     Ok(files)
 }
 
-/// The file's name in parts that compare as people count: text as text, digits by value.
-fn natural_key(file: &Path) -> Vec<(String, u64, String)> {
+/// The file's name with its numbers in so many digits that they compare by value.
+fn natural_key(file: &Path) -> (String, PathBuf) {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
-    let mut parts = Vec::new();
-    let mut rest = name.as_ref();
-    while !rest.is_empty() {
-        let text_end = rest
-            .find(|c: char| c.is_ascii_digit())
-            .unwrap_or(rest.len());
-        let (text, after) = rest.split_at(text_end);
-        let digits_end = after
-            .find(|c: char| !c.is_ascii_digit())
-            .unwrap_or(after.len());
-        let (digits, after) = after.split_at(digits_end);
-        parts.push((
-            text.to_owned(),
-            digits.parse().unwrap_or(u64::MAX),
-            digits.to_owned(),
-        ));
-        rest = after;
-    }
-    parts
+    let is_digit = |byte: &u8| byte.is_ascii_digit();
+    let parts = (name.as_bytes()).chunk_by(|a, b| is_digit(a) == is_digit(b));
+    let parts = parts.map(|part| {
+        let text = String::from_utf8_lossy(part);
+        match part.iter().all(is_digit) {
+            true => format!("{:0>20}", text.trim_start_matches('0')),
+            false => text.into_owned(),
+        }
+    });
+    (parts.collect(), file.to_path_buf())
 }
 
 /// Reads a file, and its header as a node would.

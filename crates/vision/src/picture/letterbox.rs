@@ -209,10 +209,10 @@ impl Letterbox {
             &self.resized
         };
         let convert = match (picture.layout, self.format.layout) {
-            (PixelLayout::Rgb8, TensorLayout::Nchw) => to_planes::<3>,
-            (PixelLayout::Gray8, TensorLayout::Nchw) => to_planes::<1>,
-            (PixelLayout::Rgb8, TensorLayout::Nhwc) => to_pixels::<3>,
-            (PixelLayout::Gray8, TensorLayout::Nhwc) => to_pixels::<1>,
+            (PixelLayout::Rgb8, TensorLayout::Nchw) => convert::<3, 1>,
+            (PixelLayout::Gray8, TensorLayout::Nchw) => convert::<1, 1>,
+            (PixelLayout::Rgb8, TensorLayout::Nhwc) => convert::<3, 3>,
+            (PixelLayout::Gray8, TensorLayout::Nhwc) => convert::<1, 3>,
         };
         convert(&self.format, placement, pixels, &mut self.tensor);
         Ok(mapping)
@@ -270,36 +270,8 @@ impl Letterbox {
     }
 }
 
-/// From interleaved bytes to planes of float32, in one pass.
-fn to_planes<const CHANNELS: usize>(
-    format: &InputFormat,
-    placement: Placement,
-    pixels: &[u8],
-    tensor: &mut [f32],
-) {
-    let columns = format.size.width as usize;
-    let plane = columns * format.size.height as usize;
-    let (width, left) = (placement.width as usize, placement.left as usize);
-    let (first, rest) = tensor.split_at_mut(plane);
-    let (second, third) = rest.split_at_mut(plane);
-    let factors = format.factors();
-    let source = factors.map(|(color, ..)| color * (CHANNELS - 1) / 2);
-    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
-        let start = (placement.top as usize + row) * columns + left;
-        let first = &mut first[start..start + width];
-        let second = &mut second[start..start + width];
-        let third = &mut third[start..start + width];
-        let targets = first.iter_mut().zip(second).zip(third);
-        for (((first, second), third), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-            *first = f32::from(pixel[source[0]]) * factors[0].1 + factors[0].2;
-            *second = f32::from(pixel[source[1]]) * factors[1].1 + factors[1].2;
-            *third = f32::from(pixel[source[2]]) * factors[2].1 + factors[2].2;
-        }
-    }
-}
-
-/// From interleaved bytes to interleaved float32.
-fn to_pixels<const CHANNELS: usize>(
+/// From interleaved bytes to float32: to planes where values of a colour are `STEP` = 1 apart, else interleaved.
+fn convert<const CHANNELS: usize, const STEP: usize>(
     format: &InputFormat,
     placement: Placement,
     pixels: &[u8],
@@ -307,13 +279,18 @@ fn to_pixels<const CHANNELS: usize>(
 ) {
     let columns = format.size.width as usize;
     let (width, left) = (placement.width as usize, placement.left as usize);
+    let from_color_to_color = match STEP {
+        1 => columns * format.size.height as usize,
+        _ => 1,
+    };
     let factors = format.factors();
     for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
-        let start = ((placement.top as usize + row) * columns + left) * 3;
-        let targets = tensor[start..start + 3 * width].chunks_exact_mut(3);
-        for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-            for (target, (color, factor, offset)) in target.iter_mut().zip(factors) {
-                *target = f32::from(pixel[color * (CHANNELS - 1) / 2]) * factor + offset;
+        let start = ((placement.top as usize + row) * columns + left) * STEP;
+        for (place, (color, factor, offset)) in factors.into_iter().enumerate() {
+            let source = color * (CHANNELS - 1) / 2;
+            let targets = tensor[place * from_color_to_color + start..].chunks_mut(STEP);
+            for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+                target[0] = f32::from(pixel[source]) * factor + offset;
             }
         }
     }
@@ -344,23 +321,11 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
     let input = format.size;
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let (columns, rows) = (f64::from(input.width), f64::from(input.height));
-    if format.fit == Fit::Stretch {
-        let placement = Placement {
-            left: 0,
-            top: 0,
-            width: input.width,
-            height: input.height,
-        };
-        let mapping = InputMapping {
-            offset_x: 0.0,
-            offset_y: 0.0,
-            width: columns,
-            height: rows,
-        };
-        return (placement, mapping);
-    }
     let scale = (columns / width).min(rows / height);
-    let (scaled_width, scaled_height) = (scale * width, scale * height);
+    let (scaled_width, scaled_height) = match format.fit {
+        Fit::Stretch => (columns, rows),
+        Fit::TopLeft(_) | Fit::Centre(_) => (scale * width, scale * height),
+    };
     // Ultralytics rounds. YOLOX cuts the fraction off, of 415.999… too, which is what 720 columns at a scale
     // of 416/720 come to: one column less moves boxes by up to 3 pixels and scores by 0.02, so it is kept.
     let whole = |value: f64, most: u32| {

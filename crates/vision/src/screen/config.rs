@@ -1,6 +1,5 @@
 //! The `[screen]` section of the configuration.
 
-use crate::detector::StartError;
 use crate::picture::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -14,9 +13,10 @@ pub struct ScreenConfig {
     pub model: Option<PathBuf>,
     /// Order of its colour planes.
     pub color_order: ColorOrder,
-    /// Which of its two outputs means "empty": 0 or 1. No setting of a node, where it is 0.
+    /// Whether the second of its two outputs means "empty", and not the first. No setting of a node, where it is the
+    /// first.
     #[serde(skip)]
-    pub empty_class: usize,
+    pub empty_is_second: bool,
     /// A verdict that takes longer counts as "not empty". No setting of a node.
     #[serde(skip)]
     pub timeout_ms: u64,
@@ -31,38 +31,9 @@ impl Default for ScreenConfig {
         Self {
             model: None,
             color_order: ColorOrder::Rgb,
-            empty_class: 0,
+            empty_is_second: false,
             timeout_ms: 1000,
             longest_empty_run: 100,
-        }
-    }
-}
-
-impl ScreenConfig {
-    /// Everything that is wrong and can be seen without opening a file: the key within `[screen]`, and what its
-    /// value should be.
-    pub fn problems(&self) -> Vec<(&'static str, String)> {
-        let mut problems = Vec::new();
-        if self.empty_class > 1 {
-            problems.push((
-                "empty_class",
-                format!("must be from 0 to 1, not {}", self.empty_class),
-            ));
-        }
-        problems
-    }
-
-    /// The first of the [`problems`](Self::problems), as an error.
-    ///
-    /// # Errors
-    /// The first key whose value cannot be.
-    pub fn check(&self) -> Result<(), StartError> {
-        match self.problems().into_iter().next() {
-            None => Ok(()),
-            Some((key, reason)) => Err(StartError::Configuration {
-                key: format!("screen.{key}"),
-                reason,
-            }),
         }
     }
 }

@@ -27,7 +27,7 @@ pub struct ScreenVerdict {
 pub struct ScreenHandle {
     worker: Worker<PreparedPicture, Logits>,
     preparation: Preparation,
-    empty_class: usize,
+    empty_is_second: bool,
 }
 
 impl ScreenHandle {
@@ -43,7 +43,6 @@ impl ScreenHandle {
         let Some(model) = config.model.clone() else {
             return Ok(None);
         };
-        config.check()?;
         let library = onnxruntime.map(Path::to_owned);
         let its_config = config.clone();
         let build = move || ScreenNetwork::open(&model, &its_config, library.clone());
@@ -57,7 +56,7 @@ impl ScreenHandle {
         Ok(Some(Self {
             worker,
             preparation: Preparation::new(input),
-            empty_class: config.empty_class,
+            empty_is_second: config.empty_is_second,
         }))
     }
 
@@ -77,10 +76,12 @@ impl ScreenHandle {
     ) -> Result<ScreenVerdict, InferenceError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
         let logits = self.worker.run(camera, prepared).await?.output;
-        Ok(ScreenVerdict {
-            empty: logits[self.empty_class] > logits[1 - self.empty_class],
-            logits,
-        })
+        let [first, second] = logits;
+        let empty = match self.empty_is_second {
+            true => second > first,
+            false => first > second,
+        };
+        Ok(ScreenVerdict { empty, logits })
     }
 
     /// How the screen is doing, now and from now on.

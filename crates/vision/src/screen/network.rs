@@ -2,8 +2,8 @@
 
 use super::ScreenConfig;
 use crate::detector::{
-    ExecutionProvider, GpuConfig, OnnxSession, PictureInput, Preparation, PreparedPicture,
-    RunError, SessionSettings, Signature, StartError,
+    DetectorConfig, ExecutionProvider, InferenceError, OnnxSession, PictureInput, Preparation,
+    PreparedPicture, Signature, StartError,
 };
 use crate::picture::{Fit, InputFormat, Picture, ValueRange};
 use crate::worker::Model;
@@ -28,12 +28,11 @@ impl ScreenNetwork {
         config: &ScreenConfig,
         onnxruntime: Option<PathBuf>,
     ) -> Result<Self, StartError> {
-        let session = OnnxSession::open(&SessionSettings {
+        let session = OnnxSession::open(&DetectorConfig {
             model: model.to_owned(),
-            providers: vec![ExecutionProvider::Cpu],
-            gpu: GpuConfig::default(),
             threads: 1,
             onnxruntime,
+            ..DetectorConfig::default()
         })?;
         let signature = session.signature();
         let input = picture_input(signature).map_err(|reason| StartError::ModelDoesNotFit {
@@ -67,7 +66,7 @@ impl ScreenNetwork {
         Ok(network)
     }
 
-    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
+    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, InferenceError> {
         let shape = self.format.shape();
         self.session.run(shape, &[picture.values()], |outputs| {
             let values = outputs.first().map(|output| output.values);
@@ -75,7 +74,7 @@ impl ScreenNetwork {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
                     Ok([first, second])
                 }
-                _ => Err(RunError::Failed(format!(
+                _ => Err(InferenceError::Failed(format!(
                     "the screen gave {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
@@ -102,7 +101,7 @@ impl Model for ScreenNetwork {
         self.format
     }
 
-    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, InferenceError> {
         pictures.iter().map(|picture| self.infer(picture)).collect()
     }
 

@@ -46,18 +46,20 @@ impl Model for Scripted {
         self.facts
     }
 
-    fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, RunError> {
+    fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, InferenceError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
         self.started.send(cameras.clone()).ok();
         let step = self.steps.lock().recv();
         match step {
             Ok(Step::Answer) => Ok(cameras),
             Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
-            Ok(Step::Fail) => Err(RunError::Failed("scripted failure".to_owned())),
-            Ok(Step::FailWith(reason)) => Err(RunError::Failed(reason.to_owned())),
-            Ok(Step::Implausible) => Err(RunError::Implausible("scripted nonsense".to_owned())),
+            Ok(Step::Fail) => Err(InferenceError::Failed("scripted failure".to_owned())),
+            Ok(Step::FailWith(reason)) => Err(InferenceError::Failed(reason.to_owned())),
+            Ok(Step::Implausible) => {
+                Err(InferenceError::Implausible("scripted nonsense".to_owned()))
+            }
             Ok(Step::Panic) => panic!("scripted panic"),
-            Err(_) => Err(RunError::Failed("the test is over".to_owned())),
+            Err(_) => Err(InferenceError::Failed("the test is over".to_owned())),
         }
     }
 

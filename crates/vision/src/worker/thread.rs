@@ -1,7 +1,7 @@
 //! The thread on which a model is built, run and dropped.
 
 use super::Model;
-use crate::detector::{ExecutionProvider, InferenceError, RunError, StartError};
+use crate::detector::{ExecutionProvider, InferenceError, StartError};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -105,8 +105,7 @@ fn run<M: Model>(
             outputs.len(),
             pictures.len()
         ))),
-        Err(RunError::Failed(reason)) => Err(InferenceError::Failed(reason)),
-        Err(RunError::Implausible(reason)) => Err(InferenceError::Implausible(reason)),
+        Err(error) => Err(error),
     }
 }
 

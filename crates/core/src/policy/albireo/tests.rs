@@ -3,76 +3,19 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
+use crate::policy::tests::{Run, seen};
 use crate::policy::{BoxSource, FrameEvidence, decide_at_once};
 
-const PICTURE: PictureSize = PictureSize::new(1280, 720);
-
-fn seen(x: f64, confidence: f64) -> Detection {
-    Detection {
-        bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
-        class: ClassId(0),
-        confidence,
-    }
-}
-
-/// A policy with a frame counter; the screen never says "empty".
-struct Run {
-    policy: Albireo,
-    outcome: Outcome,
-    index: u64,
-}
-
-impl Run {
-    fn new(settings: AlbireoSettings, u: f64) -> Self {
-        Self {
-            policy: Albireo::new(settings, u).unwrap(),
-            outcome: Outcome::default(),
-            index: 0,
-        }
-    }
-
-    /// Begins a frame, for a test that answers by itself.
-    fn begin(&mut self, step: u32) -> Need {
-        let head = self.head(step);
-        self.policy.begin(head)
-    }
-
-    fn head(&mut self, step: u32) -> FrameHead {
-        let head = FrameHead {
-            index: self.index,
-            step,
-            picture: PICTURE,
-        };
-        self.index += 1;
-        head
-    }
-
-    /// A whole frame after `step` frames; `None` for a detector that is not available.
-    fn frame(&mut self, step: u32, detections: Option<&[Detection]>) -> FrameState {
-        self.index += u64::from(step) - 1;
-        let head = self.head(step);
-        let mut known = FrameEvidence {
-            empty: Some(false),
-            grey: None,
-            detections,
-        };
-        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
-        self.outcome.state
-    }
-
-    fn records(&self) -> Vec<ObjectRecord> {
-        let mut records = Vec::new();
-        self.policy.objects(&mut |record| records.push(*record));
-        records
-    }
+fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
+    Run::with(Box::new(Albireo::new(settings, u).unwrap()))
 }
 
 /// A run of the paper's profile that never skips, with one confirmed object.
-fn watching(settings: AlbireoSettings) -> Run {
-    let mut run = Run::new(settings, 1e-9);
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::EI);
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+fn watching(settings: AlbireoSettings) -> Run<Albireo> {
+    let mut run = start(settings, 1e-9);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::EI);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
     run
 }
 
@@ -80,7 +23,7 @@ fn watching(settings: AlbireoSettings) -> Run {
 fn the_papers_detector_frames_report_the_detectors_own_boxes_and_rescues() {
     let mut run = watching(AlbireoSettings::paper());
     let found = [seen(0.8, 0.6), seen(0.503, 0.7)];
-    assert_eq!(run.frame(1, Some(&found)), FrameState::I);
+    assert_eq!(run.see(&found), FrameState::I);
     let boxes = &run.outcome.boxes;
     assert_eq!(boxes.len(), 2);
     for (reported, found) in boxes.iter().zip(&found) {
@@ -91,7 +34,7 @@ fn the_papers_detector_frames_report_the_detectors_own_boxes_and_rescues() {
     let of = |b: &OutputBox| (b.object.unwrap().0, b.confirmed);
     assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
 
-    assert_eq!(run.frame(1, Some(&[seen(0.8, 0.6)])), FrameState::AI);
+    assert_eq!(run.see(&[seen(0.8, 0.6)]), FrameState::AI);
     let boxes = &run.outcome.boxes;
     assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
     assert_eq!(boxes[1].source, BoxSource::Rescued);
@@ -101,19 +44,19 @@ fn the_papers_detector_frames_report_the_detectors_own_boxes_and_rescues() {
 
 #[test]
 fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confidence() {
-    let mut run = Run::new(AlbireoSettings::reference(), 3e-4);
-    run.frame(1, Some(&[seen(0.5, 0.9)]));
+    let mut run = start(AlbireoSettings::reference(), 3e-4);
+    run.see(&[seen(0.5, 0.9)]);
     // A new object: 1 - 2.5e-4 / 3e-4 of its confidence.
     assert!((run.outcome.boxes[0].confidence - 0.9 / 6.0).abs() < 1e-12);
     assert_eq!(run.outcome.boxes[0].source, BoxSource::Detected);
-    run.frame(1, Some(&[seen(0.52, 0.9)]));
+    run.see(&[seen(0.52, 0.9)]);
     assert_ne!(
         run.outcome.boxes[0].bounding_box,
         seen(0.52, 0.9).bounding_box
     );
     run.policy.set_knob(1e-9).unwrap();
-    run.frame(1, Some(&[seen(0.53, 0.9)]));
-    assert_eq!(run.frame(1, Some(&[])), FrameState::AI);
+    run.see(&[seen(0.53, 0.9)]);
+    assert_eq!(run.see(&[]), FrameState::AI);
     assert!((run.outcome.boxes[0].confidence - 0.09).abs() < 1e-12);
     assert_eq!(run.outcome.boxes[0].source, BoxSource::Rescued);
 }
@@ -121,9 +64,9 @@ fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confiden
 #[test]
 fn predicted_frames_report_all_active_objects() {
     let mut run = watching(AlbireoSettings::paper());
-    run.frame(1, Some(&[seen(0.5, 0.9), seen(0.8, 0.6)]));
+    run.see(&[seen(0.5, 0.9), seen(0.8, 0.6)]);
     run.policy.set_knob(1.0).unwrap();
-    assert_eq!(run.frame(1, None), FrameState::P);
+    assert_eq!(run.blind(), FrameState::P);
     assert!(!run.outcome.degraded);
     let found = run.outcome.boxes.iter().map(|b| (b.source, b.confidence));
     let expected = [0.9, 0.6].map(|confidence| (BoxSource::Predicted, confidence));
@@ -136,19 +79,19 @@ fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
         (AlbireoSettings::paper(), Need::Detections),
         (AlbireoSettings::reference(), Need::Nothing),
     ] {
-        let mut probe = Run::new(settings, 1e-9);
-        probe.frame(1, Some(&[seen(0.5, 0.9)]));
+        let mut probe = start(settings, 1e-9);
+        probe.see(&[seen(0.5, 0.9)]);
         probe.begin(1);
         let tau = probe.policy.tau_max.unwrap();
-        let mut run = Run::new(settings, tau);
-        run.frame(1, Some(&[seen(0.5, 0.9)]));
+        let mut run = start(settings, tau);
+        run.see(&[seen(0.5, 0.9)]);
         assert_eq!(run.begin(1), need);
     }
 }
 
 #[test]
 fn an_empty_scene_skips_the_detector_if_the_screen_says_so() {
-    let mut run = Run::new(AlbireoSettings::paper(), 3e-4);
+    let mut run = start(AlbireoSettings::paper(), 3e-4);
     assert_eq!(run.begin(1), Need::Screen);
     let need = run.policy.answer(Evidence::Screen { empty: true });
     assert_eq!(need, Need::Nothing);
@@ -159,7 +102,7 @@ fn an_empty_scene_skips_the_detector_if_the_screen_says_so() {
 
 #[test]
 fn without_the_screen_the_detector_is_asked_and_the_frame_is_not_called_screened() {
-    let mut run = Run::new(AlbireoSettings::paper(), 3e-4);
+    let mut run = start(AlbireoSettings::paper(), 3e-4);
     assert_eq!(run.begin(1), Need::Screen);
     assert_eq!(run.policy.answer(Evidence::Unavailable), Need::Detections);
     let found = [seen(0.5, 0.9)];
@@ -175,13 +118,13 @@ fn without_the_screen_the_detector_is_asked_and_the_frame_is_not_called_screened
 fn without_the_detector_predictions_answer_and_nothing_counts_as_missed() {
     let mut run = watching(AlbireoSettings::paper());
     for _ in 0..5 {
-        assert_eq!(run.frame(1, None), FrameState::P);
+        assert_eq!(run.blind(), FrameState::P);
         assert!(run.outcome.degraded);
         assert_eq!(run.outcome.boxes[0].source, BoxSource::Predicted);
         assert_eq!(run.records()[0].misses, 0);
     }
     assert_eq!(run.records()[0].since_update, 5);
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
     assert!(!run.outcome.degraded);
 }
 
@@ -192,10 +135,10 @@ fn the_age_limit_calls_the_detector_at_t_max() {
     let mut run = watching(settings);
     run.policy.set_knob(1.0).unwrap();
     for _ in 1..15 {
-        assert_eq!(run.frame(1, None), FrameState::P);
+        assert_eq!(run.blind(), FrameState::P);
         assert!(!run.outcome.degraded);
     }
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
 }
 
 #[test]
@@ -212,7 +155,7 @@ fn the_periodic_cap_counts_what_its_setting_says() {
         let mut called = Vec::new();
         while run.index < 17 {
             let index = run.index;
-            if run.frame(1, Some(&[seen(0.5, 0.9)])) == FrameState::I {
+            if run.see(&[seen(0.5, 0.9)]) == FrameState::I {
                 called.push(index);
             }
         }
@@ -228,41 +171,38 @@ fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
     let mut run = watching(settings);
     run.policy.set_knob(1.0).unwrap();
     run.index = 6;
-    assert_eq!(run.frame(1, None), FrameState::P);
+    assert_eq!(run.blind(), FrameState::P);
     // 7 and 8 are lost.
-    assert_eq!(run.frame(3, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert_eq!(
+        run.frame(3, FrameEvidence::in_view(&[seen(0.5, 0.9)])),
+        FrameState::I
+    );
     run.index = 13;
-    assert_eq!(run.frame(1, None), FrameState::P);
+    assert_eq!(run.blind(), FrameState::P);
     assert_eq!(run.begin(1), Need::Detections);
     // 14 is given up.
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
-    assert_eq!(run.frame(1, None), FrameState::P);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
+    assert_eq!(run.blind(), FrameState::P);
 }
 
 #[test]
 fn a_gap_a_run_of_predictions_and_frames_given_up_leave_the_same_objects() {
     let mut gap = watching(AlbireoSettings::paper());
     gap.policy.set_knob(1.0).unwrap();
-    let (mut predicted, mut given_up) = (
-        Run {
-            policy: gap.policy.clone(),
-            outcome: Outcome::default(),
-            index: gap.index,
-        },
-        Run {
-            policy: gap.policy.clone(),
-            outcome: Outcome::default(),
-            index: gap.index,
-        },
-    );
-    gap.frame(4, None);
+    let again = || {
+        let mut run = Run::with(gap.policy.clone());
+        run.index = gap.index;
+        run
+    };
+    let (mut predicted, mut given_up) = (again(), again());
+    gap.frame(4, FrameEvidence::default());
     for _ in 0..4 {
-        predicted.frame(1, None);
+        predicted.blind();
     }
     for _ in 0..3 {
         given_up.begin(1);
     }
-    given_up.frame(1, None);
+    given_up.blind();
     assert_eq!(gap.outcome, predicted.outcome);
     assert_eq!(gap.outcome, given_up.outcome);
     assert_eq!(gap.records(), predicted.records());
@@ -293,7 +233,7 @@ fn a_reset_forgets_the_objects_and_keeps_the_knob() {
     run.policy.reset();
     assert!(run.records().is_empty());
     assert_eq!(run.policy.knob_value(), Some(5e-4));
-    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::EI);
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::EI);
     assert_eq!(run.records()[0].id.0, 0);
 }
 
@@ -301,7 +241,7 @@ fn a_reset_forgets_the_objects_and_keeps_the_knob() {
 fn hostile_detections_are_counted_and_not_reported() {
     let mut run = watching(AlbireoSettings::paper());
     let hostile = [seen(f64::NAN, 0.9), seen(0.5, f64::NAN), seen(0.5, 0.9)];
-    run.frame(1, Some(&hostile));
+    run.see(&hostile);
     assert_eq!(run.outcome.boxes.len(), 1);
     assert_eq!(run.policy.rejected_detections(), 2);
     assert_eq!(run.records().len(), 1);
@@ -403,10 +343,10 @@ fn the_same_scene_is_decided_alike_at_every_picture_size() {
 fn every_call_of_the_detector_says_its_cause_and_no_other_frame_does() {
     let found = [seen(0.5, 0.9)];
     let causes = |settings: AlbireoSettings, u: f64| -> Vec<Option<CallCause>> {
-        let mut run = Run::new(settings, u);
+        let mut run = start(settings, u);
         let mut causes = Vec::new();
         for _ in 0..80 {
-            let state = run.frame(1, Some(&found));
+            let state = run.see(&found);
             assert_eq!(run.outcome.cause.is_none(), state.is_skipped());
             causes.push(run.outcome.cause);
         }
@@ -444,10 +384,10 @@ fn every_call_of_the_detector_says_its_cause_and_no_other_frame_does() {
 fn a_call_that_nobody_answered_keeps_its_cause() {
     let mut run = watching(AlbireoSettings::paper());
     while !run.outcome.degraded {
-        run.frame(1, None);
+        run.blind();
     }
     assert!(run.outcome.cause.is_some());
-    let mut blind = Run::new(AlbireoSettings::paper(), 3e-4);
+    let mut blind = start(AlbireoSettings::paper(), 3e-4);
     blind.begin(1);
     blind.policy.answer(Evidence::Unavailable);
     assert_eq!(

@@ -9,7 +9,7 @@ use super::settings::{
 };
 use super::velocity::{VelocityRegression, features};
 use crate::detection::Detection;
-use crate::geometry::{BoundingBox, PictureSize};
+use crate::geometry::{BoundingBox, Corners, PictureSize};
 use crate::objects::{Pairing, is_usable};
 use crate::policy::{BoxSource, ObjectId, OutputBox};
 
@@ -237,9 +237,7 @@ fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
 
 /// The part of a box inside the picture, if its sides are longer than `least`.
 fn clip(bounding_box: BoundingBox, least: [f64; 2]) -> Option<BoundingBox> {
-    let corners = bounding_box.corners();
-    let (x1, x2) = (corners.x1.clamp(0.0, 1.0), corners.x2.clamp(0.0, 1.0));
-    let (y1, y2) = (corners.y1.clamp(0.0, 1.0), corners.y2.clamp(0.0, 1.0));
+    let Corners { x1, y1, x2, y2 } = bounding_box.corners().clipped();
     let clipped = BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1);
     (clipped.width > least[0] && clipped.height > least[1]).then_some(clipped)
 }

@@ -31,8 +31,8 @@ impl EvidenceAtHand for Noted<'_> {
 }
 
 /// A policy with a frame counter.
-pub(in crate::policy) struct Run {
-    pub policy: Box<dyn Policy>,
+pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
+    pub policy: Box<P>,
     pub outcome: Outcome,
     /// What the last frame asked for.
     pub needs: Vec<Need>,
@@ -51,8 +51,14 @@ impl Run {
     }
 
     pub(in crate::policy) fn of(config: &PolicyConfig) -> Self {
+        Self::with(config.build().unwrap())
+    }
+}
+
+impl<P: Policy + ?Sized> Run<P> {
+    pub(in crate::policy) fn with(policy: Box<P>) -> Self {
         Self {
-            policy: config.build().unwrap(),
+            policy,
             outcome: Outcome::default(),
             needs: Vec::new(),
             index: 0,
@@ -84,7 +90,12 @@ impl Run {
             known,
             needs: &mut self.needs,
         };
-        let Ok(()) = decide_at_once(&mut *self.policy, head, &mut noted, &mut self.outcome);
+        let mut need = self.policy.begin(head);
+        while need != Need::Nothing {
+            let Ok(evidence) = noted.evidence(need);
+            need = self.policy.answer(evidence);
+        }
+        self.policy.finish(&mut self.outcome);
         self.outcome.state
     }
 

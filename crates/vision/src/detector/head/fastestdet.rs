@@ -1,11 +1,10 @@
 //! The head of FastestDet (dog-qiuqiu, 2022): one output `[1, 5 + classes, rows, columns]` with one cell for 16x16
 //! pixels; the channels are objectness, four numbers of the box, and the class scores. Overlaps are ours to suppress.
 
-use super::reading::{around, candidate, count, format, is_score, misfit, only};
+use super::reading::{around, best_class, candidate, count, format, is_score, misfit, only};
 use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detector::{HeadName, PictureInput, Signature};
 use crate::picture::{ColorOrder, Fit, ValueRange};
-use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
 
 /// Objectness and box, before the class scores.
@@ -66,23 +65,19 @@ impl ReadOutputs for FastestDet {
         let cells = rows * columns;
         let channel = |number: usize, cell: usize| values[number * cells + cell];
         let mut rejected = 0;
+        let mut scores = Vec::with_capacity(self.classes);
         for cell in 0..cells {
             let objectness = channel(0, cell);
             // The score is at most objectness^0.6. NaN goes on, to be counted.
             if is_score(objectness) && f64::from(objectness.max(0.0)).powf(0.6) < confidence {
                 continue;
             }
-            let mut best = Some((0, f32::NEG_INFINITY));
-            for class in 0..self.classes {
-                let score = channel(BEFORE_CLASSES + class, cell);
-                best = best
-                    .filter(|_| is_score(score))
-                    .map(|best| if score > best.1 { (class, score) } else { best });
-            }
-            let found = best
+            scores.clear();
+            scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
+            let found = best_class(&scores)
                 .filter(|_| is_score(objectness))
                 .and_then(|(class, score)| {
-                    let score = objectness.max(0.0).powf(0.6) * score.max(0.0).powf(0.4);
+                    let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
                     let offset = |number: usize| f64::from(channel(number, cell));
                     let corners = around(
                         (offset(1).tanh() + (cell % columns) as f64) / columns as f64
@@ -92,7 +87,7 @@ impl ReadOutputs for FastestDet {
                         sigmoid(offset(3)) * f64::from(size.width),
                         sigmoid(offset(4)) * f64::from(size.height),
                     );
-                    candidate(corners, ClassId(class as u16), score)
+                    candidate(corners, class, score)
                 });
             match found {
                 Some(candidate) if f64::from(candidate.confidence) >= confidence => {
