@@ -20,7 +20,7 @@ pub(crate) struct Arguments {
     camera_models: Vec<PathBuf>,
     /// Which GPU, as CUDA and NVML number them.
     #[arg(long, default_value_t = 0)]
-    pub device: i32,
+    pub device: u32,
     /// Runs of each kind in a table of times.
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..))]
     pub runs: u16,

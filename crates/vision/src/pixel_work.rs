@@ -5,7 +5,7 @@ mod picture_buffers;
 
 use crate::detector::{Preparation, PreparedPicture};
 use crate::picture::{
-    EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode, decode_grey_half,
+    EncodedPicture, FrameFault, FrameLimits, LetterboxError, PixelLayout, decode, decode_grey_half,
     decode_small_grey,
 };
 use albireo_core::geometry::PictureSize;
@@ -81,9 +81,7 @@ impl PreparedFrame {
 
     fn add(&mut self, stage: Stage, source: &Source, pixels: &PixelWork) -> Result<(), FrameFault> {
         let start = Instant::now();
-        let Source {
-            encoded, target, ..
-        } = source;
+        let Source { encoded, target } = source;
         let State {
             limits,
             preparation,
@@ -126,9 +124,8 @@ impl PreparedFrame {
                     return Ok(());
                 };
                 let prepared = preparation.prepare(picture);
-                self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
-                    reason: error.to_string(),
-                })?);
+                let broken = |error: LetterboxError| FrameFault::undecodable(error.to_string());
+                self.prepared = Some(prepared.map_err(broken)?);
                 self.picture = None;
             }
         }
@@ -194,9 +191,9 @@ impl PixelWork {
             Ok(frame)
         });
         work.await.unwrap_or_else(|error| {
-            Err(FrameFault::Undecodable {
-                reason: format!("the decoder failed: {error}"),
-            })
+            Err(FrameFault::undecodable(format!(
+                "the decoder failed: {error}"
+            )))
         })
     }
 

@@ -91,10 +91,12 @@ pub(crate) struct Answer<T> {
 /// A handle to a running worker, which stops when its last handle is dropped.
 pub(crate) struct Worker<I, T> {
     requests: mpsc::UnboundedSender<Request<I, T>>,
-    status: watch::Receiver<DetectorStatus>,
+    /// How the worker is doing, now and from now on.
+    pub(crate) status: watch::Receiver<DetectorStatus>,
     idle: watch::Receiver<bool>,
     ended: watch::Receiver<Option<Result<(), String>>>,
-    meter: WorkerMeter,
+    /// Its counters for metrics: does not keep the worker running.
+    pub(crate) meter: WorkerMeter,
     stop: Arc<(CancellationToken, DropGuard)>,
 }
 
@@ -227,16 +229,6 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     pub(crate) async fn idle(&self) -> Option<()> {
         let mut idle = self.idle.clone();
         idle.wait_for(|idle| *idle).await.ok().map(|_| ())
-    }
-
-    /// How the worker is doing, now and from now on.
-    pub(crate) fn status(&self) -> watch::Receiver<DetectorStatus> {
-        self.status.clone()
-    }
-
-    /// Its counters for metrics: does not keep the worker running.
-    pub(crate) fn meter(&self) -> WorkerMeter {
-        self.meter.clone()
     }
 
     /// Takes no more pictures, turns away those that wait, and returns when the run in progress has ended or has taken

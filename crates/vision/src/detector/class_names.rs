@@ -56,25 +56,22 @@ pub(super) fn read(
             (names, "its metadata".to_owned())
         }
     };
-    let names = match (names, classes) {
-        (Some(names), Some(classes)) => {
-            let count = names.len();
-            // Models of the DETR family may end with a class for "no object".
-            if count != classes && !(head == HeadName::Detr && count + 1 == classes) {
-                return Err(wrong(format!(
-                    "the model has {classes} classes, and {source} has {count} names"
-                )));
-            }
-            names
-        }
-        (Some(names), None) => names,
-        (None, classes) => own_list(head, classes).ok_or_else(|| {
+    let Some(names) = names else {
+        return own_list(head, classes).ok_or_else(|| {
             let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
             wrong(format!(
                 "the model does not name its {classes}classes; give a file with one name a line, or a list"
             ))
-        })?,
+        });
     };
+    let count = names.len();
+    // Models of the DETR family may end with a class for "no object".
+    let fits = |classes| count == classes || (head == HeadName::Detr && count + 1 == classes);
+    if let Some(classes) = classes.filter(|classes| !fits(*classes)) {
+        return Err(wrong(format!(
+            "the model has {classes} classes, and {source} has {count} names"
+        )));
+    }
     if names.len() > usize::from(u16::MAX) {
         return Err(wrong(format!("{} names are too many", names.len())));
     }

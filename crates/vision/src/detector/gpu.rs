@@ -9,7 +9,7 @@ use std::path::PathBuf;
 pub struct GpuConfig {
     /// Which GPU, as CUDA numbers them. No setting of a node: `CUDA_VISIBLE_DEVICES` chooses.
     #[serde(skip)]
-    pub device: i32,
+    pub device: u32,
     /// The most GPU memory that CUDA's arena, and TensorRT's workspace while it builds an engine, may take, MiB;
     /// 0 for no limit. No setting of a node.
     #[serde(skip)]

@@ -41,9 +41,7 @@ pub struct DetectorHandle {
 }
 
 /// The right to have one picture looked at while no camera waits.
-pub struct SpareTurn {
-    _permit: OwnedSemaphorePermit,
-}
+pub type SpareTurn = OwnedSemaphorePermit;
 
 /// What the detector has counted since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -139,7 +137,7 @@ impl DetectorHandle {
     pub async fn spare_turn(&self) -> Option<SpareTurn> {
         let permit = Arc::clone(&self.spare).acquire_owned().await.ok()?;
         self.worker.idle().await?;
-        Some(SpareTurn { _permit: permit })
+        Some(permit)
     }
 
     /// Finds the objects in a prepared picture while no camera waits: cameras' pictures that come meanwhile go before
@@ -165,7 +163,7 @@ impl DetectorHandle {
 
     /// How the detector is doing, now and from now on.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
-        self.worker.status()
+        self.worker.status.clone()
     }
 
     /// What it has counted since it started.
@@ -176,7 +174,7 @@ impl DetectorHandle {
     /// Its counters for metrics: does not keep the detector running.
     pub fn meter(&self) -> DetectorMeter {
         DetectorMeter {
-            worker: self.worker.meter(),
+            worker: self.worker.meter.clone(),
             head: self.head.clone(),
         }
     }
@@ -193,7 +191,7 @@ impl DetectorHandle {
 
     /// What really runs the model, or ran it last.
     pub fn provider(&self) -> ExecutionProvider {
-        let provider = self.worker.status().borrow().provider();
+        let provider = self.worker.status.borrow().provider();
         // Always some: there is a handle only once the first model has been built.
         provider.unwrap_or(ExecutionProvider::Cpu)
     }

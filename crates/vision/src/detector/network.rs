@@ -78,7 +78,7 @@ impl DetectorNetwork {
                 reason,
             })?;
         // Counting begins with the first picture.
-        network.reader.count_into(counters);
+        network.reader.counters = counters;
         network.impossible_runs = 0;
         Ok(network)
     }
@@ -119,12 +119,12 @@ impl DetectorNetwork {
 
     /// The names of the reported classes, by the number they are reported under.
     pub fn class_names(&self) -> &[String] {
-        self.reader.class_names()
+        &self.reader.classes.reported
     }
 
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
-        self.reader.head_name()
+        self.reader.head.name
     }
 
     /// The execution provider that runs it: not the first configured where that one does not work and falling back is
@@ -145,7 +145,7 @@ impl DetectorNetwork {
 
     /// What was found in the model's output and not reported.
     pub fn counts(&self) -> HeadCounts {
-        self.reader.counts()
+        *self.reader.counters.lock()
     }
 }
 

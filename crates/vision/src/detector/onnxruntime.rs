@@ -11,7 +11,7 @@ use tracing::{debug, error, info, warn};
 /// The variable that names the library, as the `ort` crate has it.
 const VARIABLE: &str = "ORT_DYLIB_PATH";
 
-static ENVIRONMENT: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
+static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
 
 /// The environment of this process, made from the library that `configured` names or, without it, from the
 /// first that is found. The first call decides which library the process uses.
@@ -20,10 +20,7 @@ static ENVIRONMENT: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
 /// When there is no library, or it cannot be used.
 pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, StartError> {
     let mut kept = ENVIRONMENT.lock();
-    if let Some((path, environment)) = kept.as_ref() {
-        if configured.is_some_and(|configured| configured != path) {
-            debug!(used = %path.display(), "this process has loaded an ONNX Runtime already");
-        }
+    if let Some(environment) = kept.as_ref() {
         return Ok(environment.clone());
     }
     let path = Search::here(configured).find()?;
@@ -40,7 +37,7 @@ pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, Star
         .map_err(|error| unusable(error.to_string()))?;
     environment.set_log_level(LogLevel::Warning);
     info!(library = %path.display(), "ONNX Runtime loaded");
-    *kept = Some((path, environment.clone()));
+    *kept = Some(environment.clone());
     Ok(environment)
 }
 

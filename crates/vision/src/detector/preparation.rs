@@ -46,7 +46,8 @@ impl Preparation {
     /// When the picture is empty or its buffer does not fit its size.
     pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, LetterboxError> {
         let start = Instant::now();
-        let mut letterbox = self.letterbox();
+        let idle = self.0.idle.lock().pop();
+        let mut letterbox = idle.unwrap_or_else(|| Letterbox::new(self.0.format));
         let mapping = letterbox.fill(picture)?;
         Ok(PreparedPicture {
             letterbox: Some(letterbox),
@@ -54,11 +55,6 @@ impl Preparation {
             took: start.elapsed(),
             origin: self.clone(),
         })
-    }
-
-    fn letterbox(&self) -> Letterbox {
-        let idle = self.0.idle.lock().pop();
-        idle.unwrap_or_else(|| Letterbox::new(self.0.format))
     }
 }
 

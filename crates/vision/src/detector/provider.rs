@@ -25,7 +25,7 @@ pub(super) fn registrations(
 }
 
 fn cuda(gpu: &GpuConfig) -> CUDA {
-    let cuda = CUDA::default().with_device_id(gpu.device);
+    let cuda = CUDA::default().with_device_id(gpu.device.cast_signed());
     match gpu.memory_limit() {
         Some(limit) => cuda
             .with_memory_limit(limit)
@@ -37,7 +37,7 @@ fn cuda(gpu: &GpuConfig) -> CUDA {
 
 fn tensorrt(gpu: &GpuConfig) -> TensorRT {
     let mut tensorrt = TensorRT::default()
-        .with_device_id(gpu.device)
+        .with_device_id(gpu.device.cast_signed())
         .with_fp16(gpu.fp16);
     if let Some(limit) = gpu.memory_limit() {
         tensorrt = tensorrt.with_max_workspace_size(limit);

@@ -2,12 +2,11 @@
 
 use super::classes::Classes;
 use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
-use super::{DetectorConfig, HeadName, InferenceError, shape_text};
+use super::{DetectorConfig, InferenceError, shape_text};
 use crate::picture::InputMapping;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use parking_lot::Mutex;
-use std::ops::AddAssign;
 use std::sync::Arc;
 
 /// What was found in the model's output and not reported.
@@ -24,15 +23,6 @@ pub struct HeadCounts {
     pub over_limit: u64,
 }
 
-impl AddAssign for HeadCounts {
-    fn add_assign(&mut self, more: Self) {
-        self.rejected += more.rejected;
-        self.outside += more.outside;
-        self.unknown_class += more.unknown_class;
-        self.over_limit += more.over_limit;
-    }
-}
-
 /// The same while it is being counted; outlives the session.
 pub(super) type HeadCounters = Mutex<HeadCounts>;
 
@@ -45,17 +35,16 @@ pub(super) struct ReadOut {
 
 /// Makes detections of the model's output.
 pub(super) struct Reader {
-    head: Head,
+    pub(super) head: Head,
     confidence: f64,
     suppression: Suppression,
-    classes: Classes,
+    pub(super) classes: Classes,
     candidates: Vec<Candidate>,
-    counters: Arc<HeadCounters>,
+    pub(super) counters: Arc<HeadCounters>,
 }
 
 impl Reader {
-    /// For a model with that head and those classes. Counts for itself until it is given
-    /// [`counters`](Self::count_into).
+    /// For a model with that head and those classes. Counts for itself until it is given other counters.
     pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
         Self {
             head,
@@ -69,25 +58,6 @@ impl Reader {
             candidates: Vec::new(),
             counters: Arc::default(),
         }
-    }
-
-    /// Counts into `counters` from now on.
-    pub(super) fn count_into(&mut self, counters: Arc<HeadCounters>) {
-        self.counters = counters;
-    }
-
-    pub(super) fn head_name(&self) -> HeadName {
-        self.head.name
-    }
-
-    /// The names of the reported classes, by the number they are reported under.
-    pub(super) fn class_names(&self) -> &[String] {
-        &self.classes.reported
-    }
-
-    /// What was found in the model's output and not reported.
-    pub(super) fn counts(&self) -> HeadCounts {
-        *self.counters.lock()
     }
 
     /// What is found in the output for one picture.
@@ -137,7 +107,12 @@ impl Reader {
             .filter_map(|candidate| detection(candidate, mapping))
             .collect();
         counts.outside = (self.candidates.len() - detections.len()) as u64;
-        *self.counters.lock() += counts;
+        let mut total = self.counters.lock();
+        total.rejected += counts.rejected;
+        total.outside += counts.outside;
+        total.unknown_class += counts.unknown_class;
+        total.over_limit += counts.over_limit;
+        drop(total);
         let some_are_impossible = counts.rejected + counts.outside > 0;
         ReadOut {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
@@ -204,7 +179,7 @@ impl Parts {
 mod tests {
     use super::*;
     use crate::detector::head::bind;
-    use crate::detector::{ElementType, Metadata, Signature, TensorSpec};
+    use crate::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
     use crate::picture::{Letterbox, Picture};
 
     /// What a YOLO model with one class has found when all its boxes have this centre and these sides, and this score.

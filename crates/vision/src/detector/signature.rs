@@ -21,13 +21,6 @@ pub enum ElementType {
     Other(String),
 }
 
-impl ElementType {
-    /// Whether the elements are floating-point numbers that can be read.
-    pub(crate) fn is_float(&self) -> bool {
-        matches!(self, Self::Float32 | Self::Float16)
-    }
-}
-
 /// One input or output of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TensorSpec {
@@ -80,19 +73,19 @@ impl Signature {
                 "the elements of its input are {name} instead of float32, float16 or uint8"
             ));
         }
-        let (layout, rows, columns) = match *input.shape.as_slice() {
-            [batch, 3, rows, columns] => Ok((batch, TensorLayout::Nchw, rows, columns)),
-            [batch, rows, columns, 3] => Ok((batch, TensorLayout::Nhwc, rows, columns)),
+        let (batch, layout, rows, columns) = match *input.shape.as_slice() {
+            [batch, 3, rows, columns] => (batch, TensorLayout::Nchw, rows, columns),
+            [batch, rows, columns, 3] => (batch, TensorLayout::Nhwc, rows, columns),
             _ => {
-                Err("its input is neither [1, 3, rows, columns] nor [1, rows, columns, 3]".into())
+                let both = "[1, 3, rows, columns] nor [1, rows, columns, 3]";
+                return Err(format!("its input is neither {both}"));
             }
-        }
-        .and_then(|(batch, layout, rows, columns)| match batch {
-            1 | -1 => Ok((layout, rows, columns)),
-            _ => Err(format!(
+        };
+        if batch != 1 && batch != -1 {
+            return Err(format!(
                 "its input takes {batch} pictures at once; export it with a batch of 1 or an open one"
-            )),
-        })?;
+            ));
+        }
         let offered = wanted.or_else(|| self.metadata.image_size());
         let size = PictureSize::new(
             side(columns, offered.map(|size| size.width))?,
@@ -146,7 +139,7 @@ impl Signature {
 
 impl TensorSpec {
     fn float(&self) -> Result<&Self, String> {
-        if self.element.is_float() {
+        if matches!(self.element, ElementType::Float32 | ElementType::Float16) {
             Ok(self)
         } else {
             Err(format!(

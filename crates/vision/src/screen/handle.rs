@@ -7,7 +7,7 @@ use crate::detector::{
     prepare_off_thread,
 };
 use crate::picture::{InputFormat, Picture};
-use crate::worker::{Worker, WorkerCounts, WorkerMeter, WorkerSettings};
+use crate::worker::{Worker, WorkerMeter, WorkerSettings};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -86,17 +86,12 @@ impl ScreenHandle {
 
     /// How the screen is doing, now and from now on.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
-        self.worker.status()
+        self.worker.status.clone()
     }
 
     /// Its counters for metrics: does not keep the screen running.
     pub fn meter(&self) -> WorkerMeter {
-        self.worker.meter()
-    }
-
-    /// What it has counted since it started.
-    pub fn counters(&self) -> WorkerCounts {
-        self.meter().read()
+        self.worker.meter.clone()
     }
 
     /// Returns when it has been stopped.

@@ -189,7 +189,7 @@ impl Stage {
     }
 
     fn counts(&self) -> WorkerCounts {
-        self.worker.meter().read()
+        self.worker.meter.read()
     }
 
     async fn until_waiting(&self, pictures: u64) {
@@ -200,13 +200,13 @@ impl Stage {
 
     async fn until_ready(&self) {
         let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
-        self.worker.status().wait_for(ready).await.unwrap();
+        self.worker.status.clone().wait_for(ready).await.unwrap();
     }
 
     /// The reason, once the status is degraded.
     async fn until_degraded(&self) -> String {
         let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
-        match &*self.worker.status().wait_for(degraded).await.unwrap() {
+        match &*self.worker.status.clone().wait_for(degraded).await.unwrap() {
             DetectorStatus::Degraded { reason, .. } => reason.clone(),
             other => panic!("{other:?}"),
         }
@@ -354,7 +354,7 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
         InferenceError::Implausible("scripted nonsense".to_owned())
     );
     assert_eq!(
-        *stage.worker.status().borrow(),
+        *stage.worker.status.borrow(),
         DetectorStatus::Implausible {
             reason: "scripted nonsense".to_owned(),
             provider: ExecutionProvider::Cpu
@@ -365,7 +365,7 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
     stage.end(Step::Answer);
     good.await.unwrap().unwrap();
     assert!(matches!(
-        *stage.worker.status().borrow(),
+        *stage.worker.status.borrow(),
         DetectorStatus::Ready { .. }
     ));
     let counts = stage.counts();
@@ -384,7 +384,7 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
     // The status is set before the answer goes out.
     assert!(matches!(
-        *stage.worker.status().borrow(),
+        *stage.worker.status.borrow(),
         DetectorStatus::Degraded { .. }
     ));
     stage.ended.recv().await.unwrap();

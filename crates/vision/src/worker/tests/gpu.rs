@@ -21,7 +21,7 @@ impl Stage {
 
     async fn until_lost(&self) -> String {
         let lost = |status: &DetectorStatus| matches!(status, DetectorStatus::Lost { .. });
-        match &*self.worker.status().wait_for(lost).await.unwrap() {
+        match &*self.worker.status.clone().wait_for(lost).await.unwrap() {
             DetectorStatus::Lost { reason, .. } => reason.clone(),
             other => panic!("{other:?}"),
         }
@@ -57,7 +57,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried()
     assert!(told.contains("the GPU is lost to this process"), "{told}");
     // One failed run is no proof: a new session may work.
     assert!(matches!(
-        *stage.worker.status().borrow(),
+        *stage.worker.status.borrow(),
         DetectorStatus::Degraded { .. }
     ));
     for (pause, failed) in [(100, 1), (200, 2)] {
