@@ -126,9 +126,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(kept, report);
     late.finish().await;
 
-    let metrics = reqwest::Client::new()
-        .get(format!("{}/metrics", node.http))
-        .header("accept", "application/openmetrics-text");
+    let metrics = reqwest::Client::new().get(format!("{}/metrics", node.http));
     let metrics = metrics.send().await.unwrap().text().await.unwrap();
     let families = parsed_by_prometheus(&metrics);
     for family in [

@@ -4,6 +4,8 @@ use crate::process;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use std::fmt::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Names and values of a sample's labels.
 type Labels<'a> = &'a [(&'a str, &'a str)];
@@ -55,6 +57,29 @@ impl MetricsPage {
         }
     }
 
+    /// Histograms of latencies of one name, by labels.
+    pub fn histograms<'a, const N: usize>(
+        &mut self,
+        name: &str,
+        help: &str,
+        samples: impl IntoIterator<Item = ([(&'a str, &'a str); N], LatencyHistogram)>,
+    ) {
+        self.describe(name, "histogram", help);
+        for (labels, histogram) in samples {
+            let mut count = 0;
+            for (at, within) in histogram.within.iter().enumerate() {
+                count += within;
+                let bound = BOUNDS_S.get(at);
+                let bound = bound.map_or_else(|| "+Inf".to_owned(), f64::to_string);
+                let mut all = vec![("le", bound.as_str())];
+                all.extend(labels);
+                self.sample(&format!("{name}_bucket"), &all, count as f64);
+            }
+            self.sample(&format!("{name}_sum"), &labels, histogram.sum_s);
+            self.sample(&format!("{name}_count"), &labels, count as f64);
+        }
+    }
+
     /// The text of the page.
     pub fn into_text(self) -> String {
         self.0
@@ -67,11 +92,60 @@ impl MetricsPage {
         help: &str,
         samples: impl IntoIterator<Item = ([(&'a str, &'a str); N], f64)>,
     ) {
-        // Writing to a String cannot fail.
-        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+        self.describe(name, kind, help);
         for (labels, value) in samples {
-            let _ = writeln!(self.0, "{name}{} {value}", written(&labels));
+            self.sample(name, &labels, value);
         }
+    }
+
+    // Writing to a String cannot fail.
+    fn describe(&mut self, name: &str, kind: &str, help: &str) {
+        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    }
+
+    fn sample(&mut self, name: &str, labels: Labels<'_>, value: f64) {
+        let _ = writeln!(self.0, "{name}{} {value}", written(labels));
+    }
+}
+
+/// A number that only grows. Clones are the same one.
+#[derive(Clone, Debug, Default)]
+pub struct Counter(Arc<AtomicU64>);
+
+impl Counter {
+    /// Adds one.
+    pub fn inc(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How often one was added.
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Upper bounds of latencies, seconds: fine around the 1 ms a predicted frame may take and around a detector's tens of
+/// milliseconds.
+const BOUNDS_S: [f64; 15] = [
+    0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.033, 0.05, 0.1, 0.25, 0.5, 1.0,
+    2.5,
+];
+
+/// How many latencies lie between two bounds, for each pair of neighbours.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LatencyHistogram {
+    within: [u64; BOUNDS_S.len() + 1],
+    sum_s: f64,
+}
+
+impl LatencyHistogram {
+    /// Counts a latency.
+    pub fn observe(&mut self, seconds: f64) {
+        let at = BOUNDS_S.partition_point(|bound| *bound < seconds);
+        if let Some(within) = self.within.get_mut(at) {
+            *within += 1;
+        }
+        self.sum_s += seconds;
     }
 }
 
@@ -79,7 +153,11 @@ fn written(labels: Labels<'_>) -> String {
     if labels.is_empty() {
         return String::new();
     }
-    let label = |(name, value): &(&str, &str)| format!("{name}=\"{value}\"");
+    let escaped = |value: &str| {
+        let value = value.replace('\\', r"\\").replace('"', r#"\""#);
+        value.replace('\n', r"\n")
+    };
+    let label = |(name, value): &(&str, &str)| format!("{name}=\"{}\"", escaped(value));
     let labels: Vec<_> = labels.iter().map(label).collect();
     format!("{{{}}}", labels.join(","))
 }
@@ -115,5 +193,30 @@ mod tests {
              # HELP boxes_total Boxes\n# TYPE boxes_total counter\n\
              boxes_total{side=\"a\",result=\"b\"} 2.5\nboxes_total{side=\"c\",result=\"d\"} 3\n"
         );
+    }
+
+    #[test]
+    fn a_histogram_counts_what_is_at_most_each_bound() {
+        let mut histogram = LatencyHistogram::default();
+        for seconds in [0.0001, 0.5, 0.75, 4.0] {
+            histogram.observe(seconds);
+        }
+        let mut page = MetricsPage::default();
+        page.histograms("t", "Time", [([("of", "a\"\\\n")], histogram)]);
+        let text = page.into_text();
+        for line in [
+            r#"t_bucket{le="0.0001",of="a\"\\\n"} 1"#,
+            r#"t_bucket{le="0.25",of="a\"\\\n"} 1"#,
+            r#"t_bucket{le="0.5",of="a\"\\\n"} 2"#,
+            r#"t_bucket{le="1",of="a\"\\\n"} 3"#,
+            r#"t_bucket{le="+Inf",of="a\"\\\n"} 4"#,
+            r#"t_sum{of="a\"\\\n"} 5.2501"#,
+            r#"t_count{of="a\"\\\n"} 4"#,
+        ] {
+            assert!(
+                text.lines().any(|written| written == line),
+                "{line}: {text}"
+            );
+        }
     }
 }

@@ -1054,8 +1054,7 @@ export interface paths {
         };
         /**
          * Metrics for Prometheus
-         * @description OpenMetrics text for a reader that accepts it, else the older text format.
-         *     `curl http://127.0.0.1:8080/metrics`
+         * @description `curl http://127.0.0.1:8080/metrics`
          */
         get: {
             parameters: {
@@ -1072,7 +1071,6 @@ export interface paths {
                     };
                     content: {
                         "text/plain": string;
-                        "application/openmetrics-text": string;
                     };
                 };
             };
@@ -1548,39 +1546,17 @@ export interface components {
          * @enum {string}
          */
         CameraState: "live" | "stale" | "never_seen";
-        /** @description Frames of a camera since the node started. The five states add up to `frames`. */
-        CameraStates: {
-            audit?: components["schemas"]["AuditFigures"] | null;
-            /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
-            calls: {
-                [key: string]: number;
-            };
+        /** @description Frames of a camera since the node started. */
+        CameraStates: components["schemas"]["FrameCounts"] & {
             /** @description Camera. */
             camera: string;
-            /**
-             * Format: int64
-             * @description Frames answered from prediction because the detector was not available.
-             */
-            degraded_frames: number;
             /** @description Frames not processed, by kind. */
             dropped: components["schemas"]["DroppedFrames"];
-            /**
-             * Format: int64
-             * @description Frames processed.
-             */
-            frames: number;
             /**
              * Format: double
              * @description Seconds since the newest frame; absent before the first.
              */
             last_frame_age_s?: number | null;
-            /**
-             * Format: double
-             * @description Share of frames that skipped the detector: state E or P and not degraded.
-             */
-            skip_rate: number;
-            /** @description Number of frames in each state. */
-            states: components["schemas"]["FrameStates"];
             /**
              * Format: double
              * @description Largest uncertainty of the newest frame; absent without objects.
@@ -2085,6 +2061,31 @@ export interface components {
              */
             width?: number | null;
         };
+        /** @description What became of frames since the node started. */
+        FrameCounts: {
+            audit?: components["schemas"]["AuditFigures"] | null;
+            /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
+            calls: {
+                [key: string]: number;
+            };
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector was not available.
+             */
+            degraded_frames: number;
+            /**
+             * Format: int64
+             * @description Frames processed.
+             */
+            frames: number;
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description Number of frames in each state; they add up to `frames`. */
+            states: components["schemas"]["FrameStates"];
+        };
         /** @description A frame was answered: its detections message and its camera. */
         FrameEvent: components["schemas"]["DetectionsMessage"] & {
             /** @description Camera. */
@@ -2295,33 +2296,11 @@ export interface components {
             version: string;
         };
         /** @description What became of all frames since the node started. */
-        NodeStates: {
-            audit?: components["schemas"]["AuditFigures"] | null;
-            /** @description Frames that the detector was called for, by cause, all cameras together. */
-            calls: {
-                [key: string]: number;
-            };
+        NodeStates: components["schemas"]["FrameCounts"] & {
             /** @description Each camera's. */
             cameras: components["schemas"]["CameraStates"][];
-            /**
-             * Format: int64
-             * @description Frames answered from prediction because the detector was not available, all cameras together.
-             */
-            degraded_frames: number;
-            /**
-             * Format: int64
-             * @description Frames processed, all cameras together.
-             */
-            frames: number;
             /** @description Node. */
             node: string;
-            /**
-             * Format: double
-             * @description Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
-             */
-            skip_rate: number;
-            /** @description Number of frames in each state, all cameras together. */
-            states: components["schemas"]["FrameStates"];
             /**
              * Format: double
              * @description Seconds since it started.
@@ -2423,7 +2402,7 @@ export interface components {
             /** @description Threshold in force; null where the policy has none. */
             threshold: (number | null)[];
             /** @description Milliseconds from reception to publication. */
-            total_ms: (number | null)[];
+            total_ms: number[];
         };
         /** @description Middle and tail of a set of durations, milliseconds. */
         Percentiles: {

@@ -52,7 +52,6 @@ pub struct NodeView {
 #[derive(Clone)]
 struct RouteState {
     view: NodeView,
-    metrics: Arc<metrics::Metrics>,
     pictures: Arc<pictures::Pictures>,
     /// Places for event streams.
     streams: Arc<Semaphore>,
@@ -162,8 +161,6 @@ pub fn openapi() -> OpenApi {
 /// All routes, with their description and the page.
 pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
     let (router, openapi) = described().split_for_parts();
-    let pictures = Arc::<pictures::Pictures>::default();
-    let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board), &pictures));
     #[cfg(feature = "swagger")]
     let router = router.merge(
         // The document itself is served below: this only names its address to the page.
@@ -180,8 +177,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         )
         .with_state(RouteState {
             view,
-            metrics,
-            pictures,
+            pictures: Arc::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
             routes,

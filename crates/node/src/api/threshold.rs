@@ -1,7 +1,7 @@
 //! A camera's threshold on its Zenoh key.
 
 use crate::api::key_service::KeyValue;
-use crate::state::board::CameraBoard;
+use crate::state::board::{CameraBoard, set_thresholds};
 use albireo_wire::{MessageError, SettingSource, ThresholdMessage, VERSION};
 use std::sync::Arc;
 
@@ -14,7 +14,6 @@ impl KeyValue for ThresholdKey {
     }
 
     fn change(&self, payload: &[u8]) -> Result<Vec<u8>, String> {
-        let board = &self.0;
         // `v` may be left out here, as in a hand-typed put, so the versioned reader does not fit.
         let message: ThresholdMessage = serde_json::from_slice(payload).map_err(|error| {
             format!(r#"expected {{"threshold":{{"name":"u","value":3e-4}}}} as JSON: {error}"#)
@@ -22,10 +21,8 @@ impl KeyValue for ThresholdKey {
         if message.v != VERSION {
             return Err(MessageError::Version { found: message.v }.to_string());
         }
-        if let Some(knob) = board.knob() {
-            (message.threshold.value_of(&knob)).map_err(|error| error.to_string())?;
-        }
-        (board.set_threshold(message.threshold.value, SettingSource::Local))
+        let camera = std::slice::from_ref(&self.0);
+        set_thresholds(camera, message.threshold, SettingSource::Local)
             .map_err(|error| error.to_string())?;
         self.in_force()
     }

@@ -4,7 +4,7 @@
 //! not fit; that of a camera that loses none for as long as its subscriber takes. Each kind has its priority, as each
 //! priority has a queue and a lock in Zenoh: a report that waits for a slow subscriber never delays a detection.
 
-use prometheus_client::metrics::counter::Counter;
+use albireo_service::metrics::Counter;
 use tokio::task::block_in_place;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;

@@ -12,12 +12,12 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
+use albireo_service::metrics::Counter;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig};
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
-use prometheus_client::metrics::counter::Counter;
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -282,7 +282,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         published.push(message);
         // Each drawn frame is looked at before the next comes, as on a road on which the detector has time.
         let seen = board.camera("front").unwrap();
-        while share >= 1.0 && seen.audit().sums.drawn() < skipped {
+        while share >= 1.0 && seen.snapshot().audit.sums.drawn() < skipped {
             tokio::task::yield_now().await;
         }
     }
@@ -298,7 +298,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         provider: String::new(),
     };
     let report = closed.measured().await.into_report(meta);
-    let counted = board.camera("front").unwrap().audit();
+    let counted = board.camera("front").unwrap().snapshot().audit;
     if let Some(audit) = &report.audit {
         assert_eq!(audit.sums, counted.sums);
         assert_eq!(audit.calls, counted.calls);

@@ -4,24 +4,25 @@
 mod camera;
 mod event;
 mod history;
-mod power_past;
 mod savings;
 mod setup;
-mod thresholds;
+mod threshold;
 
 pub use camera::CameraSnapshot;
 pub use camera::{CameraBoard, CameraSetup, LatestFrame};
 pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
-pub(crate) use history::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
-pub(crate) use power_past::PowerSlot;
-pub(crate) use savings::Savings;
+pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
+pub(crate) use savings::{Savings, Totals};
 pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
+pub use threshold::ThresholdError;
+#[cfg(test)]
+pub(crate) use threshold::set_by_hand;
+pub(crate) use threshold::set_thresholds;
 
 use crate::delivery::outbox::Outbox;
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
-use albireo_core::policy::KnobError;
 use albireo_core::target::{Target, TargetError};
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
@@ -30,10 +31,11 @@ use albireo_service::supervise::TaskTally;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{ClipReport, CountersMessage, SettingSource};
+use camera::Shared;
+use history::PowerPast;
 use parking_lot::Mutex;
-use power_past::PowerPast;
-use savings::SavingsSince;
-use std::collections::VecDeque;
+use savings::Today;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
@@ -58,9 +60,9 @@ pub struct Board {
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
     meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
-    power: Mutex<PowerSnapshot>,
-    power_past: Mutex<PowerPast>,
-    savings: Mutex<SavingsSince>,
+    power: Mutex<PowerPast>,
+    started_ms: i64,
+    today: Mutex<Today>,
     readiness: Readiness,
     tasks: TaskTally,
     outbox: Outbox,
@@ -78,20 +80,16 @@ impl Board {
         let begin = setup.cameras.first().and_then(|camera| camera.threshold);
         let target = NodeTarget::open(setup.target, setup.outbox.clone(), begin);
         let target = Arc::new(target);
-        let cameras: Vec<_> = setup
-            .cameras
-            .into_iter()
-            .map(|camera| {
-                Arc::new(CameraBoard::new(
-                    camera,
-                    setup.policy,
-                    started,
-                    events.clone(),
-                    setup.outbox.clone(),
-                    Arc::clone(&target),
-                ))
-            })
-            .collect();
+        let shared = Shared {
+            policy: setup.policy,
+            started,
+            events: events.clone(),
+            outbox: setup.outbox.clone(),
+            target: Arc::clone(&target),
+        };
+        let cameras = setup.cameras.into_iter();
+        let cameras = cameras.map(|camera| Arc::new(CameraBoard::new(camera, shared.clone())));
+        let started_ms = unix_milliseconds();
         let readiness = Readiness::default();
         let detector_status = setup.detector_status.clone();
         readiness.probe(readiness::DETECTOR, "", move || {
@@ -109,15 +107,18 @@ impl Board {
             node: setup.node,
             policy: setup.policy,
             started,
-            cameras,
+            cameras: cameras.collect(),
             clips: Mutex::default(),
             events,
             detector: setup.detector,
             detector_status: setup.detector_status,
             meters: OnceLock::new(),
             power: Mutex::default(),
-            power_past: Mutex::default(),
-            savings: Mutex::new(SavingsSince::new()),
+            started_ms,
+            today: Mutex::new(Today {
+                since_ms: started_ms,
+                before: Totals::default(),
+            }),
             readiness,
             tasks: TaskTally::default(),
             outbox: setup.outbox,
@@ -262,24 +263,6 @@ impl Board {
         }
     }
 
-    /// Sets the threshold of every camera, or of none: the value is checked for all before the first is changed.
-    ///
-    /// # Errors
-    /// [`KnobError`] of the first camera that cannot take `value`.
-    pub(crate) fn set_thresholds(
-        &self,
-        value: f64,
-        source: SettingSource,
-    ) -> Result<(), KnobError> {
-        for camera in &self.cameras {
-            camera.check_threshold(value)?;
-        }
-        for camera in &self.cameras {
-            camera.set_threshold(value, source)?;
-        }
-        Ok(())
-    }
-
     /// Holds `target` from now on, or nothing: the knob then stays where it is, and is kept there. Writes small files.
     ///
     /// # Errors
@@ -294,11 +277,7 @@ impl Board {
         self.target.set(target, knob, source)?;
         if has_target && target.is_none() {
             for camera in &self.cameras {
-                if let Some(value) = camera.threshold()
-                    && let Err(error) = camera.set_threshold(value, source)
-                {
-                    tracing::error!(camera = camera.name(), %error, "threshold not kept");
-                }
+                camera.keep_threshold(source);
             }
         }
         Ok(())
@@ -337,30 +316,56 @@ impl Board {
 
     /// Writes the power figures; to be called by the sampling task.
     pub fn set_power(&self, power: PowerSnapshot) {
-        self.power_past.lock().add(&power, self.uptime());
-        *self.power.lock() = power;
+        self.power.lock().add(power, self.uptime());
     }
 
-    /// Power over the last hour, oldest first, and the node's age, from which times are counted.
-    pub(crate) fn power_past(&self) -> (Vec<PowerSlot>, Duration) {
-        let now = self.uptime();
-        (self.power_past.lock().slots(now), now)
+    /// Power over the last hour, oldest first.
+    pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
+        let now = Clock {
+            now_ms: unix_milliseconds(),
+            age: self.uptime(),
+        };
+        self.power.lock().slots(&now)
+    }
+
+    /// What was counted since the start, with power as it is there.
+    pub(crate) fn totals(&self, power: &PowerSnapshot) -> Totals {
+        let total = |sums: &BTreeMap<String, f64>| sums.get("total").copied().unwrap_or_default();
+        let mut totals = Totals {
+            joules: total(&power.joules),
+            covered_s: total(&power.covered_s),
+            sampled_s: power.sampled_s,
+            saved_detector_s: power.saved_detector_s,
+            ..Totals::default()
+        };
+        for camera in &self.cameras {
+            let snapshot = camera.snapshot();
+            totals.frames += snapshot.states.frames();
+            totals.skipped += snapshot.states.skipped(snapshot.degraded_frames);
+            totals.degraded += snapshot.degraded_frames;
+            totals.detector_us += snapshot.detector_us;
+        }
+        totals
     }
 
     fn turn_day(&self) {
-        let power = self.power();
-        (self.savings.lock()).turn(&self.cameras, &power, unix_milliseconds());
+        let so_far = || self.totals(&self.power());
+        self.today.lock().turn(unix_milliseconds(), so_far);
     }
 
     /// What was saved since the start, and today.
     pub(crate) fn savings(&self) -> (Savings, Savings) {
         self.turn_day();
-        self.savings.lock().read(&self.cameras, &self.power())
+        let power = self.power();
+        let now = self.totals(&power);
+        let today = self.today.lock();
+        let of_today = (now - today.before).savings(today.since_ms, &power);
+        (now.savings(self.started_ms, &power), of_today)
     }
 
     /// The power figures as last written.
     pub fn power(&self) -> PowerSnapshot {
-        self.power.lock().clone()
+        self.power.lock().newest().clone()
     }
 
     /// Whether the node works, part by part.
@@ -375,4 +380,4 @@ impl Board {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

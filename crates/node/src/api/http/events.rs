@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::{self, error::RecvError};
@@ -76,29 +77,17 @@ struct Reader {
     /// The present state, sent before new events.
     first: VecDeque<sse::Event>,
     events: broadcast::Receiver<SharedEvent>,
-    detector: Option<watch::Receiver<DetectorStatus>>,
+    detector: watch::Receiver<DetectorStatus>,
     shutdown: CancellationToken,
     /// Given back when the stream ends.
     _place: OwnedSemaphorePermit,
 }
 
-fn event(name: &str, data: &impl Serialize) -> Option<sse::Event> {
-    match sse::Event::default().event(name).json_data(data) {
-        Ok(event) => Some(event),
-        Err(error) => {
-            tracing::error!(name, %error, "an event cannot be written as JSON");
-            None
-        }
-    }
-}
-
-/// The event as it was written for all who read it.
-fn written(happened: &SharedEvent) -> Option<sse::Event> {
-    let name = happened.name();
-    match happened.json() {
+fn event(name: &str, json: Result<&str, impl Display>) -> Option<sse::Event> {
+    match json {
         Ok(json) => Some(sse::Event::default().event(name).data(json)),
         Err(error) => {
-            tracing::error!(name, error, "an event cannot be written as JSON");
+            tracing::error!(name, %error, "an event cannot be written as JSON");
             None
         }
     }
@@ -110,13 +99,18 @@ impl Reader {
     }
 
     fn select(&self, happened: &SharedEvent) -> Option<sse::Event> {
-        let about = self
-            .camera
-            .as_deref()
-            .is_none_or(|camera| camera == happened.camera());
-        (about && self.wants(happened.name()))
-            .then(|| written(happened))
-            .flatten()
+        let camera = self.camera.as_deref();
+        let about = camera.is_none_or(|camera| camera == happened.camera());
+        let name = happened.name();
+        (about && self.wants(name)).then(|| event(name, happened.json()))?
+    }
+
+    /// How the detector is doing, if that is wanted.
+    fn detector(&mut self) -> Option<sse::Event> {
+        let now = DetectorEvent::new(&self.detector.borrow_and_update());
+        let json = serde_json::to_string(&now);
+        self.wants(DETECTOR)
+            .then(|| event(DETECTOR, json.as_deref()))?
     }
 
     /// The next event to send; `None` when the node stops.
@@ -127,31 +121,19 @@ impl Reader {
             }
             let found = tokio::select! {
                 () = self.shutdown.cancelled() => return None,
-                status = changed(&mut self.detector) => match status {
-                    Some(status) => event(DETECTOR, &DetectorEvent::new(&status)),
-                    // The detector does not return: its last status remains.
-                    None => { self.detector = None; None }
-                },
+                // Of a detector that does not return the last status remains.
+                Ok(()) = self.detector.changed() => self.detector(),
                 received = self.events.recv() => match received {
                     Ok(happened) => self.select(&happened),
-                    Err(RecvError::Lagged(lost)) => event(LAGGED, &json!({ "lost": lost })),
+                    Err(RecvError::Lagged(lost)) => {
+                        event(LAGGED, Ok::<_, Infallible>(&json!({ "lost": lost }).to_string()))
+                    }
                     Err(RecvError::Closed) => return None,
                 },
             };
             if found.is_some() {
                 return found;
             }
-        }
-    }
-}
-
-/// The next status; pending for ever without a receiver, `None` once the sender is dropped.
-async fn changed(detector: &mut Option<watch::Receiver<DetectorStatus>>) -> Option<DetectorStatus> {
-    match detector {
-        None => std::future::pending().await,
-        Some(receiver) => {
-            receiver.changed().await.ok()?;
-            Some(receiver.borrow_and_update().clone())
         }
     }
 }
@@ -216,19 +198,11 @@ pub(super) async fn stream(
         first: VecDeque::new(),
         // Before the first look at how things stand, so that no change falls between the two.
         events: board.subscribe(),
-        detector: None,
+        detector: board.watch_detector(),
         shutdown: shared.shutdown.clone(),
         _place: place,
     };
-    let mut first = VecDeque::new();
-    if reader.wants(DETECTOR) {
-        let mut detector = board.watch_detector();
-        first.extend(event(
-            DETECTOR,
-            &DetectorEvent::new(&detector.borrow_and_update()),
-        ));
-        reader.detector = Some(detector);
-    }
+    let mut first: VecDeque<_> = reader.detector().into_iter().collect();
     for happened in board.current(unix_nanoseconds()) {
         first.extend(reader.select(&happened.into()));
     }

@@ -1,18 +1,15 @@
 //! The recent past of a node, for a page that has just been opened.
 
 use super::RouteState;
-use crate::state::board::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
+use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
 use albireo_core::policy::{CallCause, FrameState};
-use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
-use albireo_wire::{EnergyQuality, Threshold};
+use albireo_wire::Threshold;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::time::Duration;
 use utoipa::{IntoParams, ToSchema};
 
 /// How much of the past.
@@ -46,28 +43,7 @@ pub(super) struct PastFrames {
     /// Milliseconds of the detector; null where it did not run.
     detector_ms: Vec<Option<f32>>,
     /// Milliseconds from reception to publication.
-    total_ms: Vec<Option<f32>>,
-}
-
-/// A piece of the last hour.
-#[derive(Serialize, ToSchema)]
-pub(super) struct CameraSlot {
-    /// When it began, milliseconds since the Unix epoch.
-    at_ms: i64,
-    /// Frames processed.
-    frames: u32,
-    /// Of these, without the detector: state E or P and not degraded.
-    skipped: u32,
-    /// Of these, answered from prediction because the detector was not available.
-    degraded: u32,
-    /// Frames that the detector was called for.
-    calls: u32,
-    /// Median time of the detector, milliseconds; absent where it did not run.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    detector_p50_ms: Option<f32>,
-    /// 99th percentile of it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    detector_p99_ms: Option<f32>,
+    total_ms: Vec<f32>,
 }
 
 /// Recent frames of a camera.
@@ -85,32 +61,6 @@ pub(super) struct CameraHistory {
     frames: PastFrames,
 }
 
-/// A moment of the node's life by the wall clock as it goes now: a clock that was set in between moves all of them.
-struct Clock {
-    now_ms: i64,
-    age: Duration,
-}
-
-impl Clock {
-    fn new(age: Duration) -> Self {
-        Self {
-            now_ms: unix_milliseconds(),
-            age,
-        }
-    }
-
-    fn before_now_ms(&self, at_ms: u64) -> u64 {
-        u64::try_from(self.age.as_millis())
-            .unwrap_or(u64::MAX)
-            .saturating_sub(at_ms)
-    }
-
-    fn of_slot(&self, slot: u64) -> i64 {
-        let before = self.before_now_ms(slot.saturating_mul(SLOT_S * 1000));
-        self.now_ms - i64::try_from(before).unwrap_or(i64::MAX)
-    }
-}
-
 fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
     let mut columns = PastFrames::default();
     for frame in frames {
@@ -120,25 +70,12 @@ fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
         columns.cause.push(frame.cause);
         columns.degraded.push(frame.degraded);
         columns.boxes.push(frame.boxes);
-        columns.tau_max.push(frame.tau_max());
-        columns.threshold.push(frame.threshold());
-        columns.detector_ms.push(frame.detector_ms());
-        columns.total_ms.push(frame.total_ms());
+        columns.tau_max.push(frame.tau_max);
+        columns.threshold.push(frame.threshold);
+        columns.detector_ms.push(frame.detector_ms);
+        columns.total_ms.push(frame.total_ms);
     }
     columns
-}
-
-fn piece(slot: &PastSlot, clock: &Clock) -> CameraSlot {
-    let known = |ms: f32| (ms > 0.0).then_some(ms);
-    CameraSlot {
-        at_ms: clock.of_slot(slot.slot),
-        frames: slot.frames,
-        skipped: slot.skipped,
-        degraded: slot.degraded,
-        calls: slot.calls,
-        detector_p50_ms: known(slot.detector_p50_ms),
-        detector_p99_ms: known(slot.detector_p99_ms),
-    }
 }
 
 /// A camera's last minutes frame by frame, and its last hour in pieces
@@ -167,26 +104,14 @@ pub(super) async fn camera(
         return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
     }
     let camera = shared.camera(&camera)?;
-    let (frames, slots, age) = camera.past(most);
-    let clock = Clock::new(age);
+    let (frames, slots, clock) = camera.past(most);
     Ok(Json(CameraHistory {
         camera: camera.name().to_owned(),
         now_ms: clock.now_ms,
         slot_s: SLOT_S,
-        slots: slots.iter().map(|slot| piece(slot, &clock)).collect(),
+        slots,
         frames: columns(&frames, &clock),
     }))
-}
-
-/// Power of a piece of the last hour.
-#[derive(Serialize, ToSchema)]
-pub(super) struct PowerPiece {
-    /// When it began, milliseconds since the Unix epoch.
-    at_ms: i64,
-    /// How far to trust it: the worst during the piece.
-    quality: EnergyQuality,
-    /// Mean power over the time that samples cover, watts, by domain.
-    watts: BTreeMap<&'static str, f32>,
 }
 
 /// Power over the last hour.
@@ -203,16 +128,9 @@ pub(super) struct PowerHistory {
 /// `curl http://127.0.0.1:8080/api/v1/power`
 #[utoipa::path(get, operation_id = "power_history", path = "/api/v1/power", tag = "energy", responses((status = 200, body = PowerHistory)))]
 pub(super) async fn power(State(shared): State<RouteState>) -> Json<PowerHistory> {
-    let (slots, age) = shared.board().power_past();
-    let clock = Clock::new(age);
-    let slots = slots.iter().map(|slot| PowerPiece {
-        at_ms: clock.of_slot(slot.slot),
-        quality: slot.quality,
-        watts: slot.watts().collect(),
-    });
     Json(PowerHistory {
         slot_s: SLOT_S,
-        slots: slots.collect(),
+        slots: shared.board().power_past(),
     })
 }
 
@@ -315,33 +233,30 @@ pub(super) async fn skip_estimate(
     };
     // Some milliseconds of computing: not on a thread that frames wait for.
     let camera = std::sync::Arc::clone(camera);
-    let name = camera.name().to_owned();
     let computed = tokio::task::spawn_blocking(move || {
         let estimate = camera.skip_estimate();
-        let (first, last) = estimate.span_ms()?;
-        let values: Vec<(f64, Estimate)> = (values.into_iter())
-            .map(|value| (value, estimate.at(value)))
-            .collect();
-        Some((estimate.really(), last - first, values))
+        let values = values.into_iter().map(|value| {
+            let skipped = estimate.skipped_at(value);
+            ValueEstimate {
+                value,
+                skipped,
+                skip_rate: estimate.share(skipped),
+            }
+        });
+        let skipped = estimate.skipped();
+        Some(SkipEstimates {
+            camera: camera.name().to_owned(),
+            estimated: true,
+            frames: estimate.frames(),
+            duration_s: estimate.duration_s()?,
+            skipped,
+            skip_rate: estimate.share(skipped),
+            threshold,
+            values: values.collect(),
+        })
     });
-    let Ok(Some((really, span_ms, values))) = computed.await else {
+    let Ok(Some(estimates)) = computed.await else {
         return Err(cannot("no frame after a detector call is recorded yet"));
     };
-    Ok(Json(SkipEstimates {
-        camera: name,
-        estimated: true,
-        frames: really.frames,
-        duration_s: span_ms as f64 / 1e3,
-        skipped: really.skipped,
-        skip_rate: really.skip_rate(),
-        threshold,
-        values: values
-            .into_iter()
-            .map(|(value, estimate)| ValueEstimate {
-                value,
-                skipped: estimate.skipped,
-                skip_rate: estimate.skip_rate(),
-            })
-            .collect(),
-    }))
+    Ok(Json(estimates))
 }

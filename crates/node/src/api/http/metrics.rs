@@ -1,121 +1,301 @@
-//! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
+//! Metrics for Prometheus.
 
-mod audit;
 mod cameras;
-mod detector;
-mod family;
-mod node;
-mod plain;
-mod target;
 
-use self::family::Page;
-use self::plain::to_plain;
 use super::RouteState;
-use super::pictures::Pictures;
-use crate::state::board::{Board, CameraBoard, CameraSnapshot};
-use albireo_service::http::Problem;
+use super::health::provider;
+use crate::state::board::Board;
+use crate::state::readiness::PARTS;
+use albireo_service::metrics::MetricsPage;
+use albireo_vision::detector::DetectorStatus;
+use albireo_wire::{EnergyQuality, TargetStatus};
 use axum::extract::State;
-use axum::http::header::{ACCEPT, CONTENT_TYPE};
-use axum::http::{HeaderMap, StatusCode};
-use axum::response::{IntoResponse, Response};
-use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{DescriptorEncoder, text::encode};
-use prometheus_client::registry::Registry;
-use std::fmt;
-use std::sync::Arc;
 
-const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
-
-/// The registry over a board.
-pub(super) struct Metrics(Registry);
-
-impl Metrics {
-    /// Metrics of that board, and of the pictures that were shown.
-    pub(crate) fn new(board: Arc<Board>, pictures: &Pictures) -> Self {
-        let mut registry = Registry::default();
-        registry.register_collector(Box::new(ProcessCollector));
-        let albireo = registry.sub_registry_with_prefix("albireo");
-        albireo.register(
-            "shown_pictures_decoded",
-            "Pictures decoded because somebody looked at them",
-            pictures.decoded().clone(),
-        );
-        albireo.register_collector(Box::new(BoardCollector(board)));
-        Self(registry)
-    }
-}
-
-/// Reads what the process uses at each scrape. Its names have no prefix: they are every program's.
-#[derive(Debug)]
-struct ProcessCollector;
-
-impl Collector for ProcessCollector {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        let mut page = Page(encoder);
-        for figure in albireo_service::process::figures() {
-            match figure.counter {
-                true => page.counter(figure.name, figure.help, figure.value)?,
-                false => page.gauge(figure.name, figure.help, figure.value)?,
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Reads the board at each scrape, so that no figure is kept twice.
-#[derive(Debug)]
-struct BoardCollector(Arc<Board>);
-
-type Snapshots<'a> = [(&'a CameraBoard, CameraSnapshot)];
-
-impl Collector for BoardCollector {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        let (mut page, board) = (Page(encoder), &self.0);
-        let cameras: Vec<_> = (board.cameras().iter())
-            .map(|camera| (&**camera, camera.snapshot()))
-            .collect();
-        node::node(&mut page, board)?;
-        detector::detector(&mut page, board)?;
-        cameras::cameras(&mut page, board, &cameras)?;
-        audit::audit(&mut page, &cameras)?;
-        target::target(&mut page, board)?;
-        node::outbox(&mut page, board)?;
-        node::power(&mut page, board)
-    }
-}
-
-/// All metrics as OpenMetrics text.
-///
-/// # Errors
-/// A problem document when they cannot be written.
-pub(super) fn written(shared: &RouteState) -> Result<String, Problem> {
-    let mut text = String::new();
-    encode(&mut text, &shared.metrics.0).map_err(|error| {
-        let detail = format!("the metrics cannot be written: {error}");
-        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
-    })?;
-    Ok(text)
+fn flag(on: bool) -> f64 {
+    f64::from(u8::from(on))
 }
 
 /// Metrics for Prometheus
 ///
-/// OpenMetrics text for a reader that accepts it, else the older text format.
 /// `curl http://127.0.0.1:8080/metrics`
-#[utoipa::path(
-    get, operation_id = "metrics", path = "/metrics", tag = "metrics",
-    responses((status = 200, content((String = "text/plain"), (String = "application/openmetrics-text"))))
-)]
-pub(super) async fn text(
-    State(shared): State<RouteState>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let text = written(&shared)?;
-    let accepted = headers.get_all(ACCEPT).iter();
-    let open = (accepted.filter_map(|value| value.to_str().ok()))
-        .any(|value| value.contains("application/openmetrics-text"));
-    Ok(match open {
-        true => ([(CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
-        false => ([(CONTENT_TYPE, PLAIN)], to_plain(&text)).into_response(),
-    })
+#[utoipa::path(get, operation_id = "metrics", path = "/metrics", tag = "metrics", responses((status = 200, body = String, content_type = "text/plain")))]
+pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
+    page(&shared)
+}
+
+/// All metrics, read from the board.
+pub(super) fn page(shared: &RouteState) -> MetricsPage {
+    let (mut page, board) = (MetricsPage::default(), shared.board());
+    page.process();
+    page.counter(
+        "albireo_shown_pictures_decoded_total",
+        "Pictures decoded because somebody looked at them",
+        shared.pictures.decoded() as f64,
+    );
+    node(&mut page, board);
+    detector(&mut page, board);
+    cameras::cameras(&mut page, board);
+    target(&mut page, board);
+    outbox(&mut page, board);
+    power(&mut page, board);
+    page
+}
+
+/// What runs, and whether its parts work.
+fn node(page: &mut MetricsPage, board: &Board) {
+    let (status, health) = (board.detector_status(), board.readiness().health());
+    let version = ("version", env!("CARGO_PKG_VERSION"));
+    page.gauges(
+        "albireo_build_info",
+        "The program that runs, always 1",
+        [([version, ("node", board.node())], 1.0)],
+    );
+    page.gauge(
+        "albireo_uptime_seconds",
+        "Time since the node started",
+        board.uptime().as_secs_f64(),
+    );
+    page.gauge(
+        "albireo_ready",
+        "Whether the node works as configured",
+        flag(health.is_ready()),
+    );
+    page.gauge(
+        "albireo_detector_ready",
+        "Whether the detector works",
+        flag(matches!(status, DetectorStatus::Ready { .. })),
+    );
+    let facts = board.detector_facts();
+    let (wanted, runs) = (facts.requested.first(), provider(&status));
+    let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
+    page.gauge(
+        "albireo_detector_fallback",
+        "Whether another execution provider runs the detector than the first that is configured",
+        flag(fell_back),
+    );
+    let labels = [
+        ("model", facts.model.as_str()),
+        ("provider", runs.unwrap_or("none")),
+        ("policy", board.policy()),
+    ];
+    page.gauges(
+        "albireo_detector_info",
+        "The detector's model and the execution provider that really runs it, always 1",
+        [(labels, 1.0)],
+    );
+    page.gauges(
+        "albireo_part_working",
+        "Whether a part works: 1, or 0 when /readyz has a reason for it",
+        PARTS.map(|part| {
+            let works = health.faults.iter().all(|fault| fault.part != part);
+            ([("part", part)], flag(works))
+        }),
+    );
+    let tasks = board.tasks().counts();
+    page.counters(
+        "albireo_task_failures_total",
+        "Times a task of the node panicked, failed or ended before the shutdown",
+        (tasks.iter()).map(|(task, counts)| ([("task", &**task)], counts.failures as f64)),
+    );
+    page.counters(
+        "albireo_task_restarts_total",
+        "Times a task of the node was restarted",
+        (tasks.iter()).map(|(task, counts)| ([("task", &**task)], counts.restarts as f64)),
+    );
+}
+
+/// What the detector and the empty-scene screen have counted.
+fn detector(page: &mut MetricsPage, board: &Board) {
+    let counts = board.detector_counters();
+    let (worker, head) = (&counts.worker, &counts.head);
+    page.counter(
+        "albireo_detector_batches_total",
+        "Runs of the model that ended well: fewer than completed pictures where cameras share a run",
+        worker.batches as f64,
+    );
+    page.gauge(
+        "albireo_detector_queue",
+        "Pictures that wait for the detector",
+        worker.waiting as f64,
+    );
+    page.counter(
+        "albireo_detector_audit_runs_total",
+        "Pictures that the detector ran on for the audit, after their frames were answered; not among detector_runs",
+        worker.spare as f64,
+    );
+    let dropped = [
+        ("impossible", head.rejected),
+        ("outside", head.outside),
+        ("unknown_class", head.unknown_class),
+        ("over_limit", head.over_limit),
+    ];
+    page.counters(
+        "albireo_detector_boxes_dropped_total",
+        "Boxes in the model's output that were not reported, by reason",
+        dropped.map(|(reason, count)| ([("reason", reason)], count as f64)),
+    );
+    let screen = board.screen_counters();
+    for (prefix, what, counts) in [
+        ("detector", "detector", &counts.worker),
+        ("screen", "empty-scene screen", &screen),
+    ] {
+        let runs = [
+            ("completed", counts.completed),
+            ("timed_out", counts.timed_out),
+            ("failed", counts.failed),
+            ("panicked", counts.panicked),
+            ("refused", counts.refused),
+            ("cancelled", counts.cancelled),
+        ];
+        let rebuilds = [
+            ("completed", counts.rebuilds),
+            ("failed", counts.rebuilds_failed),
+        ];
+        page.counters(
+            &format!("albireo_{prefix}_runs_total"),
+            &format!("Pictures given to the {what}, by what became of them"),
+            runs.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
+        );
+        page.counters(
+            &format!("albireo_{prefix}_rebuilds_total"),
+            &format!("Sessions of the {what} built again after a failure, by outcome"),
+            rebuilds.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
+        );
+    }
+}
+
+/// What is wanted of the node, what is measured of it, and whether it is met; no figure while there is no target.
+fn target(page: &mut MetricsPage, board: &Board) {
+    let report = board.target().report();
+    let target = report.target;
+    let state = report.state.filter(|_| target.is_some());
+    let label = || target.iter().map(|target| [("target", target.name())]);
+    page.gauges(
+        "albireo_target",
+        "What is held instead of a fixed threshold, in its own unit; absent while nothing is",
+        label().zip(target.map(|target| target.value())),
+    );
+    page.gauges(
+        "albireo_target_actual",
+        "What is measured of the target; for recall the lower end of its interval. Absent before anything is",
+        label().zip(state.and_then(|state| state.actual)),
+    );
+    page.gauges(
+        "albireo_target_status",
+        "Whether the target is met, and if not why: 1 for the status that holds, 0 for the others",
+        state.iter().flat_map(|state| {
+            TargetStatus::ALL
+                .map(|status| ([("status", status.name())], flag(status == state.status)))
+        }),
+    );
+    page.counters(
+        "albireo_target_unmet_total",
+        "How often it began that the target could not be met inside the knob's range, since it was set",
+        state.map(|state| ([], state.unmet as f64)),
+    );
+    page.counters(
+        "albireo_target_unmet_seconds_total",
+        "Time in which the target could not be met inside the knob's range, since it was set",
+        state.map(|state| ([], state.unmet_s)),
+    );
+}
+
+/// The counts of the outbox.
+fn outbox(page: &mut MetricsPage, board: &Board) {
+    let counts = board.outbox().counts();
+    page.gauge(
+        "albireo_outbox_waiting",
+        "Clip reports that no hub has acknowledged",
+        counts.waiting as f64,
+    );
+    page.gauge(
+        "albireo_outbox_in_memory",
+        "Of these, reports that are not on disk",
+        counts.in_memory as f64,
+    );
+    page.gauge(
+        "albireo_outbox_again",
+        "Clip reports that a hub lost, to be sent again",
+        counts.again as f64,
+    );
+    page.gauge(
+        "albireo_outbox_durable",
+        "Whether clip reports survive a power loss",
+        flag(counts.durable),
+    );
+    page.counter(
+        "albireo_outbox_kept_total",
+        "Clip reports taken in",
+        counts.kept as f64,
+    );
+    page.counter(
+        "albireo_outbox_acknowledged_total",
+        "Clip reports that a hub has acknowledged",
+        counts.acknowledged as f64,
+    );
+    page.counter(
+        "albireo_outbox_lost_total",
+        "Clip reports lost: the outbox was full or its disk broken",
+        counts.lost as f64,
+    );
+    page.counter(
+        "albireo_outbox_undeliverable_total",
+        "Clip reports that a hub refused for good, or that could not be read",
+        counts.undeliverable as f64,
+    );
+    page.counter(
+        "albireo_outbox_disk_failures_total",
+        "Times the state directory failed",
+        counts.disk_failures as f64,
+    );
+}
+
+/// Power and energy.
+fn power(page: &mut MetricsPage, board: &Board) {
+    let power = board.power();
+    let source = ("source", power.source.as_str());
+    let quality = match power.quality {
+        EnergyQuality::Measured => "measured",
+        EnergyQuality::Partial => "partial",
+        EnergyQuality::Estimated => "estimated",
+        EnergyQuality::Unavailable => "unavailable",
+    };
+    page.gauges(
+        "albireo_power_info",
+        "Whether power is measured or estimated now, or unavailable: always 1",
+        [([source, ("quality", quality)], 1.0)],
+    );
+    page.gauges(
+        "albireo_power_watts",
+        "Power now; `power_info` says whether it is measured or estimated",
+        (power.watts.iter()).map(|now| ([("domain", &*now.domain), source], now.watts)),
+    );
+    page.counters(
+        "albireo_energy_joules_total",
+        "Energy since the node started, over the time that samples cover; `power_info` says whether it is measured or \
+         estimated",
+        (power.joules.iter()).map(|(domain, joules)| ([("domain", domain.as_str()), source], *joules)),
+    );
+    page.counters(
+        "albireo_energy_covered_seconds_total",
+        "Time that samples of power cover since the node started: `energy_joules` divided by it is the mean power",
+        (power.covered_s.iter())
+            .map(|(domain, seconds)| ([("domain", domain.as_str()), source], *seconds)),
+    );
+    let hottest = power.hottest.iter();
+    page.gauges(
+        "albireo_temperature_celsius",
+        "The machine's hottest sensor",
+        hottest.map(|(sensor, celsius)| ([("sensor", sensor.as_str())], *celsius)),
+    );
+    page.counters(
+        "albireo_power_failed_reads_total",
+        "Times the power source could not be read",
+        [([source], power.failed_reads as f64)],
+    );
+    page.counters(
+        "albireo_power_meter_cpu_seconds_total",
+        "CPU time spent on reading the power source",
+        [([source], power.cost.cpu.as_secs_f64())],
+    );
 }

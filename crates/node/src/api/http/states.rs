@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use crate::camera::audit::AuditCount;
-use crate::state::board::CameraBoard;
+use crate::state::board::{CameraBoard, CameraSnapshot};
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
 use albireo_wire::{AuditFigures, DetectorCalls, DroppedFrames, FrameStates, Threshold};
@@ -11,14 +11,12 @@ use axum::extract::{Path, State};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Frames of a camera since the node started. The five states add up to `frames`.
+/// What became of frames since the node started.
 #[derive(Serialize, ToSchema)]
-pub(super) struct CameraStates {
-    /// Camera.
-    camera: String,
+pub(super) struct FrameCounts {
     /// Frames processed.
     frames: u64,
-    /// Number of frames in each state.
+    /// Number of frames in each state; they add up to `frames`.
     states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
     skip_rate: f64,
@@ -27,6 +25,18 @@ pub(super) struct CameraStates {
     /// Frames that the detector was called for, by cause; degraded ones are among them.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
+    /// Audit results of skipped frames; absent without an audit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    audit: Option<AuditFigures>,
+}
+
+/// Frames of a camera since the node started.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraStates {
+    /// Camera.
+    camera: String,
+    #[serde(flatten)]
+    counts: FrameCounts,
     /// Frames not processed, by kind.
     dropped: DroppedFrames,
     /// Largest uncertainty of the newest frame; absent without objects.
@@ -35,9 +45,6 @@ pub(super) struct CameraStates {
     /// Threshold in force; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     threshold: Option<Threshold>,
-    /// Audit results of skipped frames; absent without an audit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    audit: Option<AuditFigures>,
     /// Seconds since the newest frame; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     last_frame_age_s: Option<f64>,
@@ -50,37 +57,46 @@ pub(super) struct NodeStates {
     node: String,
     /// Seconds since it started.
     uptime_s: f64,
-    /// Frames processed, all cameras together.
-    frames: u64,
-    /// Number of frames in each state, all cameras together.
-    states: FrameStates,
-    /// Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
-    skip_rate: f64,
-    /// Frames answered from prediction because the detector was not available, all cameras together.
-    degraded_frames: u64,
-    /// Frames that the detector was called for, by cause, all cameras together.
-    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
-    calls: DetectorCalls,
-    /// Audit results of skipped frames, all cameras together; absent without an audit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    audit: Option<AuditFigures>,
+    /// All cameras together.
+    #[serde(flatten)]
+    counts: FrameCounts,
     /// Each camera's.
     cameras: Vec<CameraStates>,
 }
 
-fn of(camera: &CameraBoard) -> CameraStates {
-    let snapshot = camera.snapshot();
+impl FrameCounts {
+    /// Of these cameras together.
+    fn of<'a>(cameras: impl IntoIterator<Item = (&'a CameraBoard, &'a CameraSnapshot)>) -> Self {
+        let mut states = FrameStates::default();
+        let mut calls = DetectorCalls::default();
+        let mut audit: Option<AuditCount> = None;
+        let mut degraded_frames = 0;
+        for (camera, snapshot) in cameras {
+            states += snapshot.states;
+            calls += &snapshot.calls;
+            degraded_frames += snapshot.degraded_frames;
+            if camera.audit_is_on() {
+                audit.get_or_insert_default().merge(&snapshot.audit);
+            }
+        }
+        Self {
+            frames: states.frames(),
+            states,
+            skip_rate: significant(states.skip_rate(degraded_frames), 4),
+            degraded_frames,
+            calls,
+            audit: audit.map(|audit| audit.figures()),
+        }
+    }
+}
+
+fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
     CameraStates {
         camera: camera.name().to_owned(),
-        frames: snapshot.states.frames(),
-        states: snapshot.states,
-        skip_rate: significant(snapshot.skip_rate(), 4),
-        degraded_frames: snapshot.degraded_frames,
-        calls: snapshot.calls,
+        counts: FrameCounts::of([(camera, snapshot)]),
         dropped: snapshot.dropped,
-        tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
+        tau_max: snapshot.latest.as_ref().and_then(|latest| latest.tau_max),
         threshold: camera.threshold_in_force(),
-        audit: (camera.audit_is_on()).then(|| snapshot.audit.figures()),
         last_frame_age_s: snapshot.last_frame_age.map(seconds),
     }
 }
@@ -91,29 +107,15 @@ fn of(camera: &CameraBoard) -> CameraStates {
 #[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = shared.board();
-    let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
-    let mut states = FrameStates::default();
-    let mut calls = DetectorCalls::default();
-    for camera in &cameras {
-        states += camera.states;
-        calls += &camera.calls;
-    }
-    let mut audit = AuditCount::default();
-    for camera in board.cameras() {
-        audit.merge(&camera.audit());
-    }
-    let audited = board.cameras().iter().any(|camera| camera.audit_is_on());
-    let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
+    let cameras: Vec<_> = (board.cameras().iter())
+        .map(|camera| (&**camera, camera.snapshot()))
+        .collect();
+    let counted = || cameras.iter().map(|(camera, snapshot)| (*camera, snapshot));
     Json(NodeStates {
         node: board.node().to_owned(),
         uptime_s: seconds(board.uptime()),
-        frames: states.frames(),
-        states,
-        skip_rate: significant(states.skip_rate(degraded_frames), 4),
-        degraded_frames,
-        calls,
-        audit: audited.then(|| audit.figures()),
-        cameras,
+        counts: FrameCounts::of(counted()),
+        cameras: counted().map(|(camera, shown)| of(camera, shown)).collect(),
     })
 }
 
@@ -132,5 +134,6 @@ pub(super) async fn one(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
 ) -> Result<Json<CameraStates>, Problem> {
-    Ok(Json(of(shared.camera(&camera)?)))
+    let camera = shared.camera(&camera)?;
+    Ok(Json(of(camera, &camera.snapshot())))
 }

@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
-use crate::state::board::CameraBoard;
+use crate::state::board::{Board, CameraBoard, ThresholdError, set_thresholds};
 use albireo_core::policy::{Knob, short};
 use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Threshold, VERSION};
@@ -13,6 +13,8 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// A threshold as users write it, the value under the policy's name for it: `"u": 3e-4`. Empty when the policy has none.
@@ -80,63 +82,53 @@ fn of(camera: &CameraBoard) -> CameraThreshold {
     }
 }
 
-fn thresholds(shared: &RouteState) -> Thresholds {
-    let cameras: Vec<_> = shared
-        .board()
-        .cameras()
-        .iter()
-        .map(|camera| of(camera))
-        .collect();
-    let mut values = cameras.iter().map(|camera| &camera.value);
-    let first = values.next().cloned().unwrap_or_default();
+fn thresholds(board: &Board) -> Thresholds {
+    let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
+    let first = cameras.first().map(|camera| camera.value.clone());
+    let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
-        value: if values.all(|value| *value == first) {
-            first
-        } else {
-            NamedValue::new()
-        },
-        survives_restart: shared.board().thresholds_are_kept(),
+        value: same.unwrap_or_default(),
+        survives_restart: board.thresholds_are_kept(),
         cameras,
     }
 }
 
-fn one_threshold(shared: &RouteState, camera: &CameraBoard) -> OneThreshold {
+fn one_threshold(board: &Board, camera: &CameraBoard) -> OneThreshold {
     OneThreshold {
         threshold: of(camera),
-        survives_restart: shared.board().thresholds_are_kept(),
+        survives_restart: board.thresholds_are_kept(),
     }
 }
 
-/// Reads the value out of a request. `knob` is for the error's text.
-fn value(
+/// Sets the threshold of these cameras to what a request says.
+async fn put(
+    cameras: Vec<Arc<CameraBoard>>,
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
-    knob: Option<Knob>,
-) -> Result<f64, Problem> {
+) -> Result<(), Problem> {
+    let knob = cameras.first().and_then(|camera| camera.knob());
     let expected = expected(knob);
-    let message: NewThreshold =
+    let fault = |what: &dyn Display| {
+        let detail = format!("the body must be {expected}: {what}");
+        Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail).with_knob(knob)
+    };
+    let sent: NewThreshold =
         message(headers, body, &expected).map_err(|problem| problem.with_knob(knob))?;
-    let fault = |what: &str| {
-        Problem::new(
-            StatusCode::UNPROCESSABLE_ENTITY,
-            format!("the body must be {expected}: {what}"),
-        )
-        .with_knob(knob)
-    };
-    if let Some(v) = message.v.filter(|v| *v != VERSION) {
-        return Err(fault(&format!(
-            "version {v} is not known here, only {VERSION}"
-        )));
+    if let Some(v) = sent.v.filter(|v| *v != VERSION) {
+        let what = format!("version {v} is not known here, only {VERSION}");
+        return Err(fault(&what));
     }
-    let mut values = message.value.into_iter();
+    let mut values = sent.value.into_iter();
     let (Some((name, value)), None) = (values.next(), values.next()) else {
-        return Err(fault("it must have exactly one value"));
+        return Err(fault(&"it must have exactly one value"));
     };
-    let Some(knob) = knob else {
-        // Setting it fails: there is no threshold.
-        return Ok(value);
-    };
-    (Threshold::new(&name, value).value_of(&knob)).map_err(|error| fault(&error.to_string()))
+    let threshold = Threshold::new(&name, value);
+    off_the_runtime(move || set_thresholds(&cameras, threshold, SettingSource::Local))
+        .await?
+        .map_err(|error| match error {
+            ThresholdError::Name(error) => fault(&error),
+            ThresholdError::Value(error) => Problem::from_knob_error(&error, knob),
+        })
 }
 
 fn expected(knob: Option<Knob>) -> String {
@@ -156,7 +148,7 @@ fn expected(knob: Option<Knob>) -> String {
 /// `curl http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(get, operation_id = "thresholds", path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
 pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds> {
-    Json(thresholds(&shared))
+    Json(thresholds(shared.board()))
 }
 
 /// Changes the threshold of all cameras, or of none
@@ -176,17 +168,8 @@ pub(super) async fn put_all(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Thresholds>, Problem> {
-    let knob = shared
-        .board()
-        .cameras()
-        .first()
-        .and_then(|camera| camera.knob());
-    let value = value(&headers, body, knob)?;
-    let board = shared.board().clone();
-    off_the_runtime(move || board.set_thresholds(value, SettingSource::Local))
-        .await?
-        .map_err(|error| Problem::from_knob_error(&error, knob))?;
-    Ok(Json(thresholds(&shared)))
+    put(shared.board().cameras().to_vec(), &headers, body).await?;
+    Ok(Json(thresholds(shared.board())))
 }
 
 /// A camera's threshold in force
@@ -205,7 +188,7 @@ pub(super) async fn get_one(
     Path(camera): Path<String>,
 ) -> Result<Json<OneThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    Ok(Json(one_threshold(&shared, camera)))
+    Ok(Json(one_threshold(shared.board(), camera)))
 }
 
 /// Changes a camera's threshold
@@ -226,11 +209,7 @@ pub(super) async fn put_one(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<OneThreshold>, Problem> {
-    let camera = shared.camera(&camera)?.clone();
-    let value = value(&headers, body, camera.knob())?;
-    let changed = camera.clone();
-    off_the_runtime(move || changed.set_threshold(value, SettingSource::Local))
-        .await?
-        .map_err(|error| Problem::from_knob_error(&error, camera.knob()))?;
-    Ok(Json(one_threshold(&shared, &camera)))
+    let camera = shared.camera(&camera)?;
+    put(vec![Arc::clone(camera)], &headers, body).await?;
+    Ok(Json(one_threshold(shared.board(), camera)))
 }

@@ -72,7 +72,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     audit.offer(frame());
     audit.next().await;
     audit.done(Some(compared()));
-    let total = board.camera("front").unwrap().audit();
+    let total = board.camera("front").unwrap().snapshot().audit;
     assert_eq!(
         (total.sums.drawn(), total.sums.missed, total.calls),
         (7, 5, 2)

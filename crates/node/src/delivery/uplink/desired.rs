@@ -1,8 +1,8 @@
 //! Applies and acknowledges the setting that the hub desires.
 
 use crate::delivery::outbox::Outbox;
-use crate::state::board::Board;
-use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource, Threshold};
+use crate::state::board::{Board, set_thresholds};
+use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
@@ -90,7 +90,10 @@ impl DesiredKeeper {
             return false;
         }
         let applied = match setting {
-            DesiredSetting::Threshold(threshold) => apply_threshold(threshold, board),
+            DesiredSetting::Threshold(threshold) => {
+                set_thresholds(board.cameras(), threshold, SettingSource::Hub)
+                    .map_err(|error| error.to_string())
+            }
             DesiredSetting::Target(target) => {
                 (board.set_target(target, SettingSource::Hub)).map_err(|error| error.to_string())
             }
@@ -101,63 +104,19 @@ impl DesiredKeeper {
     }
 }
 
-fn apply_threshold(threshold: Threshold, board: &Board) -> Result<(), String> {
-    let knobs = board.cameras().iter().filter_map(|camera| camera.knob());
-    for knob in knobs {
-        (threshold.value_of(&knob)).map_err(|error| error.to_string())?;
-    }
-    (board.set_thresholds(threshold.value, SettingSource::Hub)).map_err(|error| error.to_string())
-}
-
 #[cfg(test)]
 pub(in crate::delivery) mod tests {
     use super::*;
     use crate::delivery::outbox::OutboxConfig;
-    use crate::state::board::{BoardSetup, CameraSetup, DetectorFacts};
-    use crate::state::target::TargetSetup;
-    use albireo_core::policy::Knob;
-    use albireo_vision::detector::DetectorStatus;
-    use albireo_wire::{Target, VERSION};
+    use crate::state::board::set_by_hand;
+    use crate::state::board::tests::{KNOB, board_on};
+    use albireo_wire::{Target, Threshold, VERSION};
     use std::path::Path;
     use std::sync::Arc;
-    use tokio::sync::watch;
-
-    const KNOB: Knob = Knob {
-        name: "u",
-        meaning: "The detector is skipped while every uncertainty is below it.",
-        minimum: 1e-12,
-        maximum: 1.0,
-        default: 3e-4,
-        useful_minimum: 1.5e-4,
-        useful_maximum: 1e-2,
-    };
 
     /// A board of two cameras with the threshold `u`.
     pub(in crate::delivery) fn board(outbox: Outbox) -> Arc<Board> {
-        let (_, detector_status) = watch::channel(DetectorStatus::Starting);
-        let camera = |name: &str| CameraSetup {
-            name: name.to_owned(),
-            key: format!("albireo/n/{name}/frame"),
-            source: None,
-            knob: Some(KNOB),
-            threshold: None,
-            sizeless: true,
-            longest_pause: None,
-            audited: true,
-        };
-        Board::new(BoardSetup {
-            node: "n".to_owned(),
-            cameras: vec![camera("front"), camera("rear")],
-            outbox,
-            policy: "albireo",
-            target: TargetSetup {
-                policy: "albireo",
-                knob: Some(KNOB),
-                ..TargetSetup::default()
-            },
-            detector: DetectorFacts::default(),
-            detector_status,
-        })
+        board_on(outbox, KNOB, None)
     }
 
     fn opened(state: &Path) -> Arc<Board> {
@@ -241,9 +200,7 @@ pub(in crate::delivery) mod tests {
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&with_target(3, half), &board));
-        board.cameras()[1]
-            .set_threshold(0.01, SettingSource::Local)
-            .unwrap();
+        set_by_hand(&board.cameras()[1..], 0.01).unwrap();
         assert_eq!(target(&board), None);
         assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), None);

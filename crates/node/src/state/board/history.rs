@@ -1,27 +1,29 @@
-//! What is shown of the past: the last frames one by one, and the last hour in pieces. Rings whose memory is taken at the
-//! start and never grows: a page that is opened now shows what happened before, and costs a node without viewers
-//! nothing more.
+//! What is shown of the past: the last frames one by one, and the last hour in pieces. Rings whose memory is bounded: a page
+//! that is opened now shows what happened before, and costs a node without viewers nothing more.
 
 mod growth;
 mod skipping;
 
-pub(crate) use skipping::{Estimate, SkipEstimate};
+pub(crate) use skipping::SkipEstimate;
 
+use super::PowerSnapshot;
 use albireo_core::policy::{CallCause, FrameState};
-use albireo_wire::DetectionsMessage;
-use std::collections::VecDeque;
+use albireo_wire::{DetectionsMessage, EnergyQuality};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
+use utoipa::ToSchema;
 
 /// Frames that are remembered one by one: four and a half minutes at 30 frames per second.
 pub(crate) const FRAMES: usize = 8192;
 /// Length of a piece of the hour, seconds.
 pub(crate) const SLOT_S: u64 = 10;
 /// Pieces that are remembered: an hour, and the piece that has begun.
-pub(crate) const SLOTS: usize = 361;
+const SLOTS: usize = 361;
 /// Detector times of a piece that its percentiles are made of; beyond them the oldest give way.
 const TIMES: usize = 1024;
 
-/// A frame as it is remembered. What is absent is NaN: half a megabyte per camera would be twice as much otherwise.
+/// A frame as it is remembered: in single precision, as there are many of them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PastFrame {
     /// Sequence number.
@@ -36,22 +38,19 @@ pub(crate) struct PastFrame {
     pub degraded: bool,
     /// Boxes reported.
     pub boxes: u16,
-    tau_max: f32,
-    threshold: f32,
-    detector_ms: f32,
-    total_ms: f32,
-}
-
-fn known(value: f32) -> Option<f32> {
-    (!value.is_nan()).then_some(value)
-}
-
-fn kept(value: Option<f64>) -> f32 {
-    value.map_or(f32::NAN, |value| value as f32)
+    /// Largest uncertainty before the decision; `None` without objects.
+    pub tau_max: Option<f32>,
+    /// The threshold in force.
+    pub threshold: Option<f32>,
+    /// Time of the detector, if it ran.
+    pub detector_ms: Option<f32>,
+    /// From reception to publication.
+    pub total_ms: f32,
 }
 
 impl PastFrame {
     fn of(frame: &DetectionsMessage, at: Duration) -> Self {
+        let single = |value: f64| value as f32;
         Self {
             seq: frame.seq,
             at_ms: milliseconds(at),
@@ -59,63 +58,111 @@ impl PastFrame {
             cause: frame.cause,
             degraded: frame.degraded,
             boxes: u16::try_from(frame.boxes.len()).unwrap_or(u16::MAX),
-            tau_max: kept(frame.tau_max),
-            threshold: kept(frame.threshold.map(|threshold| threshold.value)),
-            detector_ms: kept(frame.latency_ms.detector),
-            total_ms: kept(Some(frame.latency_ms.total)),
+            tau_max: frame.tau_max.map(single),
+            threshold: frame.threshold.map(|threshold| single(threshold.value)),
+            detector_ms: frame.latency_ms.detector.map(single),
+            total_ms: single(frame.latency_ms.total),
         }
-    }
-
-    /// Largest uncertainty before the decision; `None` without objects.
-    pub(crate) fn tau_max(&self) -> Option<f32> {
-        known(self.tau_max)
-    }
-
-    /// The threshold in force.
-    pub(crate) fn threshold(&self) -> Option<f32> {
-        known(self.threshold)
-    }
-
-    /// Time of the detector, if it ran.
-    pub(crate) fn detector_ms(&self) -> Option<f32> {
-        known(self.detector_ms)
-    }
-
-    /// From reception to publication.
-    pub(crate) fn total_ms(&self) -> Option<f32> {
-        known(self.total_ms)
     }
 }
 
-pub(super) fn milliseconds(time: Duration) -> u64 {
+fn milliseconds(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// A piece of the last hour of one camera.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct PastSlot {
-    /// Its number, counted from the node's start.
-    pub slot: u64,
+/// A moment of the node's life by the wall clock as it goes now: a clock that was set in between moves all of them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Clock {
+    /// The wall clock, milliseconds since the Unix epoch.
+    pub now_ms: i64,
+    /// The node's age.
+    pub age: Duration,
+}
+
+impl Clock {
+    /// How long ago something was that happened so many milliseconds after the node's start.
+    pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
+        milliseconds(self.age).saturating_sub(at_ms)
+    }
+}
+
+/// The last hour in pieces that hold something.
+#[derive(Debug)]
+struct Hour<T> {
+    ended: VecDeque<(u64, T)>,
+    /// The number of the piece that has begun, counted from the node's start.
+    open: u64,
+}
+
+impl<T> Default for Hour<T> {
+    fn default() -> Self {
+        Self {
+            ended: VecDeque::with_capacity(SLOTS),
+            open: 0,
+        }
+    }
+}
+
+impl<T: Clone> Hour<T> {
+    /// Whether a piece is over at that time after the node's start; what it held is then to be ended.
+    fn is_over(&self, at: Duration) -> bool {
+        at.as_secs() / SLOT_S != self.open
+    }
+
+    /// Ends the open piece, with what it held if that was anything; the next has begun.
+    fn end(&mut self, held: Option<T>, at: Duration) {
+        if let Some(held) = held {
+            if self.ended.len() == SLOTS {
+                self.ended.pop_front();
+            }
+            self.ended.push_back((self.open, held));
+        }
+        self.open = at.as_secs() / SLOT_S;
+    }
+
+    /// The pieces of the hour before now, oldest first, and the open one, each as `shown` with the time of its beginning.
+    fn read<S>(&self, open: Option<T>, now: &Clock, shown: impl Fn(T, i64) -> S) -> Vec<S> {
+        let oldest = (now.age.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
+        let ended = self.ended.iter().cloned();
+        let pieces = ended.chain(open.map(|open| (self.open, open)));
+        pieces
+            .filter(|(slot, _)| *slot >= oldest)
+            .map(|(slot, held)| {
+                let before = now.before_now_ms(slot.saturating_mul(SLOT_S * 1000));
+                let at_ms = now.now_ms - i64::try_from(before).unwrap_or(i64::MAX);
+                shown(held, at_ms)
+            })
+            .collect()
+    }
+}
+
+/// A piece of the last hour.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
+pub(crate) struct CameraSlot {
+    /// When it began, milliseconds since the Unix epoch.
+    pub at_ms: i64,
     /// Frames processed.
     pub frames: u32,
-    /// Of these, without the detector.
+    /// Of these, without the detector: state E or P and not degraded.
     pub skipped: u32,
-    /// Of these, without the detector that was needed.
+    /// Of these, answered from prediction because the detector was not available.
     pub degraded: u32,
     /// Frames that the detector was called for.
     pub calls: u32,
-    /// Median time of the detector; 0 where it did not run.
-    pub detector_p50_ms: f32,
+    /// Median time of the detector, milliseconds; absent where it did not run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detector_p50_ms: Option<f32>,
     /// 99th percentile of it.
-    pub detector_p99_ms: f32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detector_p99_ms: Option<f32>,
 }
 
 /// The past of one camera.
 #[derive(Debug)]
 pub(crate) struct History {
     frames: VecDeque<PastFrame>,
-    slots: VecDeque<PastSlot>,
-    open: PastSlot,
+    hour: Hour<CameraSlot>,
+    open: CameraSlot,
     /// Times of the detector in the open piece.
     times: Vec<f32>,
     /// How many there were.
@@ -126,8 +173,8 @@ impl Default for History {
     fn default() -> Self {
         Self {
             frames: VecDeque::with_capacity(FRAMES),
-            slots: VecDeque::with_capacity(SLOTS),
-            open: PastSlot::default(),
+            hour: Hour::default(),
+            open: CameraSlot::default(),
             times: Vec::with_capacity(TIMES),
             timed: 0,
         }
@@ -141,19 +188,9 @@ impl History {
             self.frames.pop_front();
         }
         self.frames.push_back(PastFrame::of(frame, at));
-        let slot = at.as_secs() / SLOT_S;
-        if slot != self.open.slot {
-            let ended = self.ended();
-            if ended.frames > 0 {
-                if self.slots.len() == SLOTS {
-                    self.slots.pop_front();
-                }
-                self.slots.push_back(ended);
-            }
-            self.open = PastSlot {
-                slot,
-                ..PastSlot::default()
-            };
+        if self.hour.is_over(at) {
+            self.hour.end(self.ended(), at);
+            self.open = CameraSlot::default();
             self.times.clear();
             self.timed = 0;
         }
@@ -171,21 +208,20 @@ impl History {
         }
     }
 
-    /// The open piece with its percentiles.
-    fn ended(&self) -> PastSlot {
+    /// The open piece with its percentiles; nothing without a frame.
+    fn ended(&self) -> Option<CameraSlot> {
         let mut sorted = self.times.clone();
         sorted.sort_unstable_by(f32::total_cmp);
         // Nearest rank.
         let at = |percent: usize| {
             let rank = (sorted.len() * percent).div_ceil(100);
-            let place = rank.checked_sub(1).and_then(|place| sorted.get(place));
-            place.copied().unwrap_or_default()
+            sorted.get(rank.checked_sub(1)?).copied()
         };
-        PastSlot {
+        (self.open.frames > 0).then(|| CameraSlot {
             detector_p50_ms: at(50),
             detector_p99_ms: at(99),
-            ..self.open
-        }
+            ..self.open.clone()
+        })
     }
 
     /// The last frames, oldest first, up to that many.
@@ -194,12 +230,79 @@ impl History {
         self.frames.iter().skip(first).copied().collect()
     }
 
-    /// The pieces of the hour before `now`, oldest first, with the one that has begun; those without a frame are left out.
-    pub(crate) fn slots(&self, now: Duration) -> Vec<PastSlot> {
-        let oldest = (now.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
-        let open = (self.open.frames > 0).then(|| self.ended());
-        let slots = self.slots.iter().copied().chain(open);
-        slots.filter(|slot| slot.slot >= oldest).collect()
+    /// The pieces of the hour before now, oldest first, with the one that has begun; those without a frame are left out.
+    pub(crate) fn slots(&self, now: &Clock) -> Vec<CameraSlot> {
+        self.hour.read(self.ended(), now, |held, at_ms| CameraSlot {
+            at_ms,
+            ..held
+        })
+    }
+}
+
+/// Power of a piece of the last hour.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct PowerPiece {
+    /// When it began, milliseconds since the Unix epoch.
+    pub at_ms: i64,
+    /// How far to trust it: the worst during the piece.
+    pub quality: EnergyQuality,
+    /// Mean power over the time that samples cover, watts, by domain.
+    pub watts: BTreeMap<String, f32>,
+}
+
+/// The power of the node over the last hour.
+#[derive(Debug, Default)]
+pub(super) struct PowerPast {
+    hour: Hour<PowerPiece>,
+    /// The figures when the open piece began, and the newest; the worst quality since.
+    began: PowerSnapshot,
+    newest: PowerSnapshot,
+    worst: Option<EnergyQuality>,
+}
+
+impl PowerPast {
+    /// Takes the figures as they stand `at` that time after the node's start.
+    pub(super) fn add(&mut self, power: PowerSnapshot, at: Duration) {
+        if self.hour.is_over(at) {
+            let ended = self.ended();
+            self.hour.end(ended, at);
+            self.began = std::mem::take(&mut self.newest);
+            self.worst = None;
+        }
+        self.worst = self.worst.max(Some(power.quality));
+        self.newest = power;
+    }
+
+    /// The open piece: joules over the time that samples cover, and never over the rest; nothing without samples.
+    fn ended(&self) -> Option<PowerPiece> {
+        let since = |now: &BTreeMap<String, f64>, before: &BTreeMap<String, f64>, domain: &str| {
+            let of = |sums: &BTreeMap<String, f64>| sums.get(domain).copied().unwrap_or_default();
+            of(now) - of(before)
+        };
+        let (now, before) = (&self.newest, &self.began);
+        let watts: BTreeMap<_, _> = (now.joules.keys())
+            .filter_map(|domain| {
+                let seconds = since(&now.covered_s, &before.covered_s, domain);
+                let joules = since(&now.joules, &before.joules, domain);
+                (seconds > 0.0).then(|| (domain.clone(), (joules / seconds) as f32))
+            })
+            .collect();
+        (!watts.is_empty()).then(|| PowerPiece {
+            at_ms: 0,
+            quality: self.worst.unwrap_or(EnergyQuality::Unavailable),
+            watts,
+        })
+    }
+
+    /// The newest figures.
+    pub(super) fn newest(&self) -> &PowerSnapshot {
+        &self.newest
+    }
+
+    /// The pieces of the hour before now that are over, oldest first; those without a figure are left out.
+    pub(super) fn slots(&self, now: &Clock) -> Vec<PowerPiece> {
+        self.hour
+            .read(None, now, |held, at_ms| PowerPiece { at_ms, ..held })
     }
 }
 

@@ -5,11 +5,9 @@
 //! node that began today counts from its start on.
 
 use super::PowerSnapshot;
-use super::camera::CameraBoard;
-use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{EnergyQuality, FULL_COVERAGE, FrameStates};
+use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use serde::Serialize;
-use std::sync::Arc;
+use std::ops::Sub;
 use utoipa::ToSchema;
 
 const DAY_MS: i64 = 86_400_000;
@@ -44,121 +42,86 @@ pub(crate) struct Savings {
     pub energy: Option<EnergyUsed>,
 }
 
-/// What is counted since the start.
+/// What the node has counted since its start, all cameras together. Of a time between, the difference.
 #[derive(Clone, Copy, Debug, Default)]
-struct Counted {
-    states: FrameStates,
-    degraded: u64,
-    joules: f64,
-    covered_s: f64,
-    sampled_s: f64,
-    saved_detector_s: f64,
+pub(crate) struct Totals {
+    /// Frames processed.
+    pub frames: u64,
+    /// Those of them that skipped the detector.
+    pub skipped: u64,
+    /// Those for which the detector was not available.
+    pub degraded: u64,
+    /// Time the detector worked for them, microseconds.
+    pub detector_us: u64,
+    /// Joules, over the time that samples cover.
+    pub joules: f64,
+    /// That time, seconds.
+    pub covered_s: f64,
+    /// From the first sample to the newest, seconds.
+    pub sampled_s: f64,
+    /// Detector time that avoided calls would have taken, seconds.
+    pub saved_detector_s: f64,
 }
 
-impl Counted {
-    fn of(cameras: &[Arc<CameraBoard>], power: &PowerSnapshot) -> Self {
-        let total = |sums: &std::collections::BTreeMap<String, f64>| {
-            sums.get("total").copied().unwrap_or_default()
-        };
-        let mut all = Self {
-            joules: total(&power.joules),
-            covered_s: total(&power.covered_s),
-            sampled_s: power.sampled_s,
-            saved_detector_s: power.saved_detector_s,
-            ..Self::default()
-        };
-        for camera in cameras {
-            let snapshot = camera.snapshot();
-            all.states += snapshot.states;
-            all.degraded += snapshot.degraded_frames;
+impl Sub for Totals {
+    type Output = Self;
+
+    fn sub(self, before: Self) -> Self {
+        Self {
+            frames: self.frames.saturating_sub(before.frames),
+            skipped: self.skipped.saturating_sub(before.skipped),
+            degraded: self.degraded.saturating_sub(before.degraded),
+            detector_us: self.detector_us.saturating_sub(before.detector_us),
+            joules: self.joules - before.joules,
+            covered_s: self.covered_s - before.covered_s,
+            sampled_s: self.sampled_s - before.sampled_s,
+            saved_detector_s: self.saved_detector_s - before.saved_detector_s,
         }
-        all
-    }
-
-    fn skipped(&self) -> u64 {
-        self.states.skipped(self.degraded)
     }
 }
 
-/// A time that goes on.
-#[derive(Clone, Debug)]
-struct Period {
-    since_ms: i64,
-    /// What was counted when it began.
-    before: Counted,
-}
-
-impl Period {
-    fn savings(&self, now: &Counted, power: &PowerSnapshot) -> Savings {
-        let before = &self.before;
-        let covered_s = now.covered_s - before.covered_s;
-        let gaps = covered_s < FULL_COVERAGE * (now.sampled_s - before.sampled_s);
-        let saved_s = now.saved_detector_s - before.saved_detector_s;
+impl Totals {
+    /// What was saved in this time, which began at `since_ms`.
+    pub(super) fn savings(&self, since_ms: i64, power: &PowerSnapshot) -> Savings {
+        let gaps = self.covered_s < FULL_COVERAGE * self.sampled_s;
+        let saved = |watts: f64| watts * self.saved_detector_s;
         Savings {
-            since_ms: self.since_ms,
-            frames: now.states.frames() - before.states.frames(),
-            avoided_calls: now.skipped().saturating_sub(before.skipped()),
-            degraded_frames: now.degraded - before.degraded,
-            energy: (covered_s > 0.0).then(|| EnergyUsed {
+            since_ms,
+            frames: self.frames,
+            avoided_calls: self.skipped,
+            degraded_frames: self.degraded,
+            energy: (self.covered_s > 0.0).then(|| EnergyUsed {
                 quality: match power.meter_quality {
                     EnergyQuality::Measured if gaps => EnergyQuality::Partial,
                     quality => quality,
                 },
-                joules: now.joules - before.joules,
-                covered_s,
-                saved_joules_estimated: power.detector_watts.map(|watts| watts * saved_s),
+                joules: self.joules,
+                covered_s: self.covered_s,
+                saved_joules_estimated: power.detector_watts.map(saved),
             }),
         }
     }
 }
 
-/// Both times.
+/// The day that goes on.
 #[derive(Debug)]
-pub(super) struct SavingsSince {
-    start: Period,
-    today: Period,
+pub(super) struct Today {
+    /// When it began, or the node.
+    pub since_ms: i64,
+    /// What was counted before.
+    pub before: Totals,
 }
 
-impl SavingsSince {
-    /// Of a node that begins now.
-    pub(super) fn new() -> Self {
-        let begun = Period {
-            since_ms: unix_milliseconds(),
-            before: Counted::default(),
-        };
-        Self {
-            start: begun.clone(),
-            today: begun,
-        }
-    }
-
+impl Today {
     /// Begins a new day if one has begun. To be called at least once a second, so that its first frames count for it.
-    pub(super) fn turn(
-        &mut self,
-        cameras: &[Arc<CameraBoard>],
-        power: &PowerSnapshot,
-        now_ms: i64,
-    ) {
+    pub(super) fn turn(&mut self, now_ms: i64, so_far: impl FnOnce() -> Totals) {
         let day = now_ms.div_euclid(DAY_MS);
-        if day != self.today.since_ms.div_euclid(DAY_MS) {
-            self.today = Period {
+        if day != self.since_ms.div_euclid(DAY_MS) {
+            *self = Self {
                 since_ms: day * DAY_MS,
-                before: Counted::of(cameras, power),
+                before: so_far(),
             };
         }
-    }
-
-    /// Since the start, and today.
-    pub(super) fn read(
-        &self,
-        cameras: &[Arc<CameraBoard>],
-        power: &PowerSnapshot,
-    ) -> (Savings, Savings) {
-        let now = Counted::of(cameras, power);
-        (
-            self.start.savings(&now, power),
-            self.today.savings(&now, power),
-        )
     }
 }
 

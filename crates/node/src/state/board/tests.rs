@@ -9,7 +9,7 @@ use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Threshold};
 use std::path::PathBuf;
 use std::time::Duration;
 
-const KNOB: Knob = Knob {
+pub(crate) const KNOB: Knob = Knob {
     name: "u",
     meaning: "The detector is skipped while every uncertainty is below it.",
     minimum: 1e-12,
@@ -19,7 +19,8 @@ const KNOB: Knob = Knob {
     useful_maximum: 1e-1,
 };
 
-fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
+/// A board of two cameras with a threshold.
+pub(crate) fn board_on(outbox: Outbox, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
     let (_, detector_status) = watch::channel(DetectorStatus::Starting);
     let camera = |name: &str| CameraSetup {
         name: name.to_owned(),
@@ -34,12 +35,21 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
     Board::new(BoardSetup {
         node: "n".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
-        outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
+        outbox,
         policy: "albireo",
-        target: TargetSetup::default(),
+        target: TargetSetup {
+            policy: "albireo",
+            knob: Some(knob),
+            ..TargetSetup::default()
+        },
         detector: DetectorFacts::default(),
         detector_status,
     })
+}
+
+fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
+    let outbox = Outbox::open(&OutboxConfig::default(), state_dir.as_deref());
+    board_on(outbox.unwrap(), knob, threshold)
 }
 
 fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
@@ -88,17 +98,13 @@ fn a_threshold_outside_the_knob_changes_nothing() {
     let camera = board.camera("front").unwrap();
     let seen = camera.watch_threshold();
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0] {
-        assert!(
-            camera.set_threshold(bad, SettingSource::Local).is_err(),
-            "{bad}"
-        );
-        assert!(
-            board.set_thresholds(bad, SettingSource::Local).is_err(),
-            "{bad}"
-        );
+        assert!(set_by_hand(board.cameras(), bad).is_err(), "{bad}");
     }
+    let lambda = Threshold::new("lambda", 0.5);
+    let other = set_thresholds(board.cameras(), lambda, SettingSource::Hub);
+    assert!(other.unwrap_err().to_string().contains("not `lambda`"));
     assert_eq!(*seen.borrow(), Some(1e-3));
-    camera.set_threshold(5e-4, SettingSource::Local).unwrap();
+    set_by_hand(&board.cameras()[..1], 5e-4).unwrap();
     assert_eq!(*seen.borrow(), Some(5e-4));
     assert!(!board.thresholds_are_kept());
 }
@@ -108,11 +114,7 @@ fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
     let state = Some(directory.path().join("state"));
     let first = board(state.clone(), KNOB, None);
-    first
-        .camera("front")
-        .unwrap()
-        .set_threshold(5e-4, SettingSource::Local)
-        .unwrap();
+    set_by_hand(&first.cameras()[..1], 5e-4).unwrap();
     assert!(first.thresholds_are_kept());
     drop(first);
     let second = board(state.clone(), KNOB, None);
@@ -138,7 +140,7 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
     let board = board(Some(blocked.join("state")), KNOB, None);
-    board.set_thresholds(1e-3, SettingSource::Local).unwrap();
+    set_by_hand(board.cameras(), 1e-3).unwrap();
     assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
     assert!(!board.thresholds_are_kept());
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::state::board::{Board, BoardSetup};
+use crate::state::board::{Board, BoardSetup, set_by_hand};
 use albireo_core::target::{Measured, Target, TargetStatus};
 use albireo_vision::detector::DetectorStatus;
 use albireo_wire::SettingSource;
@@ -77,9 +77,7 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     pass(&board, 10);
-    board.cameras()[1]
-        .set_threshold(7e-4, SettingSource::Local)
-        .unwrap();
+    set_by_hand(&board.cameras()[1..], 7e-4).unwrap();
     let report = board.target().report();
     assert_eq!((report.target, report.state), (None, None));
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
@@ -122,9 +120,7 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
     // Off by hand stays off.
-    again.cameras()[0]
-        .set_threshold(0.25, SettingSource::Local)
-        .unwrap();
+    set_by_hand(&again.cameras()[..1], 0.25).unwrap();
     drop(again);
     let off = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
     assert_eq!(off.target().report().target, None);
@@ -204,12 +200,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     // The target is switched off first, which is kept too.
     goes_on_while_the_disk_stalls(
         &second,
-        |board| {
-            assert_eq!(
-                board.cameras()[0].set_threshold(0.25, SettingSource::Local),
-                Ok(())
-            )
-        },
+        |board| set_by_hand(&board.cameras()[..1], 0.25).unwrap(),
         |board| {
             while board.target().is_on() {
                 thread::yield_now();
@@ -219,12 +210,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     );
     goes_on_while_the_disk_stalls(
         &second,
-        |board| {
-            assert_eq!(
-                board.cameras()[0].set_threshold(0.26, SettingSource::Local),
-                Ok(())
-            )
-        },
+        |board| set_by_hand(&board.cameras()[..1], 0.26).unwrap(),
         |board| {
             while board.cameras()[0].threshold() != Some(0.26) {
                 thread::yield_now();

@@ -1,170 +1,234 @@
-//! What each camera does: frames by state, whether they come, what was seen, what it cost, how long it took.
+//! What each camera does: frames by state, whether they come, what was seen, what it cost, how long it took, and what the
+//! audit found.
 
-use super::Snapshots;
-use super::family::Page;
-use crate::state::board::{Board, CameraSnapshot};
+use super::flag;
+use crate::state::board::{Board, CameraBoard, CameraSnapshot};
 use crate::state::readiness::CAMERAS;
 use albireo_core::policy::{CallCause, FrameState};
-use std::fmt;
+use albireo_service::metrics::MetricsPage;
+use albireo_wire::AuditRate;
 
-/// Writes the families of the cameras.
-pub(super) fn cameras(page: &mut Page<'_>, board: &Board, cameras: &Snapshots<'_>) -> fmt::Result {
-    frames(page, cameras)?;
-    let health = board.readiness().health();
-    let silent = |name: &str| {
-        (health.faults.iter()).any(|fault| fault.part == CAMERAS && fault.subject == name)
-    };
-    page.gauges(
-        "camera_state",
-        "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen), 0 for the others",
-        cameras.iter().flat_map(|(camera, snapshot)| {
-            let now = match snapshot.last_frame_age {
-                None => "never_seen",
-                Some(_) if silent(camera.name()) => "stale",
-                Some(_) => "live",
-            };
-            ["live", "stale", "never_seen"].map(|state| {
-                let labels = vec![("camera", camera.name()), ("state", state)];
-                (labels, f64::from(u8::from(state == now)))
-            })
-        }),
-    )?;
-    page.gauges(
-        "last_frame_age_seconds",
-        "Time since the newest frame",
-        cameras.iter().filter_map(|(camera, snapshot)| {
-            let age = snapshot.last_frame_age?.as_secs_f64();
-            Some((vec![("camera", camera.name())], age))
-        }),
-    )?;
-    page.counters(
-        "boxes",
-        "Boxes reported, by class and by how each is known (detected, predicted, followed, rescued)",
-        cameras.iter().flat_map(|(camera, snapshot)| {
-            snapshot.boxes.iter().map(|((class, source), count)| {
-                let camera = ("camera", camera.name());
-                let labels = vec![camera, ("class", &**class), ("source", *source)];
-                (labels, *count as f64)
-            })
-        }),
-    )?;
-    page.gauges(
-        "threshold",
-        "Threshold in force, under the policy's name for it",
-        cameras.iter().filter_map(|(camera, _)| {
-            let labels = vec![("camera", camera.name()), ("knob", camera.knob()?.name)];
-            Some((labels, camera.threshold()?))
-        }),
-    )?;
-    page.gauges(
-        "tau_max",
-        "Largest uncertainty of the newest frame; absent where it had no objects",
-        cameras.iter().filter_map(|(camera, snapshot)| {
-            let tau = snapshot.latest.as_ref()?.tau_max?;
-            Some((vec![("camera", camera.name())], tau))
-        }),
-    )?;
-    page.histograms(
-        "frame_latency_seconds",
-        "Time from reception to publication of a frame, by frame state",
-        cameras.iter().flat_map(|(camera, _)| {
-            FrameState::ALL.map(|state| {
-                let labels = vec![("camera", camera.name()), ("state", state.as_str())];
-                (labels, camera.total_latency(state))
-            })
-        }),
-    )?;
-    page.histograms(
-        "detector_latency_seconds",
-        "Time the detector took, over the frames where it ran",
-        (cameras.iter())
-            .map(|(camera, _)| (vec![("camera", camera.name())], camera.detector_latency())),
-    )
+/// The families of the cameras.
+pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
+    let cameras: Vec<_> = (board.cameras().iter())
+        .map(|camera| (("camera", camera.name()), &**camera, camera.snapshot()))
+        .collect();
+    frames(page, &cameras);
+    newest(page, board, &cameras);
+    audit(page, &cameras);
 }
+
+/// A camera's label, its part of the board, and its state.
+type Camera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 
 /// A counter of each camera: name, help, and its value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 
 const COUNTERS: [CameraCounter; 8] = [
     (
-        "screen_overruled",
+        "albireo_screen_overruled_total",
         "Frames that the detector ran on although the empty-scene screen said empty, too often in a row",
         |camera| camera.calls.get(CallCause::EmptyLimit) as f64,
     ),
     (
-        "frames_skipped",
+        "albireo_frames_skipped_total",
         "Frames that skipped the detector: state E or P and not degraded",
         |camera| camera.states.skipped(camera.degraded_frames) as f64,
     ),
     (
-        "frames_degraded",
+        "albireo_frames_degraded_total",
         "Frames answered from prediction because the detector was not available: state P, and not skipped",
         |camera| camera.degraded_frames as f64,
     ),
-    ("clips", "Clips ended", |camera| camera.clips as f64),
+    ("albireo_clips_total", "Clips ended", |camera| {
+        camera.clips as f64
+    }),
     (
-        "camera_shared_memory_frames",
+        "albireo_camera_shared_memory_frames_total",
         "Frames that came in memory which their sender on this machine shares, and were read in place",
         |camera| camera.shared_frames as f64,
     ),
     (
-        "messages_unpublished",
+        "albireo_messages_unpublished_total",
         "Messages about a camera (answers, counters, clip reports) that were not published, as Zenoh took them too slowly \
          or not at all",
         |camera| camera.unpublished as f64,
     ),
     (
-        "looks",
+        "albireo_looks_total",
         "Frames of which a small grey picture was decoded, to follow boxes by optical flow in it",
         |camera| camera.looks as f64,
     ),
     (
-        "camera_energy_joules",
+        "albireo_camera_energy_joules_total",
         "Energy of the clips that ended, each camera's share by the time the detector ran for it, over the time that \
          samples cover; `power_info` says whether it is measured or estimated",
         |camera| camera.clip_joules,
     ),
 ];
 
-fn frames(page: &mut Page<'_>, cameras: &Snapshots<'_>) -> fmt::Result {
+/// What became of the frames, and how long it took.
+fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     page.counters(
-        "frames",
+        "albireo_frames_total",
         "Frames processed, by frame state",
-        cameras.iter().flat_map(|(camera, snapshot)| {
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
             FrameState::ALL.map(|state| {
-                let labels = vec![("camera", camera.name()), ("state", state.as_str())];
+                let labels = [*camera, ("state", state.as_str())];
                 (labels, snapshot.states.get(state) as f64)
             })
         }),
-    )?;
+    );
     page.counters(
-        "detector_calls",
+        "albireo_detector_calls_total",
         "Frames that the detector was called for, by cause, whether or not it was available",
-        cameras.iter().flat_map(|(camera, snapshot)| {
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
             // A cause that this policy does not have would be a row of zeros for ever.
             let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
-            some.map(|(cause, count)| {
-                let labels = vec![("camera", camera.name()), ("cause", cause.as_str())];
-                (labels, count as f64)
-            })
+            some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
         }),
-    )?;
+    );
     page.counters(
-        "frames_dropped",
+        "albireo_frames_dropped_total",
         "Frames not processed, by kind",
-        cameras.iter().flat_map(|(camera, snapshot)| {
-            (snapshot.dropped.by_kind()).map(|(kind, count)| {
-                (
-                    vec![("camera", camera.name()), ("kind", kind)],
-                    count as f64,
-                )
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
+            let dropped = snapshot.dropped.by_kind();
+            dropped.map(|(kind, count)| ([*camera, ("kind", kind)], count as f64))
+        }),
+    );
+    for (name, help, value) in COUNTERS {
+        let samples = cameras.iter();
+        page.counters(
+            name,
+            help,
+            samples.map(|(camera, _, snapshot)| ([*camera], value(snapshot))),
+        );
+    }
+    page.histograms(
+        "albireo_frame_latency_seconds",
+        "Time from reception to publication of a frame, by frame state",
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
+            let states = FrameState::ALL.into_iter().zip(&snapshot.total_latency);
+            states.map(|(state, times)| ([*camera, ("state", state.as_str())], *times))
+        }),
+    );
+    page.histograms(
+        "albireo_detector_latency_seconds",
+        "Time the detector took, over the frames where it ran",
+        (cameras.iter())
+            .map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
+    );
+}
+
+/// Whether frames come, and what is known of the newest.
+fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
+    let health = board.readiness().health();
+    let silent = |name: &str| {
+        (health.faults.iter()).any(|fault| fault.part == CAMERAS && fault.subject == name)
+    };
+    page.gauges(
+        "albireo_camera_state",
+        "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen), 0 for the others",
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
+            let now = match snapshot.last_frame_age {
+                None => "never_seen",
+                Some(_) if silent(camera.1) => "stale",
+                Some(_) => "live",
+            };
+            ["live", "stale", "never_seen"]
+                .map(|state| ([*camera, ("state", state)], flag(state == now)))
+        }),
+    );
+    page.gauges(
+        "albireo_last_frame_age_seconds",
+        "Time since the newest frame",
+        cameras.iter().filter_map(|(camera, _, snapshot)| {
+            Some(([*camera], snapshot.last_frame_age?.as_secs_f64()))
+        }),
+    );
+    page.counters(
+        "albireo_boxes_total",
+        "Boxes reported, by class and by how each is known (detected, predicted, followed, rescued)",
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
+            snapshot.boxes.iter().map(|((class, source), count)| {
+                let labels = [*camera, ("class", &**class), ("source", *source)];
+                (labels, *count as f64)
             })
         }),
-    )?;
-    for (name, help, value) in COUNTERS {
-        let samples = (cameras.iter())
-            .map(|(camera, snapshot)| (vec![("camera", camera.name())], value(snapshot)));
-        page.counters(name, help, samples)?;
-    }
-    Ok(())
+    );
+    page.gauges(
+        "albireo_threshold",
+        "Threshold in force, under the policy's name for it",
+        cameras.iter().filter_map(|(camera, board, _)| {
+            Some(([*camera, ("knob", board.knob()?.name)], board.threshold()?))
+        }),
+    );
+    page.gauges(
+        "albireo_tau_max",
+        "Largest uncertainty of the newest frame; absent where it had no objects",
+        cameras.iter().filter_map(|(camera, _, snapshot)| {
+            Some(([*camera], snapshot.latest.as_ref()?.tau_max?))
+        }),
+    );
+}
+
+/// What the audit has found: sums that add up over cameras and nodes, and each camera's rates.
+fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
+    let audited = || {
+        let on = cameras.iter().filter(|(_, board, _)| board.audit_is_on());
+        on.map(|(camera, _, snapshot)| (*camera, &snapshot.audit.sums, snapshot))
+    };
+    page.counters(
+        "albireo_audit_frames_total",
+        "Skipped frames that were drawn, by what became of them: compared, or missed because the detector had no time",
+        audited().flat_map(|(camera, sums, _)| {
+            [("compared", sums.frames), ("missed", sums.missed)]
+                .map(|(result, count)| ([camera, ("result", result)], count as f64))
+        }),
+    );
+    page.counters(
+        "albireo_audit_boxes_total",
+        "Boxes of audited frames by side (detected: the detector's; shown: what had been published) and by result: paired \
+         with one of the other side, or unpaired. Against the detector, not the truth",
+        audited().flat_map(|(camera, sums, _)| {
+            let results = [
+                ("detected", "paired", sums.paired),
+                ("detected", "unpaired", sums.detected.saturating_sub(sums.paired)),
+                ("shown", "paired", sums.paired),
+                ("shown", "unpaired", sums.shown.saturating_sub(sums.paired)),
+            ];
+            results.map(|(side, result, count)| {
+                ([camera, ("side", side), ("result", result)], count as f64)
+            })
+        }),
+    );
+    let ends = |camera, rate: Option<AuditRate>| {
+        rate.into_iter().flat_map(move |rate| {
+            let ends = [("rate", rate.rate), ("low", rate.low), ("high", rate.high)];
+            ends.map(|(end, value)| ([camera, ("end", end)], value))
+        })
+    };
+    page.gauges(
+        "albireo_audit_recall",
+        "Share of the detector's boxes on audited frames that had been shown, since the start, with the ends of its \
+         interval at 95 %, missed frames included",
+        audited().flat_map(|(camera, sums, _)| ends(camera, sums.recall())),
+    );
+    page.gauges(
+        "albireo_audit_precision",
+        "Share of the shown boxes on audited frames that the detector confirms, since the start, with the ends of its \
+         interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
+        audited().flat_map(|(camera, sums, _)| ends(camera, sums.precision())),
+    );
+    page.counters(
+        "albireo_audit_detector_seconds_total",
+        "Time the detector worked for the audit",
+        audited().map(|(camera, _, shown)| ([camera], shown.audit.detector_us as f64 / 1e6)),
+    );
+    page.counters(
+        "albireo_audit_energy_joules_total",
+        "Estimate of what the audit added in the clips that ended: its detector time times the watts that a running \
+         detector adds; a part of camera_energy_joules",
+        audited().map(|(camera, _, shown)| ([camera], shown.audit_joules)),
+    );
 }

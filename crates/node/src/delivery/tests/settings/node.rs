@@ -5,7 +5,7 @@ use crate::delivery::outbox::OutboxConfig;
 use crate::delivery::uplink::{
     DesiredKeeper, HubReply, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
 };
-use crate::state::board::Board;
+use crate::state::board::{Board, set_by_hand};
 use albireo_service::clock::Now;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
 use serde_json::{Map, Value};
@@ -150,7 +150,7 @@ impl Node {
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.
-            let _ = node.board.set_thresholds(value, SettingSource::Local);
+            let _ = set_by_hand(node.board.cameras(), value);
         }
     }
 

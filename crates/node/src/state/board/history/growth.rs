@@ -60,7 +60,7 @@ impl Growth {
         for pair in frames.windows(2) {
             let [before, now] = pair else { continue };
             let follows = now.step == 1 && now.age == before.age + 1;
-            let taus = before.frame.tau_max().zip(now.frame.tau_max());
+            let taus = before.frame.tau_max.zip(now.frame.tau_max);
             if let (true, Some((first, second))) = (follows, taus)
                 && first > 0.0
                 && second > 0.0

@@ -18,25 +18,6 @@ pub(crate) struct SkipEstimate {
     longest_pause: u32,
 }
 
-/// What one value would have done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Estimate {
-    /// Frames looked at.
-    pub frames: usize,
-    /// Of these, without the detector.
-    pub skipped: usize,
-}
-
-impl Estimate {
-    /// Share of frames without the detector; 0 without frames.
-    pub(crate) fn skip_rate(self) -> f64 {
-        match self.frames {
-            0 => 0.0,
-            frames => self.skipped as f64 / frames as f64,
-        }
-    }
-}
-
 impl SkipEstimate {
     /// From recorded frames, oldest first, of a policy with this longest skip run.
     pub(crate) fn new(frames: &[PastFrame], longest_pause: Option<u32>) -> Self {
@@ -48,32 +29,38 @@ impl SkipEstimate {
         }
     }
 
-    /// What really happened over the frames that are looked at.
-    pub(crate) fn really(&self) -> Estimate {
-        let skipped = self.frames.iter().filter(|aged| {
-            let frame = &aged.frame;
-            frame.state.is_skipped() && !frame.degraded
-        });
-        Estimate {
-            frames: self.frames.len(),
-            skipped: skipped.count(),
-        }
+    /// Frames looked at.
+    pub(crate) fn frames(&self) -> usize {
+        self.frames.len()
     }
 
-    /// When the first of these frames was answered and when the last, milliseconds since the node's start.
-    pub(crate) fn span_ms(&self) -> Option<(u64, u64)> {
+    /// Share of the frames, 0 to 1; 0 without frames.
+    pub(crate) fn share(&self, frames: usize) -> f64 {
+        frames as f64 / self.frames.len().max(1) as f64
+    }
+
+    /// Frames that really were answered without the detector.
+    pub(crate) fn skipped(&self) -> usize {
+        let frames = self.frames.iter().map(|aged| &aged.frame);
+        frames
+            .filter(|frame| frame.state.is_skipped() && !frame.degraded)
+            .count()
+    }
+
+    /// From the answer of the first of these frames to that of the last, seconds; `None` without frames.
+    pub(crate) fn duration_s(&self) -> Option<f64> {
         let (first, last) = self.frames.first().zip(self.frames.last())?;
-        Some((first.frame.at_ms, last.frame.at_ms))
+        Some((last.frame.at_ms - first.frame.at_ms) as f64 / 1e3)
     }
 
-    /// What the threshold `u` would have done.
-    pub(crate) fn at(&self, u: f64) -> Estimate {
+    /// Frames that would have been answered without the detector under the threshold `u`.
+    pub(crate) fn skipped_at(&self, u: f64) -> usize {
         let limit = u.ln();
         let mut pause: u32 = 0;
         let mut skipped = 0;
         for aged in &self.frames {
             pause = pause.saturating_add(aged.step);
-            let calls = match (aged.frame.cause, aged.frame.tau_max()) {
+            let calls = match (aged.frame.cause, aged.frame.tau_max) {
                 // Nothing that a threshold has a say in.
                 (Some(cause), _) if !of_objects(cause) => true,
                 (_, None) => false,
@@ -88,10 +75,7 @@ impl SkipEstimate {
                 skipped += 1;
             }
         }
-        Estimate {
-            frames: self.frames.len(),
-            skipped,
-        }
+        skipped
     }
 }
 

@@ -75,14 +75,22 @@ fn played(u: f64, frames: u64) -> (History, f64) {
     (history, skipped as f64 / frames as f64)
 }
 
+/// The age of a node that began with the Unix epoch.
+fn at(seconds: u64) -> Clock {
+    Clock {
+        now_ms: 1000 * seconds as i64,
+        age: Duration::from_secs(seconds),
+    }
+}
+
 #[test]
 fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
     let mut history = History::default();
-    let (frames, slots, times) = (
-        history.frames.capacity(),
-        history.slots.capacity(),
-        history.times.capacity(),
-    );
+    let capacities = |history: &History| {
+        let (frames, slots) = (history.frames.capacity(), history.hour.ended.capacity());
+        (frames, slots, history.times.capacity())
+    };
+    let before = capacities(&history);
     let outcome = Outcome {
         state: FrameState::I,
         cause: Some(CallCause::Start),
@@ -98,30 +106,23 @@ fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
     for seq in 14_400..18_400 {
         history.add(&message(seq, &outcome, 1.0), Duration::from_secs(7200));
     }
-    assert_eq!(
-        (frames, slots, times),
-        (
-            history.frames.capacity(),
-            history.slots.capacity(),
-            history.times.capacity()
-        )
-    );
+    assert_eq!(capacities(&history), before);
     assert_eq!(history.frames(usize::MAX).len(), FRAMES);
     assert_eq!(history.frames(3).first().unwrap().seq, 18_397);
-    let shown = history.slots(Duration::from_secs(7200));
+    let shown = history.slots(&at(7200));
     assert_eq!(shown.len(), SLOTS);
-    assert_eq!(shown[0].slot, 360);
+    assert_eq!(shown[0].at_ms, 3_600_000);
     assert_eq!(
         (shown[0].frames, shown[0].calls, shown[0].skipped),
         (20, 20, 0)
     );
     assert_eq!(shown.last().unwrap().frames, 4000);
     // The times of a piece are percentiles of it alone.
-    let (first, last) = (shown[0], shown.last().unwrap());
+    let (first, last) = (&shown[0], shown.last().unwrap());
     assert!(first.detector_p50_ms < first.detector_p99_ms);
-    assert!(last.detector_p99_ms >= 97.0, "{last:?}");
+    assert!(last.detector_p99_ms >= Some(97.0), "{last:?}");
     // An hour of silence later there is nothing left to show.
-    assert_eq!(history.slots(Duration::from_secs(10_900)), []);
+    assert_eq!(history.slots(&at(10_900)), []);
 }
 
 #[test]
@@ -131,9 +132,9 @@ fn a_piece_without_frames_is_not_there() {
     for at in [0, 5, 25, 26, 65] {
         history.add(&message(at, &outcome, 1.0), Duration::from_secs(at));
     }
-    let shown = history.slots(Duration::from_secs(66));
-    let numbers: Vec<_> = shown.iter().map(|slot| (slot.slot, slot.frames)).collect();
-    assert_eq!(numbers, [(0, 2), (2, 2), (6, 1)]);
+    let shown = history.slots(&at(66));
+    let frames: Vec<_> = shown.iter().map(|slot| (slot.at_ms, slot.frames)).collect();
+    assert_eq!(frames, [(0, 2), (20_000, 2), (60_000, 1)]);
 }
 
 #[test]
@@ -156,7 +157,7 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
         let estimate = SkipEstimate::new(&past, longest);
         let mut row = format!("| {recorded:.0e} |");
         for (other, (value, truth)) in values.iter().zip(&truths).enumerate() {
-            let told = estimate.at(*value).skip_rate();
+            let told = estimate.share(estimate.skipped_at(*value));
             row += &format!(" {:.1} ({:.1}) |", told * 100.0, truth * 100.0);
             let apart = (told - truth).abs();
             worst = worst.max(apart);
@@ -166,17 +167,16 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
             // The recorded uncertainty against the value, frame by frame.
             let naive = past
                 .iter()
-                .filter(|frame| match (frame.cause, frame.tau_max()) {
+                .filter(|frame| match (frame.cause, frame.tau_max) {
                     (Some(CallCause::Screen), _) => false,
                     (_, tau) => tau.is_none_or(|tau| f64::from(tau) < *value),
                 });
             naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
         }
         println!("{row}");
-        let really = estimate.really();
-        let same = estimate.at(recorded);
-        let apart = (really.skip_rate() - same.skip_rate()).abs();
-        assert!(apart < 0.01, "at the value itself: {really:?} and {same:?}");
+        let (really, same) = (estimate.skipped(), estimate.skipped_at(recorded));
+        let apart = estimate.share(really.abs_diff(same));
+        assert!(apart < 0.01, "at the value itself: {really} and {same}");
     }
     println!(
         "worst {worst:.3}, to a neighbour {near:.3}; of the plain comparison {naive_worst:.3}"
@@ -188,6 +188,41 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
 #[test]
 fn without_frames_there_is_nothing_to_estimate_and_no_panic() {
     let estimate = SkipEstimate::new(&[], None);
-    assert_eq!(estimate.at(1e-3).skip_rate(), 0.0);
-    assert_eq!(estimate.span_ms(), None);
+    assert_eq!(estimate.share(estimate.skipped_at(1e-3)), 0.0);
+    assert_eq!(estimate.duration_s(), None);
+}
+
+#[test]
+fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
+    let mut past = PowerPast::default();
+    let mut joules = 0.0;
+    for second in 0..=7200_u64 {
+        let snapshot = PowerSnapshot {
+            quality: EnergyQuality::Estimated,
+            joules: [("total".to_owned(), joules)].into(),
+            covered_s: [("total".to_owned(), second as f64 / 2.0)].into(),
+            ..PowerSnapshot::default()
+        };
+        past.add(snapshot, Duration::from_secs(second));
+        // 5 W in even pieces and 9 W in odd ones, sampled half of the time.
+        joules += [2.5, 4.5][(second / SLOT_S % 2) as usize];
+    }
+    let slots = past.slots(&at(7200));
+    assert!((SLOTS - 1..=SLOTS).contains(&slots.len()));
+    for slot in slots.iter().skip(1) {
+        // The first second of a piece belongs to the sample that began it.
+        assert!((5.0..=9.0).contains(&slot.watts["total"]), "{slot:?}");
+        assert_eq!(slot.quality, EnergyQuality::Estimated);
+    }
+    let mean = slots.iter().map(|slot| slot.watts["total"]).sum::<f32>() / slots.len() as f32;
+    assert!((6.9..7.1).contains(&mean), "{mean}");
+}
+
+#[test]
+fn without_a_source_there_is_no_power() {
+    let mut past = PowerPast::default();
+    for second in 0..100 {
+        past.add(PowerSnapshot::default(), Duration::from_secs(second));
+    }
+    assert_eq!(past.slots(&at(100)), []);
 }

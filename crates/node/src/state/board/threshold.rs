@@ -1,0 +1,198 @@
+//! The threshold of a camera: set in one place for HTTP, Zenoh and the hub, told to subscribers, and kept over a restart.
+
+use super::camera::{CameraBoard, CameraSetup};
+use super::event::{Event, ThresholdEvent};
+use crate::delivery::outbox::Outbox;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{Knob, KnobError, published_threshold};
+use albireo_wire::{OtherThreshold, SettingSource, Threshold};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use tokio::sync::watch;
+
+/// A threshold that cannot be set.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ThresholdError {
+    /// It has another name than the policy's.
+    #[error(transparent)]
+    Name(#[from] OtherThreshold),
+    /// The policy has none, or not of that value.
+    #[error(transparent)]
+    Value(#[from] KnobError),
+}
+
+/// One camera's kept threshold.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Kept {
+    /// Whose value: a value of `u` is no value of `lambda`.
+    knob: String,
+    /// The value.
+    value: f64,
+    /// What the configuration said when it was changed. Once that is edited, the configuration is the
+    /// newer word and wins over what was changed at the node; not over the hub's, which has a revision.
+    configured: Option<f64>,
+    /// Who changed it.
+    source: SettingSource,
+}
+
+fn setting(camera: &str) -> String {
+    format!("threshold/{camera}")
+}
+
+/// The configured value; the knob's default without one, and in place of one that the knob cannot have.
+pub(super) fn configured(setup: &CameraSetup) -> Option<f64> {
+    let knob = setup.knob?;
+    let checked = knob.check(setup.threshold.unwrap_or(knob.default));
+    Some(checked.unwrap_or_else(|error| {
+        tracing::error!(camera = setup.name, %error, "configured threshold not used");
+        knob.default
+    }))
+}
+
+/// The value kept for a camera and who set it, if it still fits its knob and its configuration.
+pub(super) fn kept(
+    outbox: &Outbox,
+    setup: &CameraSetup,
+    configured: Option<f64>,
+) -> Option<(f64, SettingSource)> {
+    let (knob, camera) = (setup.knob?, setup.name.as_str());
+    let kept: Kept = outbox.setting(&setting(camera))?;
+    let is_current = kept.configured == configured || kept.source == SettingSource::Hub;
+    if kept.knob != knob.name || !is_current {
+        return None;
+    }
+    let value = knob.check(kept.value).ok()?;
+    let knob = knob.name;
+    tracing::info!(
+        camera,
+        knob,
+        value,
+        "threshold taken over from the last run"
+    );
+    Some((value, kept.source))
+}
+
+/// Sets the threshold of these cameras, or of none: it is checked for all before the first is changed. It holds from each
+/// camera's next frame on, is kept in the state directory and told to subscribers. Where it cannot be kept it holds all
+/// the same, and the log says so. Writes small files.
+///
+/// # Errors
+/// [`ThresholdError`] of the first camera that cannot take it; nothing changes then.
+pub(crate) fn set_thresholds(
+    cameras: &[Arc<CameraBoard>],
+    threshold: Threshold,
+    source: SettingSource,
+) -> Result<(), ThresholdError> {
+    let checked = cameras.iter().map(|camera| {
+        let knob = camera.knob().ok_or(KnobError::Absent {
+            policy: camera.policy(),
+        })?;
+        knob.check(threshold.value_of(&knob)?)?;
+        Ok((camera, knob))
+    });
+    let checked: Vec<_> = checked.collect::<Result<_, ThresholdError>>()?;
+    for (camera, knob) in checked {
+        camera.set_threshold(&knob, threshold.value, source);
+    }
+    Ok(())
+}
+
+/// Sets it as somebody at the node does, under its own name.
+#[cfg(test)]
+pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
+    let name = cameras[0].knob().unwrap().name;
+    set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
+}
+
+impl CameraBoard {
+    /// The threshold in force from the next frame on; `None` when the policy has none.
+    pub fn threshold(&self) -> Option<f64> {
+        *self.threshold.borrow()
+    }
+
+    /// The same with its name.
+    pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
+        Some(Threshold::new(self.knob()?.name, self.threshold()?))
+    }
+
+    /// Who set the threshold in force.
+    pub(crate) fn threshold_source(&self) -> SettingSource {
+        *self.source.lock()
+    }
+
+    /// The threshold, for the camera's loop: read it before each frame.
+    pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
+        self.threshold.subscribe()
+    }
+
+    /// The equivalent of `u` in the published code, in pictures of this size, where that is another
+    /// number, to three digits.
+    pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
+        let sizeless = self.setup.sizeless;
+        let knob = self.knob().filter(|knob| sizeless && knob.name == "u")?;
+        let in_force = self
+            .threshold()
+            .filter(|value| knob.check(*value).is_ok())?;
+        let published = published_threshold(in_force, picture);
+        let rounded = format!("{published:.2e}").parse().unwrap_or(published);
+        (rounded != in_force).then_some(rounded)
+    }
+
+    /// The threshold in force as an event.
+    pub(super) fn threshold_event(&self) -> Option<Event> {
+        Some(Event::Threshold(ThresholdEvent {
+            camera: Arc::clone(&self.name),
+            threshold: self.threshold_in_force()?,
+        }))
+    }
+
+    /// Keeps the threshold that the target has left where it is.
+    pub(super) fn keep_threshold(&self, source: SettingSource) {
+        if let Some((knob, value)) = self.knob().zip(self.threshold()) {
+            self.set_threshold(&knob, value, source);
+        }
+    }
+
+    fn set_threshold(&self, knob: &Knob, value: f64, source: SettingSource) {
+        // First, so that the controller moves nothing any more.
+        self.shared.target.turned_by_hand(source);
+        let _changing = self.changing.lock();
+        *self.source.lock() = source;
+        let before = self.turn(knob, value);
+        let kept = Kept {
+            knob: knob.name.to_owned(),
+            value,
+            configured: self.configured,
+            source,
+        };
+        let (camera, outbox) = (&*self.name, &self.shared.outbox);
+        if !outbox.set(&setting(camera), &kept) && outbox.has_directory() {
+            tracing::warn!(camera, "threshold not kept: it will not survive a restart");
+        }
+        let knob = knob.name;
+        tracing::info!(camera, knob, ?before, now = value, "threshold changed");
+    }
+
+    /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
+    /// that the knob cannot have changes nothing.
+    pub(crate) fn move_threshold(&self, value: f64) {
+        if let Some(knob) = self.knob().filter(|knob| knob.check(value).is_ok()) {
+            let before = self.turn(&knob, value);
+            tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
+        }
+    }
+
+    /// Puts a value into force and tells subscribers, in one order for both; the value before.
+    fn turn(&self, knob: &Knob, value: f64) -> Option<f64> {
+        let mut before = None;
+        self.threshold.send_modify(|in_force| {
+            before = in_force.replace(value);
+            let event = Event::Threshold(ThresholdEvent {
+                camera: Arc::clone(&self.name),
+                threshold: Threshold::new(knob.name, value),
+            });
+            let _ = self.shared.events.send(event.into());
+        });
+        before
+    }
+}
