@@ -16,12 +16,13 @@ pub use config::OutboxConfig;
 use crate::state::settings::Settings;
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
-pub(super) use disk::{Disk, StateFile};
+use disk::Disk;
+pub(super) use disk::StateFile;
 use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-pub(super) use table::TableError;
+use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
 
@@ -40,6 +41,9 @@ pub enum OutboxError {
     /// The configuration names something that can never be a folder.
     #[error("node.state_dir {0} is a file, not a folder: name a folder, or move the file away")]
     NotAFolder(PathBuf),
+    /// There is no memory.
+    #[error("clip reports cannot be kept in memory: {0}")]
+    Memory(String),
 }
 
 /// What the outbox has counted, and how it is.
@@ -110,7 +114,7 @@ impl Outbox {
             tracing::warn!(
                 "no node.state_dir: clip reports wait in memory and are gone when the node stops"
             );
-            return Ok(Self::in_memory());
+            return Self::in_memory();
         };
         if directory.is_file() {
             return Err(OutboxError::NotAFolder(directory.to_owned()));
@@ -126,7 +130,7 @@ impl Outbox {
         directory: &Path,
         now: Now,
     ) -> Result<Self, OutboxError> {
-        let mut waiting = Waiting::new(Some(disk), config.max_bytes);
+        let mut waiting = Self::waiting(Some(disk), config.max_bytes)?;
         match waiting.open(now) {
             Err(TableError::Locked) => return Err(OutboxError::Locked(directory.to_owned())),
             Err(TableError::Foreign(reason)) => {
@@ -139,8 +143,12 @@ impl Outbox {
     }
 
     /// One that keeps nothing on disk.
-    pub(crate) fn in_memory() -> Self {
-        Self::of(Waiting::new(None, 0), None)
+    pub(crate) fn in_memory() -> Result<Self, OutboxError> {
+        Ok(Self::of(Self::waiting(None, 0)?, None))
+    }
+
+    fn waiting(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Waiting, OutboxError> {
+        Waiting::new(disk, most_bytes).map_err(|error| OutboxError::Memory(error.to_string()))
     }
 
     fn of(waiting: Waiting, directory: Option<&Path>) -> Self {

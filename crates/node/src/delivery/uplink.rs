@@ -22,6 +22,8 @@ use albireo_wire::{
     BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
 use backoff::Backoff;
+use futures_util::future::{BoxFuture, FutureExt};
+use futures_util::stream::{FuturesUnordered, StreamExt};
 pub(super) use query::HubReply;
 use query::ask;
 pub(super) use schedule::{Outcome, Schedule};
@@ -29,9 +31,8 @@ pub(super) use status::StatusTeller;
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, mpsc, oneshot};
+use tokio::sync::{Notify, oneshot};
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
@@ -121,11 +122,14 @@ enum Served {
     Stale,
 }
 
-/// What came of a query.
-enum Ended {
-    Batch(Outcome, Option<Desired>),
-    Pull(Outcome, Option<Desired>),
+/// What a hub is asked: to take reports, or what is desired.
+enum Asked {
+    Batch,
+    Pull,
 }
+
+/// What came of it, with what the hub desires.
+type Ended = (Asked, Outcome, Option<Desired>);
 
 impl Worker {
     fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
@@ -225,35 +229,29 @@ impl Worker {
         let setup = Arc::clone(&self.setup);
         let (keys, outbox) = (&setup.keys, setup.board.outbox());
         let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
-        let querier = async |key: String| -> zenoh::Result<Arc<Querier<'static>>> {
-            let querier = session
+        let querier = |key: String| {
+            session
                 .declare_querier(key)
                 .timeout(timeout)
                 .congestion_control(CongestionControl::Block)
                 .priority(Priority::DataLow)
-                .await?;
-            Ok(Arc::new(querier))
         };
         let reports = querier(keys.report()).await?;
         let pulls = querier(keys.pull()).await?;
-        let (notified, wake) = (Arc::new(AtomicBool::new(false)), Arc::new(Notify::new()));
-        let found = Arc::clone(&wake);
+        let (found, news) = (Arc::new(Notify::new()), Arc::new(Notify::new()));
+        let (finds, hears) = (Arc::clone(&found), Arc::clone(&news));
         let _hub = reports
             .matching_listener()
-            .callback(move |_| found.notify_one())
+            .callback(move |_| finds.notify_one())
             .await?;
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
             .priority(crate::camera::publishing::COUNTERS)
             .await?;
-        let (by, news) = (Arc::clone(&notified), Arc::clone(&wake));
         let _pokes = session
             .declare_subscriber(keys.changed())
-            .callback(move |_| {
-                by.store(true, Ordering::Release);
-                news.notify_one();
-            })
+            .callback(move |_| hears.notify_one())
             .await?;
         let own = setup.local.is_none();
         let _alive = match own && setup.config.uplink.liveliness {
@@ -261,9 +259,9 @@ impl Worker {
             false => None,
         };
         let stale = if own { STALE } else { Duration::MAX };
-        let mut shown = None;
         let mut last_try = None;
-        let (sender, mut ended) = mpsc::channel(4);
+        let mut asked = FuturesUnordered::<BoxFuture<'_, Ended>>::new();
+        self.watched.begin();
         self.schedule.begin(Instant::now());
         loop {
             self.retry_disk().await;
@@ -271,28 +269,15 @@ impl Worker {
             let counts = outbox.counts();
             let watched = self.watched.is_on(now);
             let connected = reports.matching_status().await?.matching();
-            if notified.swap(false, Ordering::AcqRel) {
-                self.schedule.want_pull();
-            }
             if connected && let Some(again) = self.schedule.next_batch(&counts, watched, now) {
-                let (setup, reports) = (Arc::clone(&setup), Arc::clone(&reports));
-                let sender = sender.clone();
-                tokio::spawn(async move {
-                    let ended = send_batch(&setup, &reports, again).await;
-                    let _ = sender.send(ended).await;
-                });
+                asked.push(send_batch(&setup, &reports, again).boxed());
             }
             match last_try {
                 None => {
                     self.send_status(&status).await?;
-                    self.watched.serve(session, &setup, &mut shown).await?;
+                    self.watched.serve(session, &setup).await?;
                     if pulls.matching_status().await?.matching() && self.schedule.next_pull(now) {
-                        let (setup, pulls) = (Arc::clone(&setup), Arc::clone(&pulls));
-                        let sender = sender.clone();
-                        tokio::spawn(async move {
-                            let ended = pull(&setup, &pulls).await;
-                            let _ = sender.send(ended).await;
-                        });
+                        asked.push(pull(&setup, &pulls).boxed());
                     }
                 }
                 Some(until) => {
@@ -311,9 +296,10 @@ impl Worker {
                     last_try = Some(Instant::now() + LAST_TRY);
                     self.schedule.send_now();
                 }
-                Some(ended) = ended.recv() => self.take(ended).await,
+                Some(ended) = asked.next() => self.take(ended).await,
                 () = outbox.changed() => {}
-                () = wake.notified() => {}
+                () = found.notified() => {}
+                () = news.notified() => self.schedule.want_pull(),
                 Some((camera, query)) = self.watched.question() => {
                     let setup = Arc::clone(&setup);
                     spawn_blocking(move || {
@@ -325,18 +311,12 @@ impl Worker {
         }
     }
 
-    async fn take(&mut self, ended: Ended) {
+    async fn take(&mut self, (asked, outcome, desired): Ended) {
         let now = Instant::now();
-        let desired = match ended {
-            Ended::Batch(outcome, desired) => {
-                self.schedule.batch_ended(outcome, now);
-                desired
-            }
-            Ended::Pull(outcome, desired) => {
-                self.schedule.pull_ended(outcome, now);
-                desired
-            }
-        };
+        match asked {
+            Asked::Batch => self.schedule.batch_ended(outcome, now),
+            Asked::Pull => self.schedule.pull_ended(outcome, now),
+        }
         let Some(desired) = desired else { return };
         if desired.send_full_status {
             self.teller.full_is_due();
@@ -377,13 +357,13 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
         }
     });
     let Ok(Some((batch, payload))) = prepared.await else {
-        return Ended::Batch(Outcome::Nothing, None);
+        return (Asked::Batch, Outcome::Nothing, None);
     };
     let reply = ask::<ReportAnswer>(reports, payload).await;
     let board = Arc::clone(&setup.board);
     let taken = spawn_blocking(move || conclude(board.outbox(), &batch, reply, Now::system()));
     let (outcome, desired) = taken.await.unwrap_or((Outcome::Unanswered, None));
-    Ended::Batch(outcome, desired)
+    (Asked::Batch, outcome, desired)
 }
 
 /// Takes to the outbox what came of `batch`. Writes a file.
@@ -393,22 +373,13 @@ pub(crate) fn conclude(
     reply: HubReply<ReportAnswer>,
     now: Now,
 ) -> (Outcome, Option<Desired>) {
-    match reply {
-        HubReply::Answer(answer) => {
-            let stored = outbox.answered(batch, &answer, now);
-            tracing::debug!(stored, "clip reports acknowledged");
-            (Outcome::Done, answer.desired)
-        }
-        HubReply::Refusal(refusal) => {
-            tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
-            let at_least = refusal.retry_after_ms.map(Duration::from_millis);
-            (Outcome::Refused(at_least), None)
-        }
-        HubReply::Missing(reason) => {
-            tracing::debug!(reason, "clip reports not acknowledged");
-            (Outcome::Unanswered, None)
-        }
-    }
+    let (outcome, answer) = reply.outcome();
+    let desired = answer.and_then(|answer| {
+        let stored = outbox.answered(batch, &answer, now);
+        tracing::debug!(stored, "clip reports acknowledged");
+        answer.desired
+    });
+    (outcome, desired)
 }
 
 /// Asks what is desired.
@@ -418,16 +389,6 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
         revision: setup.desired.revision(),
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
-    match ask::<Desired>(pulls, payload).await {
-        HubReply::Answer(desired) => Ended::Pull(Outcome::Done, Some(desired)),
-        HubReply::Refusal(refusal) => {
-            tracing::debug!(refusal.detail, "nothing pulled");
-            let at_least = refusal.retry_after_ms.map(Duration::from_millis);
-            Ended::Pull(Outcome::Refused(at_least), None)
-        }
-        HubReply::Missing(reason) => {
-            tracing::debug!(reason, "nothing pulled");
-            Ended::Pull(Outcome::Unanswered, None)
-        }
-    }
+    let (outcome, desired) = ask::<Desired>(pulls, payload).await.outcome();
+    (Asked::Pull, outcome, desired)
 }

@@ -27,9 +27,8 @@ const WAITING: i64 = 0;
 const AGAIN: i64 = 1;
 /// A hub has it.
 const ACKNOWLEDGED: i64 = 2;
-
-/// How long reports are kept for a hub that loses them, if there is room.
-const KEPT_MS: i64 = 7 * 86_400_000;
+/// Never to be sent again.
+const REFUSED: i64 = 3;
 
 /// Databases of hubs that are remembered.
 const MOST_DATABASES: i64 = 16;
@@ -55,31 +54,13 @@ pub(crate) enum TableError {
 }
 
 impl TableError {
-    fn code(&self) -> Option<ErrorCode> {
-        match self {
-            Self::Sqlite(error) => error.sqlite_error_code(),
-            _ => None,
-        }
-    }
-
     /// Whether the contents are broken rather than the access to them.
     pub(super) fn is_corruption(&self) -> bool {
-        let code = self.code();
-        matches!(
-            code,
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
-        )
-    }
-
-    /// Whether there is no room.
-    pub(super) fn is_full(&self) -> bool {
-        self.code() == Some(ErrorCode::DiskFull)
-    }
-
-    /// Whether the connection is as good as a new one would be: it only has to wait.
-    pub(super) fn passes_by_itself(&self) -> bool {
-        let locked = [ErrorCode::DatabaseBusy, ErrorCode::DatabaseLocked].map(Some);
-        self.is_full() || locked.contains(&self.code())
+        let Self::Sqlite(error) = self else {
+            return false;
+        };
+        let broken = [ErrorCode::DatabaseCorrupt, ErrorCode::NotADatabase].map(Some);
+        broken.contains(&error.sqlite_error_code())
     }
 }
 
@@ -87,8 +68,23 @@ impl TableError {
 #[derive(Clone, Debug)]
 pub(super) struct StoredReport {
     pub(super) id: Uuid,
-    pub(super) count: Option<u64>,
+    count: Option<u64>,
+    state: i64,
+    acknowledged_ms: i64,
     pub(super) json: Vec<u8>,
+}
+
+impl StoredReport {
+    /// One that no hub has.
+    pub(super) fn new(id: Uuid, count: Option<u64>, json: Vec<u8>) -> Self {
+        Self {
+            id,
+            count,
+            state: WAITING,
+            acknowledged_ms: 0,
+            json,
+        }
+    }
 }
 
 /// What is counted over restarts.
@@ -102,13 +98,24 @@ pub(super) struct Counters {
     pub(super) undeliverable: u64,
 }
 
+impl Counters {
+    /// The larger of each: both count the same reports.
+    pub(super) fn max(self, other: Self) -> Self {
+        Self {
+            made: self.made.max(other.made),
+            lost: self.lost.max(other.lost),
+            undeliverable: self.undeliverable.max(other.undeliverable),
+        }
+    }
+}
+
 /// What a hub's answer changes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Answered {
     /// Stored at the hub.
     pub(super) acknowledged: Vec<Uuid>,
     /// Never to be sent again.
-    pub(super) removed: Vec<Uuid>,
+    pub(super) refused: Vec<Uuid>,
     /// The hub's database, if the answer named it.
     pub(super) database: Option<Uuid>,
     /// Counts of which the hub misses the reports.
@@ -147,6 +154,11 @@ impl Table {
         Ok(Self { db })
     }
 
+    /// An empty table that no disk holds.
+    pub(super) fn in_memory() -> Result<Self, TableError> {
+        Self::new(Connection::open_in_memory()?)
+    }
+
     /// What was counted.
     pub(super) fn counters(&self) -> Result<Counters, TableError> {
         let mut found = self
@@ -163,26 +175,28 @@ impl Table {
         })
     }
 
-    /// Adds reports that are not there yet and lets the oldest go until the table has at most `most_bytes`: what is
+    /// Adds reports, with the state they have, and lets the oldest go until the table has at most `most_bytes`: what is
     /// acknowledged first. How many went that no hub has.
-    pub(super) fn insert<'a>(
+    pub(super) fn insert(
         &mut self,
-        reports: impl IntoIterator<Item = &'a StoredReport>,
+        reports: &[StoredReport],
         counters: &mut Counters,
         most_bytes: u64,
     ) -> Result<u64, TableError> {
         let transaction = self.db.transaction()?;
         {
             let mut insert = transaction.prepare_cached(
-                "INSERT OR IGNORE INTO report (id, count, state, json) VALUES (?, ?, ?, ?)",
+                "INSERT INTO report (id, count, state, acknowledged_ms, json) VALUES (?1, ?2, ?3, ?4, ?5)
+                 ON CONFLICT (id) DO UPDATE SET state = ?3, acknowledged_ms = ?4",
             )?;
             for report in reports {
-                let id = report.id.as_bytes();
-                insert.execute(params![id, report.count.map(signed), WAITING, report.json])?;
+                let (id, count) = (report.id.as_bytes(), report.count.map(signed));
+                let state = (report.state, report.acknowledged_ms);
+                insert.execute(params![id, count, state.0, state.1, report.json])?;
             }
         }
         let mut lost = 0;
-        for state in [ACKNOWLEDGED, AGAIN, WAITING] {
+        for state in [REFUSED, ACKNOWLEDGED, AGAIN, WAITING] {
             while used_bytes(&transaction)? > most_bytes {
                 let deleted = remove_oldest(&transaction, state, 16)?;
                 if deleted == 0 {
@@ -199,45 +213,41 @@ impl Table {
         Ok(lost)
     }
 
-    /// Gives the room of reports away that a hub has.
-    pub(super) fn make_room(&mut self) -> Result<bool, TableError> {
-        let transaction = self.db.transaction()?;
-        let deleted = remove_oldest(&transaction, ACKNOWLEDGED, 1000)?;
-        transaction.commit()?;
-        Ok(deleted > 0)
+    /// The reports to be sent, the oldest first, no more than `most`; those that a hub has lost behind those that none had,
+    /// and only if they go `again` now.
+    pub(super) fn due(&self, again: bool, most: usize) -> Result<Vec<StoredReport>, TableError> {
+        self.reports(if again { AGAIN } else { WAITING }, most)
     }
 
-    /// Gives the reports to be sent to `take`, the oldest first, until that has enough; those that a hub has lost behind
-    /// those that none had, and only if they go `again` now.
-    pub(super) fn due(
-        &self,
-        again: bool,
-        mut take: impl FnMut(StoredReport) -> bool,
-    ) -> Result<(), TableError> {
-        let last = if again { AGAIN } else { WAITING };
-        let mut found = self.db.prepare_cached(
-            "SELECT id, count, json FROM report WHERE state <= ? ORDER BY state, count",
+    /// All reports.
+    pub(super) fn all(&self) -> Result<Vec<StoredReport>, TableError> {
+        self.reports(REFUSED, usize::MAX)
+    }
+
+    fn reports(&self, last_state: i64, most: usize) -> Result<Vec<StoredReport>, TableError> {
+        let mut select = self.db.prepare_cached(
+            "SELECT id, count, state, acknowledged_ms, json FROM report
+             WHERE state <= ? ORDER BY state, count LIMIT ?",
         )?;
-        let mut rows = found.query([last])?;
-        while let Some(row) = rows.next()? {
-            let report = StoredReport {
+        let found = select.query_map([last_state, signed(most as u64)], |row| {
+            Ok(StoredReport {
                 id: Uuid::from_bytes(row.get(0)?),
                 count: row.get::<_, Option<i64>>(1)?.map(i64::cast_unsigned),
-                json: row.get(2)?,
-            };
-            if !take(report) {
-                break;
-            }
-        }
-        Ok(())
+                state: row.get(2)?,
+                acknowledged_ms: row.get(3)?,
+                json: row.get(4)?,
+            })
+        })?;
+        Ok(found.collect::<Result<_, _>>()?)
     }
 
-    /// Takes a hub's answer.
+    /// Takes a hub's answer. What was acknowledged is kept for `kept_ms` after that.
     pub(super) fn answered(
         &mut self,
         answered: &Answered,
         counters: &Counters,
         now_ms: i64,
+        kept_ms: i64,
     ) -> Result<(), TableError> {
         let transaction = self.db.transaction()?;
         {
@@ -247,9 +257,11 @@ impl Table {
             for id in &answered.acknowledged {
                 acknowledge.execute(params![ACKNOWLEDGED, now_ms, id.as_bytes()])?;
             }
-            let mut remove = transaction.prepare_cached("DELETE FROM report WHERE id = ?")?;
-            for id in &answered.removed {
-                remove.execute([id.as_bytes()])?;
+            let mut refuse = transaction.prepare_cached(
+                "UPDATE report SET state = ?1, acknowledged_ms = ?2, json = x'' WHERE id = ?3",
+            )?;
+            for id in &answered.refused {
+                refuse.execute(params![REFUSED, now_ms, id.as_bytes()])?;
             }
             let mut again = transaction.prepare_cached(
                 "UPDATE report SET state = ?1 WHERE state = ?2 AND count BETWEEN ?3 AND ?4",
@@ -264,8 +276,8 @@ impl Table {
         // The oldest alone are looked at, so that this costs no more than what goes.
         transaction.execute(
             "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
-             (SELECT rowid FROM report WHERE state = ?2 ORDER BY count LIMIT 400)",
-            params![now_ms.saturating_sub(KEPT_MS), ACKNOWLEDGED],
+             (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
+            params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED],
         )?;
         write_counters(&transaction, counters)?;
         transaction.commit()?;

@@ -1,10 +1,13 @@
 use super::disk::FILE;
-use super::waiting::{BATCH_BYTES, MOST_IN_MEMORY, Waiting};
+use super::waiting::{BATCH_BYTES, MEMORY_BYTES, Waiting};
 use super::*;
 use albireo_wire::{
     ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,
 };
 use futures_util::FutureExt;
+use rusqlite::Connection;
+use std::io::{Error, ErrorKind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use uuid::Uuid;
 
@@ -53,9 +56,50 @@ pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
     }
 }
 
+/// The file of a state directory on a disk that may be full.
+#[derive(Debug)]
+pub(in crate::delivery) struct FaultyDisk {
+    pub(in crate::delivery) file: StateFile,
+    pub(in crate::delivery) faults: Arc<Faults>,
+}
+
+#[derive(Debug, Default)]
+pub(in crate::delivery) struct Faults {
+    /// The disk takes nothing.
+    pub(in crate::delivery) is_full: AtomicBool,
+    /// A commit is on the disk when it returns.
+    pub(in crate::delivery) syncs: AtomicBool,
+}
+
+impl Disk for FaultyDisk {
+    fn open(&mut self) -> Result<Connection, TableError> {
+        if self.faults.is_full.load(Ordering::Relaxed) {
+            return Err(Error::from(ErrorKind::StorageFull).into());
+        }
+        let db = self.file.open()?;
+        db.busy_timeout(Duration::ZERO)?;
+        // FULL, or more.
+        let level: i64 = db.pragma_query_value(None, "synchronous", |row| row.get(0))?;
+        self.faults.syncs.store(level >= 2, Ordering::Relaxed);
+        let faults = Arc::clone(&self.faults);
+        // A commit that is refused is rolled back.
+        db.commit_hook(Some(move || faults.is_full.load(Ordering::Relaxed)))?;
+        Ok(db)
+    }
+
+    fn check(&self) -> Result<(), TableError> {
+        self.file.check()
+    }
+
+    fn set_aside(&mut self) -> std::io::Result<PathBuf> {
+        self.file.set_aside()
+    }
+}
+
 struct Bench {
     folder: tempfile::TempDir,
     config: OutboxConfig,
+    faults: Arc<Faults>,
 }
 
 impl Bench {
@@ -63,6 +107,7 @@ impl Bench {
         Self {
             folder: tempfile::tempdir().unwrap(),
             config: OutboxConfig::default(),
+            faults: Arc::default(),
         }
     }
 
@@ -75,7 +120,13 @@ impl Bench {
     }
 
     fn open(&self) -> Outbox {
-        Outbox::open(&self.config, Some(&self.state())).unwrap()
+        let (file, faults) = (StateFile::new(&self.state()), Arc::clone(&self.faults));
+        let disk = Box::new(FaultyDisk { file, faults });
+        Outbox::open_on(disk, &self.config, &self.state(), Now::system()).unwrap()
+    }
+
+    fn fill_disk(&self, is_full: bool) {
+        self.faults.is_full.store(is_full, Ordering::Relaxed);
     }
 
     /// Takes the disk away and puts a file in its place, so that no folder can be made there.
@@ -237,7 +288,7 @@ fn no_step_of_the_clock_costs_a_report() {
     };
     for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
         let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
-        let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20);
+        let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
         waiting.open(at(0)).unwrap();
         let reports: Vec<_> = (0..20).map(report).collect();
         for (report, day) in reports
@@ -262,7 +313,8 @@ fn no_step_of_the_clock_costs_a_report() {
 fn acknowledged_reports_are_kept_for_a_week() {
     const DAY_MS: i64 = 86_400_000;
     let bench = Bench::new();
-    let mut waiting = Waiting::new(Some(Box::new(StateFile::new(&bench.state()))), 64 << 20);
+    let mut waiting =
+        Waiting::new(Some(Box::new(StateFile::new(&bench.state()))), 64 << 20).unwrap();
     let at = |day: i64| Now {
         at: Instant::now(),
         unix_ms: 1_795_000_000_000 + day * DAY_MS,
@@ -313,31 +365,21 @@ fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
 }
 
 #[test]
-fn a_damaged_file_is_set_aside() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..400);
-    drop(outbox);
-    let mut bytes = std::fs::read(bench.file()).unwrap();
-    bytes[4096..].fill(0xa5);
-    std::fs::write(bench.file(), bytes).unwrap();
-    let outbox = bench.open();
-    keep(&outbox, 400..401);
-    let counts = outbox.counts();
-    assert!(counts.disk_failures > 0 && counts.durable, "{counts:?}");
-    assert!(bench.state().join("node.db.damaged-0").exists());
-    assert_eq!(drain(&outbox), ["window-400"]);
-}
-
-#[test]
-fn a_file_of_rubbish_is_set_aside() {
-    let bench = Bench::new();
-    std::fs::create_dir(bench.state()).unwrap();
-    std::fs::write(bench.file(), vec![b'x'; 9000]).unwrap();
-    let outbox = bench.open();
-    keep(&outbox, 0..1);
-    assert!(outbox.counts().durable);
-    assert!(bench.state().join("node.db.damaged-0").exists());
+fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
+    for (intact, length) in [(4096, usize::MAX), (0, 9000)] {
+        let bench = Bench::new();
+        keep(&bench.open(), 0..400);
+        let mut bytes = std::fs::read(bench.file()).unwrap();
+        bytes.truncate(length);
+        bytes[intact..].fill(0xa5);
+        std::fs::write(bench.file(), bytes).unwrap();
+        let outbox = bench.open();
+        keep(&outbox, 400..401);
+        let counts = outbox.counts();
+        assert!(counts.disk_failures > 0 && counts.durable, "{counts:?}");
+        assert!(bench.state().join("node.db.damaged-0").exists());
+        assert_eq!(drain(&outbox), ["window-400"]);
+    }
 }
 
 #[test]
@@ -349,7 +391,7 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
     keep(&outbox, 2..4);
     let counts = outbox.counts();
     assert!(!counts.durable && counts.failing.is_some());
-    assert_eq!((counts.in_memory, counts.waiting), (2, 4));
+    assert_eq!((counts.in_memory, counts.waiting), (4, 4));
     bench.return_disk(&outbox);
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
@@ -435,26 +477,18 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
 #[test]
 fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
     let outbox = Outbox::open(&OutboxConfig::default(), None).unwrap();
-    let most = MOST_IN_MEMORY as u64;
-    keep(&outbox, 0..most + 3);
+    let most = 40 * MEMORY_BYTES / 1_000_000;
+    for clip in 0..most {
+        let mut one = report(clip);
+        one.policy = "x".repeat(50_000);
+        outbox.insert(&mut [one], Now::system());
+    }
     let counts = outbox.counts();
-    assert_eq!(
-        (counts.waiting, counts.lost, counts.durable),
-        (most, 3, false)
-    );
+    assert!(!counts.durable && counts.lost > 0 && counts.waiting > most / 3);
+    assert_eq!(counts.waiting + counts.lost, most);
     let sent = drain(&outbox);
-    assert_eq!((sent.len() as u64, sent[0].as_str()), (most, "window-3"));
-}
-
-/// SQLite's own error of a full disk: no more than so many pages beyond those there are.
-fn limit_pages(outbox: &Outbox, pages: i64) {
-    let waiting = outbox.shared.waiting.lock();
-    let db = waiting.table().connection();
-    let now: i64 = db
-        .pragma_query_value(None, "page_count", |row| row.get(0))
-        .unwrap();
-    let limit = format!("PRAGMA max_page_count = {}", now + pages);
-    db.query_row(&limit, [], |_| Ok(())).unwrap();
+    assert_eq!(sent.len() as u64, counts.waiting);
+    assert_eq!(sent.last().unwrap(), &format!("window-{}", most - 1));
 }
 
 #[test]
@@ -462,52 +496,33 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
-    limit_pages(&outbox, 0);
+    bench.fill_disk(true);
     keep(&outbox, 2..60);
-    let counts = outbox.counts();
-    assert!(counts.in_memory > 0 && counts.waiting == 60, "{counts:?}");
-    assert!(counts.failing.unwrap().contains("full"));
-    // What is on disk can still be read, also after an attempt that found the disk as full as before.
-    for _ in 0..2 {
+    assert_eq!(outbox.counts().waiting, 60);
+    // What is on disk is sent too, also after attempts that find the disk as full as before; these go on every two seconds.
+    let mut now = Now::system();
+    for _ in 0..20 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
-        outbox.disk_is_due();
-        outbox.retry_disk(Now::system());
+        now.at = outbox.shared.waiting.lock().retry_at;
+        outbox.retry_disk(now);
+        let counts = outbox.counts();
+        assert!(!counts.durable && counts.in_memory == 60, "{counts:?}");
+        let next = outbox.shared.waiting.lock().retry_at;
+        assert!(next - now.at <= Duration::from_secs(2));
     }
-    assert!(!outbox.counts().durable);
-    limit_pages(&outbox, 1000);
+    assert!(
+        outbox
+            .counts()
+            .failing
+            .unwrap()
+            .contains("no storage space")
+    );
+    bench.fill_disk(false);
     outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0);
     assert_eq!(drain(&outbox).len(), 60);
-}
-
-#[test]
-fn a_disk_that_failed_is_tried_again_within_seconds_however_long_it_failed() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..2);
-    limit_pages(&outbox, 0);
-    keep(&outbox, 2..60);
-    let mut waiting = outbox.shared.waiting.lock();
-    let mut now = Now::system();
-    for _ in 0..20 {
-        now.at = waiting.retry_at;
-        waiting.retry_disk(now);
-        assert!(waiting.retry_at - now.at <= Duration::from_secs(2));
-    }
-}
-
-#[test]
-fn a_full_disk_takes_the_room_of_reports_that_a_hub_has() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..200);
-    drain(&outbox);
-    limit_pages(&outbox, 0);
-    keep(&outbox, 200..300);
-    let counts = outbox.counts();
-    assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
 }
 
 #[test]
@@ -541,7 +556,7 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
     keep(&outbox, 0..2);
     {
         let waiting = outbox.shared.waiting.lock();
-        let db = waiting.table().connection();
+        let db = waiting.file().connection();
         db.pragma_update(None, "query_only", true).unwrap();
     }
     keep(&outbox, 2..3);
@@ -556,7 +571,7 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
 #[test]
 fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
     let bench = Bench::new();
-    for outbox in [bench.open(), Outbox::in_memory()] {
+    for outbox in [bench.open(), Outbox::in_memory().unwrap()] {
         for clip in 0..60 {
             let mut one = report(clip);
             one.policy = "x".repeat(50 << 10);
@@ -575,7 +590,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
 #[test]
 fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
     let bench = Bench::new();
-    for outbox in [bench.open(), Outbox::in_memory()] {
+    for outbox in [bench.open(), Outbox::in_memory().unwrap()] {
         for clip in 0..3 {
             let mut one = report(clip);
             if clip == 1 {
@@ -618,7 +633,7 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
 
 #[test]
 fn counts_and_waking_the_sender_never_wait_for_a_disk() {
-    let outbox = Outbox::in_memory();
+    let outbox = Outbox::in_memory().unwrap();
     keep(&outbox, 0..1);
     // As while a disk is written.
     let writing = outbox.shared.waiting.lock();

@@ -1,4 +1,4 @@
-//! Reports on disk, and in memory while the disk fails. No clock: times are given.
+//! Reports in the file of the state directory, and in memory while that fails. No clock: times are given.
 
 use super::OutboxCounts;
 use super::disk::Disk;
@@ -7,15 +7,21 @@ use albireo_service::clock::Now;
 use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
 };
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 /// Time between two attempts to use a disk that failed.
 const DISK_RETRY: Duration = Duration::from_secs(2);
 
-/// Most reports in memory while the disk fails.
-pub(super) const MOST_IN_MEMORY: usize = 2000;
+/// How long reports are kept for a hub that loses them, if there is room and a disk.
+const KEPT_MS: i64 = 7 * 86_400_000;
+
+/// Most bytes of reports in memory: some thousand.
+pub(super) const MEMORY_BYTES: u64 = 8 << 20;
+
+/// Most reports that are taken to memory from a file that cannot be written.
+const MOST_RESCUED: usize = 2000;
 
 /// Bytes of a batch's reports at most: well below what a hub takes, and compressed far below what an uplink lets through.
 pub(super) const BATCH_BYTES: usize = 1 << 20;
@@ -29,25 +35,36 @@ const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 pub(super) struct Waiting {
     disk: Option<Box<dyn Disk>>,
     most_bytes: u64,
-    /// The open file; kept while it can be read, also when it cannot be written.
-    table: Option<Table>,
+    /// The open file, while it can be read and written.
+    file: Option<Table>,
+    /// What takes its place while there is none; it goes to the file when that can be opened again.
+    memory: Table,
     /// The file is set aside before it is opened again.
     damaged: bool,
-    /// Reports that are not on disk.
-    memory: VecDeque<StoredReport>,
-    /// What hubs answered while the disk could not be written.
-    unwritten: Answered,
-    /// The reports of `unwritten`: they are on disk, and not to be sent.
-    done: BTreeSet<Uuid>,
     counters: Counters,
     counts: OutboxCounts,
     pub(super) retry_at: Instant,
 }
 
+/// What was done on a table, and what was counted there afterwards.
+type Done<T> = Result<(T, Counters, (u64, u64)), TableError>;
+
+fn work_on<T>(
+    table: &mut Table,
+    mut counters: Counters,
+    work: impl FnOnce(&mut Table, &mut Counters) -> Result<T, TableError>,
+) -> Done<T> {
+    let done = work(table, &mut counters)?;
+    Ok((done, counters, table.waiting()?))
+}
+
 impl Waiting {
-    /// Nothing waits yet, and nothing is open.
-    pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Self {
-        Self {
+    /// Nothing waits yet, and no file is open.
+    ///
+    /// # Errors
+    /// When there is no memory for a table.
+    pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
+        Ok(Self {
             counters: Counters {
                 // Without a disk this run is all that there is to be counted.
                 made: disk.is_none().then_some(0),
@@ -55,33 +72,27 @@ impl Waiting {
             },
             disk,
             most_bytes,
-            table: None,
+            file: None,
+            memory: Table::in_memory()?,
             damaged: false,
-            memory: VecDeque::new(),
-            unwritten: Answered::default(),
-            done: BTreeSet::new(),
             counts: OutboxCounts::default(),
             retry_at: Instant::now(),
-        }
+        })
     }
 
     /// Opens the file, and brings to it what waits in memory. One that is damaged is set aside.
     pub(super) fn open(&mut self, now: Now) -> Result<(), TableError> {
-        let mut opened = self.try_open(now);
+        let mut opened = self.open_file(now);
         if let Err(error) = &opened {
             self.fail(error, now);
             if self.damaged {
-                opened = self.try_open(now);
+                opened = self.open_file(now);
             }
         }
         opened
     }
 
-    fn try_open(&mut self, now: Now) -> Result<(), TableError> {
-        self.open_table().and_then(|()| self.catch_up(now))
-    }
-
-    fn open_table(&mut self) -> Result<(), TableError> {
+    fn open_file(&mut self, now: Now) -> Result<(), TableError> {
         let Some(disk) = &mut self.disk else {
             return Ok(());
         };
@@ -93,33 +104,17 @@ impl Waiting {
                 "the file of clip reports is damaged and was set aside; those in it are not delivered"
             );
         }
-        let table = disk.open().and_then(Table::new)?;
+        let mut file = disk.open().and_then(Table::new)?;
         // What was counted since the start goes on from what was counted before.
-        let before = table.counters()?;
-        let counters = &mut self.counters;
-        counters.made = counters.made.max(before.made);
-        counters.lost = counters.lost.max(before.lost);
-        counters.undeliverable = counters.undeliverable.max(before.undeliverable);
-        self.table = Some(table);
-        Ok(())
-    }
-
-    /// Brings to the open file what could not be written before.
-    fn catch_up(&mut self, now: Now) -> Result<(), TableError> {
-        let Some(table) = &mut self.table else {
-            return Ok(());
-        };
-        if !self.done.is_empty() {
-            table.answered(&self.unwritten, &self.counters, now.unix_ms)?;
-            self.unwritten = Answered::default();
-            self.done.clear();
-        }
-        let mut counters = self.counters;
-        let lost = table.insert(&self.memory, &mut counters, self.most_bytes)?;
-        self.counters = counters;
-        self.memory.clear();
+        let counters = self.counters.max(file.counters()?);
+        let (waiting, most) = (self.memory.all()?, self.most_bytes);
+        let done = work_on(&mut file, counters, |file, counters| {
+            file.insert(&waiting, counters, most)
+        })?;
+        self.memory = Table::in_memory()?;
+        self.file = Some(file);
+        let lost = self.count(done);
         self.lose(lost, now);
-        self.recount()?;
         if let Some(reason) = self.counts.failing.take() {
             tracing::info!(reason, "the state directory can be used again");
         }
@@ -128,26 +123,14 @@ impl Waiting {
 
     /// Tries a disk that failed again, when it is time.
     pub(super) fn retry_disk(&mut self, now: Now) {
-        if self.counts.failing.is_none() || now.at < self.retry_at {
-            return;
+        if self.counts.failing.is_some() && now.at >= self.retry_at {
+            // The reason is noted there.
+            let _ = self.open(now);
         }
-        if self.table.is_some() {
-            match self.check().and_then(|()| self.catch_up(now)) {
-                Ok(()) => return,
-                // A new connection would be no better.
-                Err(error) if error.passes_by_itself() => return self.fail(&error, now),
-                Err(_) => self.table = None,
-            }
-        }
-        // The reason is noted there.
-        let _ = self.open(now);
     }
 
-    fn check(&self) -> Result<(), TableError> {
-        self.disk.as_ref().map_or(Ok(()), |disk| disk.check())
-    }
-
-    /// Takes note that nothing can be kept on disk.
+    /// Takes note that the file cannot be used. As much of what waits in it as can be read goes to memory, and is delivered
+    /// from there.
     fn fail(&mut self, error: &TableError, now: Now) {
         let reason = format!("the state directory cannot be used: {error}");
         if self.counts.failing.as_deref() != Some(reason.as_str()) {
@@ -156,10 +139,47 @@ impl Waiting {
         self.counts.failing = Some(reason);
         self.counts.disk_failures += 1;
         self.retry_at = now.at + DISK_RETRY;
-        if error.is_corruption() {
-            self.table = None;
-            self.damaged = true;
+        self.damaged |= error.is_corruption();
+        let Some(file) = self.file.take() else {
+            return;
+        };
+        let mut counters = self.counters;
+        let kept = (file.due(true, MOST_RESCUED))
+            .and_then(|found| self.memory.insert(&found, &mut counters, MEMORY_BYTES));
+        if let Err(error) = kept {
+            tracing::warn!(%error, "clip reports on the disk cannot be read now");
         }
+    }
+
+    /// Does `work` on the file, or in memory where that fails.
+    fn work<T: Default>(
+        &mut self,
+        now: Now,
+        work: impl Fn(&mut Table, &mut Counters, u64) -> Result<T, TableError>,
+    ) -> T {
+        let (most, counters) = (self.most_bytes, self.counters);
+        if let Some((file, disk)) = self.file.as_mut().zip(self.disk.as_ref()) {
+            let done = (disk.check())
+                .and_then(|()| work_on(file, counters, |file, counted| work(file, counted, most)));
+            match done {
+                Ok(done) => return self.count(done),
+                Err(error) => self.fail(&error, now),
+            }
+        }
+        let done = work_on(&mut self.memory, counters, |memory, counted| {
+            work(memory, counted, MEMORY_BYTES)
+        });
+        done.map(|done| self.count(done)).unwrap_or_else(|error| {
+            tracing::error!(%error, "clip reports cannot be kept in memory");
+            T::default()
+        })
+    }
+
+    fn count<T>(&mut self, done: (T, Counters, (u64, u64))) -> T {
+        let (done, counters, (waiting, again)) = done;
+        self.counters = counters;
+        (self.counts.waiting, self.counts.again) = (waiting, again);
+        done
     }
 
     /// Keeps reports, in order, and gives them their running counts.
@@ -170,48 +190,14 @@ impl Waiting {
             self.counters.made = self.counters.made.map(|made| made + 1);
             report.count = self.counters.made;
             self.counts.kept += 1;
-            rows.push(StoredReport {
-                id: report.id,
-                count: report.count,
-                // A report holds numbers and text: writing it cannot fail. An empty row would count as undeliverable.
-                json: serde_json::to_vec(report).unwrap_or_default(),
-            });
+            // A report holds numbers and text: writing it cannot fail. An empty row would count as undeliverable.
+            let json = serde_json::to_vec(report).unwrap_or_default();
+            rows.push(StoredReport::new(report.id, report.count, json));
         }
-        let written = self.write(&rows, now);
-        if let Err(error) = &written {
-            self.fail(error, now);
-        }
-        if !written.unwrap_or(false) {
-            self.memory.extend(rows);
-            let lost = self.memory.len().saturating_sub(MOST_IN_MEMORY);
-            self.memory.drain(..lost);
-            self.counters.lost += lost as u64;
-            self.lose(lost as u64, now);
-        }
-    }
-
-    /// Writes reports to the disk; `false` where there is none to write to.
-    fn write(&mut self, rows: &[StoredReport], now: Now) -> Result<bool, TableError> {
-        if self.counts.failing.is_some() {
-            return Ok(false);
-        }
-        self.check()?;
-        let Some(table) = &mut self.table else {
-            return Ok(false);
-        };
-        let mut counters = self.counters;
-        let mut inserted = table.insert(rows, &mut counters, self.most_bytes);
-        if let Err(error) = &inserted
-            && error.is_full()
-            && table.make_room()?
-        {
-            inserted = table.insert(rows, &mut counters, self.most_bytes);
-        }
-        let lost = inserted?;
-        self.counters = counters;
+        let lost = self.work(now, |table, counters, most| {
+            table.insert(&rows, counters, most)
+        });
         self.lose(lost, now);
-        self.recount()?;
-        Ok(true)
     }
 
     fn lose(&mut self, reports: u64, now: Now) {
@@ -221,78 +207,31 @@ impl Waiting {
         }
     }
 
-    fn recount(&mut self) -> Result<(), TableError> {
-        if let Some(table) = &self.table {
-            (self.counts.waiting, self.counts.again) = table.waiting()?;
-        }
-        Ok(())
-    }
-
     /// The oldest reports to be sent, as reports of `node`, with those that a hub has lost if they go
     /// `again` now. One that cannot be read is counted as undeliverable.
     pub(super) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
         loop {
-            let (reports, unreadable) = self.read(node, again, now);
-            if unreadable.is_empty() || !reports.is_empty() {
-                self.remove(unreadable, now);
-                return (!reports.is_empty()).then(|| ReportBatch {
+            let (reports, unreadable) = self.work(now, |table, _, _| read(table, node, again));
+            let is_end = unreadable.is_empty();
+            self.counters.undeliverable += unreadable.len() as u64;
+            let refused = Answered {
+                refused: unreadable,
+                ..Answered::default()
+            };
+            if !is_end {
+                self.conclude(&refused, now);
+            }
+            if !reports.is_empty() {
+                return Some(ReportBatch {
                     v: VERSION,
                     node: node.to_owned(),
                     t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
                     reports,
                 });
             }
-            self.remove(unreadable, now);
-        }
-    }
-
-    fn read(&mut self, node: &str, again: bool, now: Now) -> (Vec<ClipReport>, Vec<Uuid>) {
-        let (mut reports, mut unreadable, mut bytes) = (Vec::new(), Vec::new(), 0);
-        let mut take = |report: &StoredReport| {
-            if self.done.contains(&report.id) {
-                return true;
+            if is_end {
+                return None;
             }
-            match readable(report, node) {
-                Ok(read) => {
-                    bytes += report.json.len();
-                    let full = reports.len() == BATCH_REPORTS || bytes > BATCH_BYTES;
-                    if full && !reports.is_empty() {
-                        return false;
-                    }
-                    reports.push(read);
-                }
-                Err(reason) => {
-                    tracing::error!(id = %report.id, reason, "a clip report cannot be sent");
-                    unreadable.push(report.id);
-                }
-            }
-            true
-        };
-        let mut failed = None;
-        if let Some(table) = &self.table {
-            failed = table.due(again, |report| take(&report)).err();
-        }
-        for report in &self.memory {
-            if !take(report) {
-                break;
-            }
-        }
-        if let Some(error) = failed {
-            self.table = None;
-            self.fail(&error, now);
-        }
-        (reports, unreadable)
-    }
-
-    /// Removes reports that will never be delivered.
-    fn remove(&mut self, removed: Vec<Uuid>, now: Now) {
-        if !removed.is_empty() {
-            self.counters.undeliverable += removed.len() as u64;
-            let answered = Answered {
-                removed,
-                ..Answered::default()
-            };
-            self.finish(answered, now);
         }
     }
 
@@ -311,55 +250,56 @@ impl Waiting {
         self.counts.acknowledged += stored;
         let answered = Answered {
             acknowledged: sent.difference(&refused).copied().collect(),
-            removed: refused.into_iter().collect(),
+            refused: refused.into_iter().collect(),
             database: Some(answer.database),
             missing: answer.missing.clone(),
         };
-        self.finish(answered, now);
+        self.conclude(&answered, now);
         stored
     }
 
-    /// Writes what was answered, or notes it until the disk can be written.
-    fn finish(&mut self, answered: Answered, now: Now) {
-        let ids = answered.acknowledged.iter().chain(&answered.removed);
-        let mut done: BTreeSet<Uuid> = ids.copied().collect();
-        // What is in memory is nowhere else.
-        self.memory.retain(|report| !done.remove(&report.id));
-        if self.counts.failing.is_none()
-            && let Some(table) = &mut self.table
-        {
-            let written = table.answered(&answered, &self.counters, now.unix_ms);
-            match written.and_then(|()| self.recount()) {
-                Ok(()) => return,
-                Err(error) => self.fail(&error, now),
-            }
-        }
-        if self.disk.is_some() {
-            // Which reports the hub misses it will say again.
-            self.unwritten.acknowledged.extend(answered.acknowledged);
-            self.unwritten.removed.extend(answered.removed);
-            self.done.extend(done);
-        }
+    fn conclude(&mut self, answered: &Answered, now: Now) {
+        let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
+        self.work(now, |table, counters, _| {
+            table.answered(answered, counters, now.unix_ms, kept_ms)
+        });
     }
 
     #[cfg(test)]
-    pub(super) fn table(&self) -> &Table {
-        self.table.as_ref().unwrap()
+    pub(super) fn file(&self) -> &Table {
+        self.file.as_ref().unwrap()
     }
 
     /// How it is.
     pub(super) fn counts(&self) -> OutboxCounts {
-        let in_memory = self.memory.len() as u64;
-        let on_disk = self.counts.waiting.saturating_sub(self.done.len() as u64);
+        let durable = self.file.is_some();
         OutboxCounts {
-            waiting: on_disk + in_memory,
-            in_memory,
+            in_memory: if durable { 0 } else { self.counts.waiting },
             lost: self.counters.lost,
             undeliverable: self.counters.undeliverable,
-            durable: self.table.is_some() && self.counts.failing.is_none(),
+            durable,
             ..self.counts.clone()
         }
     }
+}
+
+/// The reports of a batch, and those that cannot be read.
+type Read = (Vec<ClipReport>, Vec<Uuid>);
+
+fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
+    let (mut reports, mut unreadable, mut bytes) = (Vec::new(), Vec::new(), 0);
+    for report in table.due(again, BATCH_REPORTS)? {
+        bytes += report.json.len();
+        match readable(&report, node) {
+            Ok(_) if bytes > BATCH_BYTES && !reports.is_empty() => break,
+            Ok(read) => reports.push(read),
+            Err(reason) => {
+                tracing::error!(id = %report.id, reason, "a clip report cannot be sent");
+                unreadable.push(report.id);
+            }
+        }
+    }
+    Ok((reports, unreadable))
 }
 
 /// A stored report as one of `node`: the state directory may have been another's.

@@ -1,18 +1,15 @@
 //! A simulated node: the real outbox on its real file, and the schedule of the uplink.
 
-use crate::delivery::outbox::tests::report;
-use crate::delivery::outbox::{
-    Disk, Outbox, OutboxConfig, OutboxCounts, OutboxError, StateFile, TableError,
-};
+use crate::delivery::outbox::tests::{Faults, FaultyDisk, report};
+use crate::delivery::outbox::{Outbox, OutboxConfig, OutboxCounts, OutboxError, StateFile};
 use crate::delivery::uplink::{HubReply, Outcome, Schedule, conclude, read_reply};
 use albireo_service::clock::Now;
 use albireo_wire::{BatchCompression, ClipReport, FrameStates, ReportAnswer, ReportBatch};
 use rusqlite::Connection;
 use std::collections::BTreeSet;
-use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 use uuid::{Builder, Uuid};
@@ -22,46 +19,6 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(900);
 
 /// The longest that a lock of this process is held by a program that another test starts.
 const LOCK_LIMIT: Duration = Duration::from_secs(20);
-
-/// The file of a state directory on a disk that may be full.
-#[derive(Debug)]
-struct FaultyDisk {
-    file: StateFile,
-    faults: Arc<Faults>,
-}
-
-#[derive(Debug, Default)]
-pub(super) struct Faults {
-    /// The disk takes nothing.
-    pub(super) is_full: AtomicBool,
-    /// A commit is on the disk when it returns.
-    syncs: AtomicBool,
-}
-
-impl Disk for FaultyDisk {
-    fn open(&mut self) -> Result<Connection, TableError> {
-        if self.faults.is_full.load(Ordering::Relaxed) {
-            return Err(Error::from(ErrorKind::StorageFull).into());
-        }
-        let db = self.file.open()?;
-        db.busy_timeout(Duration::ZERO)?;
-        // FULL, or more.
-        let level: i64 = db.pragma_query_value(None, "synchronous", |row| row.get(0))?;
-        self.faults.syncs.store(level >= 2, Ordering::Relaxed);
-        let faults = Arc::clone(&self.faults);
-        // A commit that is refused is rolled back.
-        db.commit_hook(Some(move || faults.is_full.load(Ordering::Relaxed)))?;
-        Ok(db)
-    }
-
-    fn check(&self) -> Result<(), TableError> {
-        self.file.check()
-    }
-
-    fn set_aside(&mut self) -> std::io::Result<PathBuf> {
-        self.file.set_aside()
-    }
-}
 
 /// Opens the outbox in a folder.
 pub(super) fn open_outbox(folder: &Path, faults: &Arc<Faults>, now: Now) -> Outbox {

@@ -1,7 +1,9 @@
 //! A query to the hub, and its reply.
 
+use super::Outcome;
 use albireo_wire::{ReportRefusal, read};
 use serde::de::DeserializeOwned;
+use std::time::Duration;
 use zenoh::query::Querier;
 
 /// The hub's reply to a query.
@@ -12,6 +14,24 @@ pub(crate) enum HubReply<T> {
     Refusal(ReportRefusal),
     /// No reply came, or none that can be read: why.
     Missing(String),
+}
+
+impl<T> HubReply<T> {
+    /// What came of the query, and the answer if there is one.
+    pub(super) fn outcome(self) -> (Outcome, Option<T>) {
+        match self {
+            Self::Answer(answer) => (Outcome::Done, Some(answer)),
+            Self::Refusal(refusal) => {
+                tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refuses");
+                let at_least = refusal.retry_after_ms.map(Duration::from_millis);
+                (Outcome::Refused(at_least), None)
+            }
+            Self::Missing(reason) => {
+                tracing::debug!(reason, "the hub does not answer");
+                (Outcome::Unanswered, None)
+            }
+        }
+    }
 }
 
 /// Queries the hub and waits for the first answer, no longer than the querier does.

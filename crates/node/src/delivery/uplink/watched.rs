@@ -2,14 +2,13 @@
 //! pictures that are asked for.
 
 use super::UplinkSetup;
-use crate::state::board::{Board, LatestFrame};
+use crate::state::board::LatestFrame;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{PictureFormat, to_jpeg};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
@@ -33,13 +32,8 @@ pub(super) struct Watched {
     counted_at: Option<Instant>,
     queries: Sender<PictureQuery>,
     waiting_queries: Receiver<PictureQuery>,
-}
-
-/// What is declared while somebody watches; undeclared when dropped.
-pub(super) struct Shown {
-    /// None where the local session carries counters anyway.
-    counters: Vec<(String, Publisher<'static>)>,
-    _pictures: Vec<Queryable<()>>,
+    /// Declared while somebody watches; undeclared when dropped.
+    pictures: Vec<Queryable<()>>,
 }
 
 impl Watched {
@@ -51,7 +45,13 @@ impl Watched {
             counted_at: None,
             queries,
             waiting_queries,
+            pictures: Vec::new(),
         }
+    }
+
+    /// A session begins: nothing is declared on it.
+    pub(super) fn begin(&mut self) {
+        self.pictures.clear();
     }
 
     /// Somebody watches for so long from now on.
@@ -65,7 +65,7 @@ impl Watched {
         self.until.is_some_and(|until| now < until)
     }
 
-    /// Sends what is due, with what is declared for it in `shown`: nothing is declared without a watcher.
+    /// Sends what is due: nothing is declared or sent without a watcher.
     ///
     /// # Errors
     /// When Zenoh refuses something.
@@ -73,17 +73,42 @@ impl Watched {
         &mut self,
         session: &Session,
         setup: &UplinkSetup,
-        shown: &mut Option<Shown>,
     ) -> zenoh::Result<()> {
-        if self.until.is_none_or(|until| until <= Instant::now()) {
-            *shown = None;
+        let now = Instant::now();
+        if !self.is_on(now) {
+            self.pictures.clear();
             return Ok(());
         }
-        if shown.is_none() {
-            *shown = Some(self.declare(session, setup).await?);
+        let early = |at: Instant| now.duration_since(at) < PERIOD;
+        // The local session carries counters anyway.
+        let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
+        let declares = self.pictures.is_empty();
+        for camera in setup.board.cameras() {
+            let Ok(keys) = setup.keys.camera(camera.name()) else {
+                continue;
+            };
+            if declares {
+                let (queries, name) = (self.queries.clone(), Arc::<str>::from(camera.name()));
+                let queryable = session
+                    .declare_queryable(keys.picture())
+                    .callback(move |query| {
+                        // Zenoh's thread must not encode a picture; a question too many ends unanswered.
+                        let _ = queries.try_send((Arc::clone(&name), query));
+                    })
+                    .await?;
+                self.pictures.push(queryable);
+            }
+            let message = setup.board.counters(camera, unix_nanoseconds());
+            if counts && let Ok(json) = serde_json::to_vec(&message) {
+                session
+                    .put(keys.counters(), json)
+                    .congestion_control(CongestionControl::Drop)
+                    .priority(crate::camera::publishing::COUNTERS)
+                    .await?;
+            }
         }
-        if let Some(shown) = shown {
-            self.send_counters(shown, &setup.board).await?;
+        if counts {
+            self.counted_at = Some(now);
         }
         Ok(())
     }
@@ -91,58 +116,6 @@ impl Watched {
     /// The next question for a picture.
     pub(super) async fn question(&mut self) -> Option<PictureQuery> {
         self.waiting_queries.recv().await
-    }
-
-    async fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
-        let own = setup.local.is_none();
-        let (mut counters, mut pictures) = (Vec::new(), Vec::new());
-        for camera in setup.board.cameras() {
-            let Ok(keys) = setup.keys.camera(camera.name()) else {
-                continue;
-            };
-            if own {
-                let publisher = session
-                    .declare_publisher(keys.counters())
-                    .congestion_control(CongestionControl::Drop)
-                    .priority(crate::camera::publishing::COUNTERS)
-                    .await?;
-                counters.push((camera.name().to_owned(), publisher));
-            }
-            let queries = self.queries.clone();
-            let name: Arc<str> = camera.name().into();
-            let queryable = session
-                .declare_queryable(keys.picture())
-                .callback(move |query| {
-                    // Zenoh's thread must not encode a picture; a question too many ends unanswered.
-                    let _ = queries.try_send((Arc::clone(&name), query));
-                })
-                .await?;
-            pictures.push(queryable);
-        }
-        Ok(Shown {
-            counters,
-            _pictures: pictures,
-        })
-    }
-
-    /// Once a second.
-    async fn send_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
-        let now = Instant::now();
-        let early = |at: Instant| now.duration_since(at) < PERIOD;
-        if self.counted_at.is_some_and(early) {
-            return Ok(());
-        }
-        self.counted_at = Some(now);
-        for (camera, publisher) in &shown.counters {
-            let Some(camera) = board.camera(camera) else {
-                continue;
-            };
-            let message = board.counters(camera, unix_nanoseconds());
-            if let Ok(json) = serde_json::to_vec(&message) {
-                publisher.put(json).await?;
-            }
-        }
-        Ok(())
     }
 }
 

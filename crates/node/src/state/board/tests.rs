@@ -151,7 +151,7 @@ fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
     let board = Board::new(BoardSetup {
         node: "n".to_owned(),
         cameras: Vec::new(),
-        outbox: Outbox::in_memory(),
+        outbox: Outbox::in_memory().unwrap(),
         policy: "albireo",
         target: TargetSetup::default(),
         detector: DetectorFacts::default(),

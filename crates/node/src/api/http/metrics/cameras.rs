@@ -115,8 +115,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     page.histograms(
         "albireo_detector_latency_seconds",
         "Time the detector took, over the frames where it ran",
-        (cameras.iter())
-            .map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
+        (cameras.iter()).map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
     );
 }
 

@@ -1,7 +1,8 @@
 //! A simulated node: what is desired of it, on its real file.
 
-use super::super::node::{Faults, open_outbox};
+use super::super::node::open_outbox;
 use crate::delivery::outbox::OutboxConfig;
+use crate::delivery::outbox::tests::Faults;
 use crate::delivery::uplink::{
     DesiredKeeper, HubReply, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
 };
