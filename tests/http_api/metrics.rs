@@ -90,7 +90,10 @@ async fn metrics_are_right() {
     let node = filled().await;
     let response = node.request(Method::GET, "/metrics").send().await.unwrap();
     let media_type = response.headers()["content-type"].to_str().unwrap();
-    assert!(media_type.starts_with("text/plain; version=0.0.4"), "{media_type}");
+    assert!(
+        media_type.starts_with("text/plain; version=0.0.4"),
+        "{media_type}"
+    );
     let text = response.text().await.unwrap();
     let found = samples(&text);
     for (series, value) in samples(EXPECTED) {
