@@ -15,6 +15,10 @@ use uuid::Uuid;
 /// Interval of looking for what is too old, when nothing was found.
 const RETENTION: Duration = Duration::from_secs(60);
 
+/// Number of the lock under which one hub at a time stores reports: two would wait for each other's rows, one for those of
+/// nodes, the other for those of their counts.
+const ONE_WRITER: i64 = 0x0a1b_14e2;
+
 /// Stores batches in a database.
 pub struct Recorder {
     store: Store,
@@ -111,6 +115,7 @@ impl Recorder {
             None => database.identity()?,
         };
         database.begin()?;
+        database.lock(ONE_WRITER)?;
         let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
         let mut events = news.write(&mut *database, now.unix_ms)?;
         let mut committed = write(&mut *database, numbers, limits, batches, now.unix_ms)?;
