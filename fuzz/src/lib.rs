@@ -6,11 +6,16 @@ use albireo_core::geometry::PictureSize;
 use albireo_hub::config::HubConfig;
 use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::selector::Selector;
+use albireo_node::api::http::{NodeView, router};
 use albireo_node::config::NodeConfig;
+use albireo_node::delivery::outbox::{Outbox, OutboxConfig};
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
+use albireo_node::state::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
+use albireo_node::state::target::TargetSetup;
 use albireo_power::TegrastatsLine;
+use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
-use albireo_vision::detector::Metadata;
+use albireo_vision::detector::{DetectorStatus, Metadata};
 use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
 };
@@ -19,22 +24,29 @@ use albireo_wire::{
     ReportAnswer, ReportBatch, StatusMessage, TargetMessage, ThresholdChange, ThresholdMessage,
     read, stream_of_token,
 };
+use axum::body::Body;
+use axum::http::Request;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::io::BufRead;
+use tokio::runtime::{Builder, Runtime};
 use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use tower_service::Service;
 use zenoh::key_expr::KeyExpr;
 
 /// A target: its name, which is that of its corpus, and what it does with some bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// Every target.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 15] = [
+    ("access", access),
     ("attachment", attachment),
     ("desired", desired),
     ("frame", frame),
+    ("http_body", http_body),
     ("hub_toml", hub_toml),
     ("model_metadata", model_metadata),
     ("names", names),
@@ -288,4 +300,83 @@ pub fn rollout(data: &[u8]) -> bool {
         );
     }
     true
+}
+
+/// Access rules as a router reads them, and the list of certificates that they are made from.
+pub fn access(data: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(data);
+    let mut router = zenoh::Config::default();
+    let taken = router.insert_json5("access_control", &text);
+    json::<Vec<Entry>>(data) || taken.is_ok()
+}
+
+/// The routes of a node's HTTP API that take a body.
+const CHANGES: [&str; 3] = [
+    "/api/v1/threshold",
+    "/api/v1/cameras/front/threshold",
+    "/api/v1/target",
+];
+
+fn node_api() -> axum::Router {
+    let knob = albireo_core::policy::Knob {
+        name: "u",
+        meaning: "",
+        minimum: 1e-9,
+        maximum: 1.0,
+        default: 3e-4,
+        useful_minimum: 1.5e-4,
+        useful_maximum: 1e-1,
+    };
+    let camera = CameraSetup {
+        name: "front".to_owned(),
+        key: "albireo/node/front/frame".to_owned(),
+        source: None,
+        knob: Some(knob),
+        threshold: None,
+        sizeless: true,
+        longest_pause: None,
+        audited: false,
+    };
+    let setup = BoardSetup {
+        node: "node".to_owned(),
+        cameras: vec![camera],
+        outbox: Outbox::open(&OutboxConfig::default(), None).expect("an outbox in memory"),
+        policy: "albireo",
+        target: TargetSetup {
+            policy: "albireo",
+            knob: Some(knob),
+            ..TargetSetup::default()
+        },
+        detector: DetectorFacts {
+            model: "detector.onnx".to_owned(),
+            requested: Vec::new(),
+        },
+        detector_status: tokio::sync::watch::channel(DetectorStatus::Starting).1,
+    };
+    let view = NodeView {
+        board: Board::new(setup),
+        limits: limits(),
+        config: Default::default(),
+    };
+    router(view, CancellationToken::new())
+}
+
+/// The body of a request: the first byte chooses its route.
+pub fn http_body(data: &[u8]) -> bool {
+    thread_local! {
+        static RUNTIME: Runtime = Builder::new_current_thread().enable_all().build().expect("a runtime");
+        static API: axum::Router = node_api();
+    }
+    let Some((first, body)) = data.split_first() else {
+        return false;
+    };
+    let request = Request::put(CHANGES[usize::from(*first) % CHANGES.len()])
+        .body(Body::from(body.to_vec()))
+        .expect("a request");
+    let answer = API.with(|api| api.clone().call(request));
+    let answer = RUNTIME
+        .with(|runtime| runtime.block_on(answer))
+        .expect("an answer");
+    assert!(!answer.status().is_server_error(), "{answer:?}");
+    answer.status().is_success()
 }
