@@ -98,7 +98,9 @@ impl NodeConfig {
 /// Wants a file that can be read, where one is named.
 fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     let Some(path) = path else { return };
-    let shown = path.display();
+    // In full, for a relative path starts at a folder that the reader may not think of.
+    let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let shown = full.display();
     if path.is_dir() {
         findings.add(key, format!("{shown} is a folder, not a file"));
     } else if let Err(error) = std::fs::File::open(path) {
