@@ -158,8 +158,10 @@ fn associate_without_index(
                 let own = state.filter.bounding_box();
                 let iou = own.intersection_over_union(other.bounding_box);
                 let distance = state.filter.squared_distance(&model(), other.bounding_box);
+                // An overlap is what its cost says: one of 1e-30, which is rounding alone, is none.
+                let cost = 1.0 - iou;
                 let cost = match stage {
-                    0 => (iou >= settings.iou_gate && iou > 0.0).then_some(1.0 - iou),
+                    0 => (1.0 - cost >= settings.iou_gate && cost < 1.0).then_some(cost),
                     _ => (distance < settings.mahalanobis_gate).then_some(distance),
                 };
                 edges.extend(cost.map(|cost| Edge { row, column, cost }));
