@@ -238,6 +238,9 @@ async fn a_predicted_frame_is_never_decoded() {
     config.policy.name = "albireo".to_owned();
     config.policy.u = 1.0;
     let mut bench = Bench::start(&config).await;
+    let board = Arc::clone(&bench.board);
+    let camera = board.camera(CAMERA).unwrap();
+    let is_broken = async || camera.snapshot().dropped.undecodable > 0;
     let mut predicted = 0;
     for (seq, picture) in pictures(40).into_iter().enumerate() {
         // Once a frame was predicted, only headers are sound: what follows is noise no decoder takes.
@@ -247,11 +250,11 @@ async fn a_predicted_frame_is_never_decoded() {
             payload[from..].fill(0xFF);
         }
         bench.send(payload, "image/jpeg", seq as u64).await;
-        // It was dropped: a detector frame's turn came, and its picture was broken.
-        if bench.snapshot().dropped.undecodable > 0 {
-            break;
-        }
-        let message = bench.answer().await;
+        let message = tokio::select! {
+            message = bench.answer() => message,
+            // It was dropped: a detector frame's turn came, and its picture was broken.
+            () = until("the picture is dropped", &is_broken) => break,
+        };
         if message.state == albireo_core::policy::FrameState::P {
             predicted += 1;
             assert_eq!(message.latency_ms.decode, None);
