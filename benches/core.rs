@@ -6,7 +6,7 @@
 use albireo_core::detection::Detection;
 use albireo_core::policy::{
     Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
-    Outcome, Policy, Profile, Trigger, decide_at_once,
+    Outcome, Policy, Profile, Trigger, decide,
 };
 use albireo_scene::{PICTURE, Scene};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -41,7 +41,7 @@ impl<P: Policy> Camera<P> {
             picture: PICTURE,
         };
         let mut known = FrameEvidence::in_view(detections);
-        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
+        let Ok(()) = decide(&mut self.policy, head, &mut known, &mut self.outcome);
     }
 }
 

@@ -7,7 +7,7 @@ use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
     EvidenceAtHand, FrameEvidence, FrameHead, FrameState, GreyPicture, LatePolicy, Need, Outcome,
-    Policy, PolicyConfig, Profile, Settler, decide_at_once,
+    Policy, PolicyConfig, Profile, Settler, decide,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -79,7 +79,7 @@ trait Decider {
 
 impl Decider for Box<dyn Policy> {
     fn frame(&mut self, head: FrameHead, mut known: FrameEvidence<'_>, outcome: &mut Outcome) {
-        let Ok(()) = decide_at_once(&mut **self, head, &mut known, outcome);
+        let Ok(()) = decide(&mut **self, head, &mut known, outcome);
     }
 }
 

@@ -1,7 +1,7 @@
 //! HOTA and IDF1 are what TrackEval computes on the same boxes.
 #![allow(clippy::expect_used)]
 
-use crate::golden_traces::replay::{Screen, decide};
+use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::support::{answer_of, shared};
 use albireo_core::policy::{Outcome, PolicyConfig};
 use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox, TruthBox};
@@ -22,7 +22,7 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
         let found = found.iter().filter(|found| found.confidence >= 0.5);
         let found: Vec<_> = found.map(|found| found.normalise(clip.picture)).collect();
         let (screen, picture) = (Screen::NeverEmpty, clip.picture);
-        decide(
+        decide_frame(
             &mut *policy,
             index as u64,
             screen,

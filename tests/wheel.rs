@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::golden_traces::replay::{Recorded, Screen, decide, reference};
+use crate::golden_traces::replay::{Recorded, Screen, decide_frame, reference};
 use crate::golden_traces::shared_data::sequences;
 use crate::support::{assert_says, project, run_command, text};
 use albireo_core::geometry::PictureSize;
@@ -77,7 +77,7 @@ fn decided(
     let mut numbers = Vec::new();
     for index in 0..frames {
         let found = recorded.get(&index).map_or(&[][..], Vec::as_slice);
-        decide(&mut *policy, index, screen, picture, found, &mut outcome);
+        decide_frame(&mut *policy, index, screen, picture, found, &mut outcome);
         let state = FrameState::ALL
             .iter()
             .position(|state| *state == outcome.state);

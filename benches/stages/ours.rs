@@ -3,9 +3,7 @@
 use super::decode_for;
 use super::samples::{Samples, Stage};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{
-    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide_at_once,
-};
+use albireo_core::policy::{Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide};
 use albireo_node::camera::answer::{AnswerContext, detections_message};
 use albireo_node::input::Frame;
 use albireo_service::config::ZenohConfig;
@@ -132,7 +130,7 @@ impl<'a> OurPath<'a> {
             picture: encoded.size,
         };
         let mut known = FrameEvidence::in_view(&found.detections);
-        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
+        let Ok(()) = decide(&mut self.policy, head, &mut known, &mut self.outcome);
         let policy = start.elapsed();
         if self.outcome.state.is_skipped() {
             bail!("the policy skipped a frame that was to be matched");

@@ -41,6 +41,22 @@ fn mutated(input: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
 }
 
 #[test]
+fn the_corpora_have_the_configurations_as_they_are_shipped() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for name in ["node", "hub"] {
+        let read = |path: String| std::fs::read_to_string(root.join(path)).unwrap();
+        let (copy, shipped) = (
+            format!("corpus/{name}_toml/shipped.toml"),
+            format!("../config/{name}.toml"),
+        );
+        assert!(
+            read(copy.clone()) == read(shipped),
+            "copy config/{name}.toml to fuzz/{copy}"
+        );
+    }
+}
+
+#[test]
 fn every_target_returns_on_its_corpus_on_mutations_of_it_and_on_random_bytes() {
     let failed: Vec<_> = TARGETS
         .into_iter()

@@ -4,7 +4,7 @@ use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
 use albireo_core::policy::{
     Albireo, BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig,
-    Profile, decide_at_once,
+    Profile, decide,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -95,7 +95,7 @@ pub(crate) fn reference(asked: &str) -> Box<dyn Policy> {
 }
 
 /// Decides on one frame of a sequence without gaps.
-pub(crate) fn decide(
+pub(crate) fn decide_frame(
     policy: &mut dyn Policy,
     index: u64,
     screen: Screen,
@@ -117,7 +117,7 @@ pub(crate) fn decide(
         grey: None,
         detections: Some(detections),
     };
-    let Ok(()) = decide_at_once(policy, head, &mut known, outcome);
+    let Ok(()) = decide(policy, head, &mut known, outcome);
 }
 
 /// Replays `recorded` and compares every frame of `golden`. Returns the number of frames compared.
@@ -136,7 +136,7 @@ pub(crate) fn compare(
         let expected: GoldenFrame = serde_json::from_str(line).unwrap();
         let at = format!("{what}, frame {}", expected.frame);
         let detections = recorded.get(&expected.frame).map_or(&[][..], Vec::as_slice);
-        decide(
+        decide_frame(
             &mut *policy,
             expected.frame,
             screen,

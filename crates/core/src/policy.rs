@@ -60,7 +60,7 @@ pub(crate) use baselines::{Ablation, ErdOnly};
 pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
-pub use decide::{EvidenceAtHand, FrameEvidence, decide_at_once};
+pub use decide::{EvidenceAtHand, FrameEvidence, decide};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;

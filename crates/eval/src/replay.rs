@@ -7,7 +7,7 @@ use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     Evidence, EvidenceAtHand, FrameHead, FrameState, MinConfidence, Need, ObjectRecord, Outcome,
-    Policy, decide_at_once,
+    Policy, decide,
 };
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
@@ -214,7 +214,7 @@ fn decide_frame(
 ) -> Result<FrameRecord, SourceError> {
     let mut source = ClipFrame::new(clip, frame);
     let start = Instant::now();
-    decide_at_once(policy, head, &mut source, outcome)?;
+    decide(policy, head, &mut source, outcome)?;
     Ok(FrameRecord {
         state: outcome.state,
         degraded: outcome.degraded,

@@ -20,8 +20,7 @@ use crate::table::short;
 use crate::text::{self, Column, three};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler,
-    decide_at_once,
+    EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler, decide,
 };
 use std::time::Duration;
 
@@ -199,7 +198,7 @@ fn when_known(
         let step = (frame + 1 - next) as u32;
         let head = head(frame, step, source.picture());
         let mut stored = ClipFrame::new(&mut *source, frame);
-        decide_at_once(policy, head, &mut stored, &mut outcome)?;
+        decide(policy, head, &mut stored, &mut outcome)?;
         free = start;
         if stored.detector {
             free += timing.detector.of(published.calls);

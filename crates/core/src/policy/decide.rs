@@ -23,7 +23,7 @@ pub trait EvidenceAtHand {
 /// # Errors
 /// The source's, when the frame is given up. `outcome` is left as it was, and the policy goes on with the next frame
 /// as after a lost one.
-pub fn decide_at_once<S: EvidenceAtHand>(
+pub fn decide<S: EvidenceAtHand>(
     policy: &mut dyn Policy,
     head: FrameHead,
     source: &mut S,
@@ -115,14 +115,14 @@ mod tests {
         let found = [seen(0.5, 0.9)];
         let mut known = FrameEvidence::in_view(&found);
         let mut outcome = Outcome::default();
-        let Ok(()) = decide_at_once(&mut policy, head(0), &mut known, &mut outcome);
+        let Ok(()) = decide(&mut policy, head(0), &mut known, &mut outcome);
         assert_eq!(outcome.state, FrameState::EI);
         let before = outcome.clone();
         policy.reset();
-        let given_up = decide_at_once(&mut policy, head(1), &mut Broken, &mut outcome);
+        let given_up = decide(&mut policy, head(1), &mut Broken, &mut outcome);
         assert_eq!(given_up, Err(Need::Screen));
         assert_eq!(outcome, before);
-        let Ok(()) = decide_at_once(&mut policy, head(2), &mut known, &mut outcome);
+        let Ok(()) = decide(&mut policy, head(2), &mut known, &mut outcome);
         assert_eq!(outcome.state, FrameState::EI);
         assert_eq!(outcome.boxes.len(), 1);
     }

@@ -4,7 +4,7 @@ use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::tests::{Run, seen};
-use crate::policy::{BoxSource, FrameEvidence, decide_at_once};
+use crate::policy::{BoxSource, FrameEvidence, decide};
 
 fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
     Run::with(Box::new(Albireo::new(settings, u).unwrap()))
@@ -307,7 +307,7 @@ fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) 
                 picture: size,
             };
             let mut known = FrameEvidence::in_view(&found);
-            let Ok(()) = decide_at_once(&mut policy, head, &mut known, &mut outcome);
+            let Ok(()) = decide(&mut policy, head, &mut known, &mut outcome);
             let mut numbers = Vec::new();
             policy.objects(&mut |object| numbers.push(object.id.0));
             (outcome.state, numbers)

@@ -1,7 +1,7 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::{BoxSource, FrameEvidence, decide_at_once};
+use crate::policy::{BoxSource, FrameEvidence, decide};
 use proptest::prelude::*;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
@@ -63,7 +63,7 @@ fn frame(policy: &mut ExpectedLoss, world: World<'_>) -> Outcome {
         grey: None,
         detections: world.detections,
     };
-    let Ok(()) = decide_at_once(policy, head, &mut known, &mut outcome);
+    let Ok(()) = decide(policy, head, &mut known, &mut outcome);
     outcome
 }
 

@@ -5,7 +5,7 @@ use crate::policy::config::known_policies;
 use crate::policy::tests::{PICTURE, seen};
 use crate::policy::{
     EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, ObjectRecord, PolicyConfig, Profile,
-    decide_at_once,
+    decide,
 };
 use proptest::prelude::*;
 
@@ -289,7 +289,7 @@ proptest! {
                 let grey = event.grey();
                 let mut expected = Outcome::default();
                 let Ok(()) =
-                    decide_at_once(&mut *waiting, head, &mut event.known(&grey), &mut expected);
+                    decide(&mut *waiting, head, &mut event.known(&grey), &mut expected);
                 camera.frame();
                 let last = match camera.arrivals() {
                     true => camera.settled.last().map(|(_, outcome)| outcome),

@@ -2,7 +2,7 @@ use super::*;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide_at_once,
+    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide,
 };
 use albireo_wire::{Latency, Threshold};
 
@@ -65,7 +65,7 @@ fn played(u: f64, frames: u64) -> (History, f64) {
             step: 1,
             picture: PictureSize::new(1280, 720),
         };
-        let Ok(()) = decide_at_once(&mut policy, head, &mut known, &mut outcome);
+        let Ok(()) = decide(&mut policy, head, &mut known, &mut outcome);
         skipped += u64::from(outcome.state.is_skipped());
         history.add(
             &message(index, &outcome, u),
