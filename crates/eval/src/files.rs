@@ -1,4 +1,4 @@
-//! Reads and writes files; what is wrong with one is told with its path.
+//! Reads and writes files; every error names the path.
 
 use serde::Serialize;
 use std::path::{Path, PathBuf};

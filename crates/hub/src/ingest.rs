@@ -41,7 +41,7 @@ const LARGEST_PAYLOAD: usize = 1 << 20;
 const MOST_BATCHES: usize = 4096;
 const MOST_BYTES: u64 = 32 << 20;
 
-/// Why a batch is not taken when there is no more room.
+/// Why a batch is refused when the queue is full.
 const FULL: &str = "too many batches wait to be written";
 
 /// A batch that waits.

@@ -132,7 +132,7 @@ impl Player {
             .transpose()?;
         let status = Duration::from_secs_f64(self.options.status_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
-        // Everybody's times are spread over the period.
+        // All nodes' times are spread over the period.
         let name = self.node.name.bytes();
         let name = name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
         let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));

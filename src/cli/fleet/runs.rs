@@ -413,7 +413,7 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
         name_of(&entry.what),
         who.unwrap_or_default(),
     );
-    // Why a stage failed is what it is all about: it is not cut.
+    // The reason a stage failed is never cut short.
     let mut text = wrapped(&line, 15);
     if entry.gates.is_empty() {
         return text;

@@ -229,7 +229,7 @@ async fn carry_out(
     Ok(Json(answer).into_response())
 }
 
-/// Brings the outcomes until every node has one, or the time is over.
+/// Yields the outcomes until every node has one or the time is up.
 struct Following {
     tuner: Arc<Tuner>,
     change: Change,

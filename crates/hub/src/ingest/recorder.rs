@@ -15,8 +15,8 @@ use uuid::Uuid;
 /// Interval of looking for what is too old, when nothing was found.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// Number of the lock under which one hub at a time stores reports: two would wait for each other's rows, one for those of
-/// nodes, the other for those of their counts.
+/// Number of the lock that lets one hub at a time store reports. Without it two hubs deadlock: one holds rows of nodes, the
+/// other rows of their counts.
 const ONE_WRITER: i64 = 0x0a1b_14e2;
 
 /// Stores batches in a database.
@@ -79,7 +79,7 @@ impl Recorder {
     ) -> Result<Recorded, StoreError> {
         if retention {
             let more = self.retain(now).unwrap_or_else(|error| {
-                tracing::warn!(%error, "what is too old stays for now");
+                tracing::warn!(%error, "old rows were not deleted; the next try is in a minute");
                 false
             });
             let pause = if more { Duration::ZERO } else { RETENTION };
@@ -93,7 +93,7 @@ impl Recorder {
         recorded
     }
 
-    /// Deletes some of what is too old; whether there is more.
+    /// Deletes some of what is too old, and returns whether there is more.
     fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let is_believed = self.clock.is_believed(now.at, now.unix_ms);
@@ -108,7 +108,7 @@ impl Recorder {
         news: &News,
         now: Now,
     ) -> Result<Recorded, StoreError> {
-        // Lost after an error, with what it had begun.
+        // Dropped after an error, which rolls back what it began.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let identity = match self.identity {
             Some(identity) => identity,

@@ -105,7 +105,7 @@ impl dyn Database + '_ {
         names: &[&str],
         now_ms: i64,
     ) -> Result<Vec<(String, i64)>, StoreError> {
-        // Locks none of those that are there: other hubs lock them in another order.
+        // Existing rows are not locked: other hubs lock them in another order.
         self.add_nodes(names, now_ms, "DO NOTHING")?;
         let mut numbered = Vec::new();
         for name in names {

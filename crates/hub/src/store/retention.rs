@@ -37,7 +37,7 @@ const BY_DAY_SQLITE: [&str; 4] = [
      quality FROM sums_5m WHERE camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1 LIMIT $2) \
      RETURNING 1 AS gone",
 ];
-/// The same of the few rows in PostgreSQL that are in the partition of no day.
+/// The same for PostgreSQL, where only the default partitions hold rows to delete one by one.
 const BY_DAY_POSTGRES: [&str; 4] = [
     "DELETE FROM clips_other WHERE (day, id) IN (SELECT day, id FROM clips_other WHERE day < $1 LIMIT $2) \
      RETURNING 1 AS gone",
@@ -71,7 +71,7 @@ pub(crate) fn retain(
         for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
             database.begin()?;
             database.lock(migrate::LOCK)?;
-            // Who reads for long holds up a partition that goes, and that everything else.
+            // A long read delays the drop of a partition, and a waiting drop blocks everything else.
             database.query("SET LOCAL lock_timeout TO '1s'", &[])?;
             keep_days(database, table, first, today)?;
             database.commit()?;

@@ -138,7 +138,7 @@ impl Default for Basics {
     fn default() -> Self {
         Self {
             select: Selector::default(),
-            // Nodes vary from hour to hour: a week has enough of them.
+            // Nodes vary from hour to hour; a week covers that.
             baseline_s: 7.0 * DAY_S,
             apply_within_s: 120.0,
             fewest_clips: 5,

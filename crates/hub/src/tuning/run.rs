@@ -52,7 +52,7 @@ named! {
 }
 
 impl Phase {
-    /// Whether nothing more happens by itself or by hand, but a return.
+    /// Whether it is over: only a return is still possible.
     const fn has_ended(self) -> bool {
         matches!(self, Self::Done | Self::Returned | Self::Stopped)
     }
@@ -63,7 +63,7 @@ named! {
     pub enum Command {
         /// Its time stops.
         Pause = "pause",
-        /// Time goes on; a stage that is held is soaked again.
+        /// Resumes the clock; a held stage soaks again.
         Resume = "resume",
         /// The next stage now, whatever the gates say.
         Next = "next",
@@ -323,7 +323,7 @@ impl Run {
         now: Millis,
     ) -> Result<Self, PlanError> {
         kind.check()?;
-        // The draw shall depend on the seed and the nodes alone.
+        // The draw depends only on the seed and the nodes.
         candidates.sort_by(|a, b| a.node.cmp(&b.node));
         let drawn = shuffled(candidates.len(), seed);
         let (mut order, far): (Vec<usize>, Vec<usize>) =
@@ -444,7 +444,7 @@ impl Run {
                 return Some(self.windows(now));
             }
             Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, What::Done, now),
-            // One that comes and goes shall not hold the return open for ever.
+            // A node that comes and goes must not keep the return open forever.
             Phase::Returning if all(Member::is_settled) || waited >= self.lasts() => {
                 match self.kind {
                     Kind::Rollout { .. } => self.end(Phase::Returned, What::Returned, now),
@@ -469,7 +469,7 @@ impl Run {
                 _ => open += 1,
             }
         }
-        // One that comes and goes shall not hold the others up.
+        // A node that comes and goes must not delay the others.
         if open > 0 && waited < 2 * self.patience() {
             return;
         }

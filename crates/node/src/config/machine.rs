@@ -98,7 +98,7 @@ impl NodeConfig {
 /// Wants a file that can be read, where one is named.
 fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     let Some(path) = path else { return };
-    // In full, for a relative path starts at a folder that the reader may not think of.
+    // In full: a relative path starts in a folder that the reader may not have in mind.
     let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let shown = full.display();
     if path.is_dir() {

@@ -113,7 +113,7 @@ pub async fn run_with_tokens(
 async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: CancellationToken) {
     // Events are short and should not wait for company.
     let _ = stream.set_nodelay(true);
-    // Has the system end a connection whose other side takes nothing of what is sent.
+    // The system closes a connection whose other side no longer reads.
     let limit_ms = u32::try_from(idle.as_millis()).unwrap_or(u32::MAX);
     if let Err(error) = rustix::net::sockopt::set_tcp_user_timeout(&stream, limit_ms) {
         tracing::debug!(%error, "an HTTP connection has no write limit");

@@ -121,7 +121,7 @@ impl Reader {
             }
             let found = tokio::select! {
                 () = self.shutdown.cancelled() => return None,
-                // Of a detector that does not return the last status remains.
+                // A detector that does not return keeps its last status.
                 Ok(()) = self.detector.changed() => self.detector(),
                 received = self.events.recv() => match received {
                     Ok(happened) => self.select(&happened),

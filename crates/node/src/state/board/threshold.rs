@@ -24,7 +24,7 @@ pub enum ThresholdError {
 /// One camera's kept threshold.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
-    /// Whose value: a value of `u` is no value of `lambda`.
+    /// The threshold's name: a value of `u` is not a value of `lambda`.
     knob: String,
     /// The value.
     value: f64,

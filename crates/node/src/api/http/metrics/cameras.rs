@@ -67,7 +67,7 @@ const COUNTERS: [CameraCounter; 8] = [
     ),
 ];
 
-/// What became of the frames, and how long it took.
+/// The frames by state, and their latency.
 fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     page.counters(
         "albireo_frames_total",
