@@ -35,6 +35,7 @@ use albireo_service::clock::milliseconds;
 use albireo_wire::{DetectionsMessage, Latency, Threshold};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -209,9 +210,7 @@ impl Camera {
             ..Times::default()
         };
         if need == Need::Nothing {
-            let message = self.answer(&frame, outcome, &times, Answer::Final);
-            let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
-            return self.count(&record, &frame, outcome, Answer::Final);
+            return self.conclude(&frame, outcome, times, None);
         }
         let mut first_answer = None;
         if self.decider.answers_at_once() {
@@ -237,17 +236,28 @@ impl Camera {
         if let Some(fault) = fault {
             return self.parts.drops.count(kind_of(&fault), 1, &fault);
         }
+        self.conclude(&frame, outcome, times, first_answer);
+    }
+
+    /// Publishes and counts the final answer of a frame, whose first one may have been published.
+    fn conclude(
+        &mut self,
+        frame: &BegunFrame,
+        outcome: &mut Outcome,
+        times: Times,
+        first_answer: Option<Duration>,
+    ) {
         let answer = match first_answer {
             Some(_) => Answer::Late,
             None => Answer::Final,
         };
-        let message = self.answer(&frame, outcome, &times, answer);
+        let message = self.answer(frame, outcome, &times, answer);
         let received = frame.incoming.frame.received;
         let record = FrameRecord {
             times,
             ..FrameRecord::new(message, first_answer.unwrap_or_else(|| received.elapsed()))
         };
-        self.count(&record, &frame, outcome, answer);
+        self.count(&record, frame, outcome, answer);
     }
 
     /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
