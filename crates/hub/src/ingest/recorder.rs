@@ -15,10 +15,6 @@ use uuid::Uuid;
 /// Interval of looking for what is too old, when nothing was found.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// Number of the lock that lets one hub at a time store reports. Without it two hubs deadlock: one holds rows of nodes, the
-/// other rows of their counts.
-const ONE_WRITER: i64 = 0x0a1b_14e2;
-
 /// Stores batches in a database.
 pub struct Recorder {
     store: Store,
@@ -115,7 +111,6 @@ impl Recorder {
             None => database.identity()?,
         };
         database.begin()?;
-        database.lock(ONE_WRITER)?;
         let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
         let mut events = news.write(&mut *database, now.unix_ms)?;
         let mut committed = write(&mut *database, numbers, limits, batches, now.unix_ms)?;

@@ -16,7 +16,7 @@ pub(crate) trait Database: Send {
     /// Whether it may be used again: a server that started anew has closed it.
     fn is_open(&mut self) -> bool;
 
-    /// Begins a transaction.
+    /// Begins a transaction that writes. One at a time does, whichever hub's it is: two would wait for each other's rows.
     fn begin(&mut self) -> Result<(), StoreError>;
 
     /// Commits; what was written then survives a power loss.
@@ -31,6 +31,12 @@ pub(crate) trait Database: Send {
 
     /// Runs several statements without parameters.
     fn script(&mut self, text: &'static str) -> Result<(), StoreError>;
+
+    /// The one whole number that a statement gives, if it gives any.
+    fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
+        let rows = self.query(text, values)?;
+        Ok((rows.first()).and_then(|row| row.values().next()?.as_i64()))
+    }
 }
 
 /// The key of a report: nothing of it is stored twice.
@@ -58,20 +64,6 @@ impl dyn Database + '_ {
     pub(crate) fn identity(&mut self) -> Result<Uuid, StoreError> {
         let identity = migrate::meta(self)?.identity;
         identity.ok_or_else(|| StoreError::Statement("the database has no id".to_owned()))
-    }
-
-    /// Keeps other hubs out until the commit, where several may write: those that take the same lock wait.
-    pub(crate) fn lock(&mut self, number: i64) -> Result<(), StoreError> {
-        match self.kind() {
-            // There is one writer.
-            Kind::Sqlite => Ok(()),
-            Kind::Postgres => self
-                .query(
-                    "SELECT count(*) FROM pg_advisory_xact_lock($1)",
-                    &[number.into()],
-                )
-                .map(drop),
-        }
     }
 
     /// Inserts rows into a table, in order. `rest` ends the statement: an `ON CONFLICT` clause, a `RETURNING` clause, both, or
@@ -105,12 +97,10 @@ impl dyn Database + '_ {
         names: &[&str],
         now_ms: i64,
     ) -> Result<Vec<(String, i64)>, StoreError> {
-        // Existing rows are not locked: other hubs lock them in another order.
         self.add_nodes(names, now_ms, "DO NOTHING")?;
         let mut numbered = Vec::new();
         for name in names {
-            let rows = self.query("SELECT id FROM nodes WHERE name = $1", &[(*name).into()])?;
-            let id = rows.first().and_then(|row| row.get("id")?.as_i64());
+            let id = self.number("SELECT id FROM nodes WHERE name = $1", &[(*name).into()])?;
             numbered.extend(id.map(|id| ((*name).to_owned(), id)));
         }
         Ok(numbered)
@@ -195,7 +185,7 @@ impl dyn Database + '_ {
         Ok(new.into_iter().map(|one| one.id).collect())
     }
 
-    /// What is known of the reports of these nodes; no other hub changes it until the commit.
+    /// What is known of the reports of these nodes.
     pub(crate) fn report_counts(
         &mut self,
         nodes: &[i64],
@@ -203,7 +193,7 @@ impl dyn Database + '_ {
     ) -> Result<HashMap<i64, ReportCountsRow>, StoreError> {
         let new = |node: &i64| json!({ "node_id": node, "first_ms": now_ms, "last_ms": now_ms });
         let new: Vec<Value> = nodes.iter().map(new).collect();
-        // Changes nothing, and locks the row.
+        // Changes nothing, and returns the row.
         let conflict = "ON CONFLICT (node_id) DO UPDATE SET node_id = excluded.node_id RETURNING *";
         let known: Vec<ReportCountsRow> =
             read_all(self.insert("report_counts", &new, conflict)?)?;
@@ -236,7 +226,7 @@ impl dyn Database + '_ {
             since_ms: i64,
         }
         let names: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
-        // Changes nothing, and locks the row.
+        // Changes nothing, and returns the row.
         let same = "DO UPDATE SET name = excluded.name RETURNING name, state, since_ms";
         let before: Vec<Before> = read_all(self.add_nodes(&names, now_ms, same)?)?;
         let mut before: HashMap<String, Before> = before
@@ -266,7 +256,7 @@ impl dyn Database + '_ {
         Ok(changed.collect())
     }
 
-    /// Adds sums to those of `table`. The rows come in the order of their keys, so that two hubs do not wait for each other.
+    /// Adds sums to those of `table`.
     pub(crate) fn add_sums(&mut self, table: &str, rows: &[SumRow]) -> Result<(), StoreError> {
         let added: Vec<String> = SumRow::summed()
             .map(|name| {
@@ -284,12 +274,6 @@ impl dyn Database + '_ {
     /// Writes events and gives them their numbers, in order. The numbers grow in the order of commits, so that who reads
     /// after a number misses none.
     pub(crate) fn events(&mut self, events: &[EventRow]) -> Result<(), StoreError> {
-        if events.is_empty() {
-            return Ok(());
-        }
-        /// Number of the lock.
-        const LOCK: i64 = 0x0a1b_14e1;
-        self.lock(LOCK)?;
         self.insert("events", events, "").map(drop)
     }
 }

@@ -13,9 +13,6 @@ const BEFORE: i64 = 8;
 /// The program's name in the table `hub_meta` of a hub's database.
 pub(super) const MARK: &str = "albireo-hub";
 
-/// Number of the lock that hubs on one PostgreSQL take while they create the tables.
-pub(super) const LOCK: i64 = 0x0a1b_14e0;
-
 /// What a hub's database says of itself.
 #[derive(Deserialize)]
 pub(super) struct Meta {
@@ -37,7 +34,6 @@ pub(super) fn meta(database: &mut dyn Database) -> Result<Meta, StoreError> {
 
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
-    database.lock(LOCK)?;
     let found = version(database)?;
     if found > VERSION {
         return Err(StoreError::Refused(format!(

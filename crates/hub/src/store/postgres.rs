@@ -78,7 +78,8 @@ impl Database for PostgresServer {
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {
-        self.script("BEGIN")
+        // The number is this program's own.
+        self.script("BEGIN; SELECT pg_advisory_xact_lock(169546976)")
     }
 
     fn commit(&mut self) -> Result<(), StoreError> {

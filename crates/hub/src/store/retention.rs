@@ -2,7 +2,7 @@
 //! waits long for it.
 
 use super::row::Row;
-use super::{Database, Kind, StoreError, migrate};
+use super::{Database, Kind, StoreError};
 use crate::config::HistoryConfig;
 use albireo_wire::IDENTITY_DAYS;
 
@@ -70,7 +70,6 @@ pub(crate) fn retain(
         // while it holds another.
         for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
             database.begin()?;
-            database.lock(migrate::LOCK)?;
             // A long read delays the drop of a partition, and a waiting drop blocks everything else.
             database.query("SET LOCAL lock_timeout TO '1s'", &[])?;
             keep_days(database, table, first, today)?;

@@ -1,6 +1,6 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
-use super::migrate::{LOCK, MARK, VERSION, meta};
+use super::migrate::{MARK, VERSION, meta};
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
@@ -86,13 +86,6 @@ fn refused(from: &str, what: &str) -> StoreError {
     ))
 }
 
-/// A number that a query gives.
-fn number(database: &mut dyn Database, text: &str) -> Result<i64, StoreError> {
-    let rows = database.query(text, &[])?;
-    let number = rows.first().and_then(|row| row.get("number")?.as_i64());
-    Ok(number.unwrap_or(0))
-}
-
 fn copy(
     mut source: Sqlite,
     target: &mut dyn Database,
@@ -101,12 +94,11 @@ fn copy(
     progress: &dyn Fn(Progress),
 ) -> Result<u64, StoreError> {
     target.begin()?;
-    target.lock(LOCK)?;
     let mut of = 0;
     for table in TABLES {
-        let count = format!("SELECT count(*) AS number FROM {table}");
-        of += number(&mut source, &count)?.unsigned_abs();
-        if table != "counters" && number(target, &count)? > 0 {
+        let count = format!("SELECT count(*) FROM {table}");
+        of += source.number(&count, &[])?.unwrap_or(0).unsigned_abs();
+        if table != "counters" && target.number(&count, &[])? > Some(0) {
             return Err(StoreError::Refused(format!(
                 "{shown} already holds a hub's history (its table {table} has rows); nothing was changed: move to an \
                  empty database"
@@ -137,9 +129,8 @@ fn copy(
         })?;
         send(&mut batch)?;
         // Ids that were given once are not given again, those of removed rows included.
-        let last = format!("SELECT seq AS number FROM sqlite_sequence WHERE name = '{table}'");
-        let last = number(&mut source, &last)?;
-        if last > 0 {
+        let last = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
+        if let Some(last) = source.number(&last, &[])?.filter(|last| *last > 0) {
             let values: [Value; 2] = [table.into(), last.into()];
             target.query(
                 "SELECT setval(pg_get_serial_sequence($1, 'id'), $2)",

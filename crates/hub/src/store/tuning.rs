@@ -55,7 +55,6 @@ pub struct ChangeNode {
 /// A rollout or trial as it is kept.
 #[derive(Deserialize)]
 struct RunRow {
-    kind: String,
     id: i64,
     who: String,
     begun_ms: i64,
@@ -93,9 +92,8 @@ impl dyn Database + '_ {
         )
     }
 
-    fn next(&mut self, counter: &str, with: Value) -> Result<i64, StoreError> {
-        let rows = self.query(counter, &[with])?;
-        let value = rows.first().and_then(|row| row.get("value")?.as_i64());
+    fn next(&mut self, statement: &str, with: Value) -> Result<i64, StoreError> {
+        let value = self.number(statement, &[with])?;
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
@@ -224,12 +222,17 @@ impl dyn Database + '_ {
         free_ms: i64,
         until_ms: i64,
     ) -> Result<Vec<(String, i64)>, StoreError> {
+        #[derive(Deserialize)]
+        struct Claimed {
+            kind: String,
+            id: i64,
+        }
         let rows = self.query(
             "UPDATE runs SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
-             AND (driver = $1 OR driven_until_ms < $3) RETURNING *",
+             AND (driver = $1 OR driven_until_ms < $3) RETURNING kind, id",
             &[driver.into(), until_ms.into(), free_ms.into()],
         )?;
-        let runs: Vec<RunRow> = read_all(rows)?;
+        let runs: Vec<Claimed> = read_all(rows)?;
         Ok(runs.into_iter().map(|run| (run.kind, run.id)).collect())
     }
 }

@@ -288,7 +288,7 @@ pub(crate) fn shuffled(count: usize, seed: u64) -> Vec<usize> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -304,7 +304,11 @@ mod tests {
         Threshold::new("u", value)
     }
 
-    fn observed(reachable: bool, revision: u64, knob: Threshold) -> Observation {
+    pub(in super::super) fn observed(
+        reachable: bool,
+        revision: u64,
+        knob: Threshold,
+    ) -> Observation {
         Observation {
             reachable,
             revision,

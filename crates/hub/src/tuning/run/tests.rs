@@ -1,6 +1,7 @@
 mod fleets;
 mod trials;
 
+use super::super::member::tests::observed;
 use super::super::metric::{Figures, Mean};
 use super::super::plan::StageSize;
 use super::*;
@@ -42,14 +43,7 @@ impl World {
     fn new(count: usize) -> Self {
         let node = |i: usize| {
             let node = SimNode {
-                seen: Observation {
-                    reachable: true,
-                    revision: 0,
-                    knob: Some(old()),
-                    target: None,
-                    cannot_hold: None,
-                    refused: None,
-                },
+                seen: observed(true, 0, old()),
                 desired: None,
                 refuses: false,
                 dies: false,
@@ -477,16 +471,7 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
     let order = rollout.due().remove(0);
     rollout.asked(&order, 7, world.now);
     rollout.command(Command::Pause, "ops", world.now).unwrap();
-    let silent = |_: &str| {
-        Some(Observation {
-            reachable: true,
-            revision: 0,
-            knob: Some(old()),
-            target: None,
-            cannot_hold: None,
-            refused: None,
-        })
-    };
+    let silent = |_: &str| Some(observed(true, 0, old()));
     let hours = 3 * 3_600_000;
     rollout.observe(world.now + hours, silent);
     rollout

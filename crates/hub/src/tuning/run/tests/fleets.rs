@@ -5,6 +5,7 @@
 
 use super::super::super::metric::{Figures, Mean};
 use super::super::*;
+use super::observed;
 use super::{new, old};
 
 const HOUR: Millis = 3_600_000;
@@ -136,14 +137,8 @@ impl Fleet {
         }
         rollout.observe(self.now, |node| {
             let number = Self::number(node);
-            Some(Observation {
-                reachable: !self.is_parked(number, self.now),
-                revision: 1,
-                knob: Some(self.has[number as usize].0),
-                target: None,
-                cannot_hold: None,
-                refused: None,
-            })
+            let reachable = !self.is_parked(number, self.now);
+            Some(observed(reachable, 1, self.has[number as usize].0))
         });
         if let Some(windows) = rollout.tick(self.now) {
             rollout.measured(&self.measure(&windows), self.now);

@@ -2,6 +2,7 @@
 
 use super::super::super::metric::Mean;
 use super::super::*;
+use super::observed;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -41,14 +42,8 @@ fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
         trial.asked(&order, *revision, now);
     }
     trial.observe(now, |node| {
-        have.get(node).map(|(revision, knob)| Observation {
-            reachable: true,
-            revision: *revision,
-            knob: Some(*knob),
-            target: None,
-            cannot_hold: None,
-            refused: None,
-        })
+        let (revision, knob) = have.get(node)?;
+        Some(observed(true, *revision, *knob))
     });
 }
 
