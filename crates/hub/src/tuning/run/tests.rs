@@ -2,7 +2,7 @@ mod fleets;
 mod trials;
 
 use super::super::member::tests::observed;
-use super::super::metric::{Figures, Mean};
+use super::super::metric::{Figure, Figures, Mean};
 use super::super::plan::StageSize;
 use super::*;
 use proptest::prelude::*;

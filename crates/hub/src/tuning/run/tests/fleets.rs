@@ -3,7 +3,7 @@
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
 //! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
 
-use super::super::super::metric::{Figures, Mean};
+use super::super::super::metric::{Figure, Figures, Mean};
 use super::super::*;
 use super::observed;
 use super::{new, old};

@@ -1,6 +1,6 @@
 //! Trials: the draw, the result, and the way back.
 
-use super::super::super::metric::Mean;
+use super::super::super::metric::{Figure, Mean};
 use super::super::*;
 use super::observed;
 use proptest::prelude::*;

@@ -1,0 +1,190 @@
+//! Judges what was measured: a rollout's stage by its gates, a trial's groups beside the first.
+
+use super::super::effect::{Comparison, Interval, Silence};
+use super::super::gate::{ErrorRates, GateResult, Verdict, judge, overall};
+use super::super::member::{Member, Millis};
+use super::super::metric::{BeforeAfter, Figure};
+use super::super::plan::{RolloutPlan, TrialPlan};
+use super::{LOOKS, Measured, Run};
+use albireo_wire::Threshold;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// A figure of one group of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmFigure {
+    /// What.
+    pub figure: Figure,
+    /// Nodes that have it, with enough clips before and during the trial.
+    pub nodes: usize,
+    /// Their clips during the trial.
+    pub clips: u64,
+    /// Mean over these nodes before.
+    pub before: f64,
+    /// Mean over these nodes during the trial.
+    pub mean: f64,
+    /// The group's change beyond that of the first group: a share for energy, EDP and latency, else in the figure's unit. Absent
+    /// in the first group, and with fewer than eight nodes in either.
+    pub difference: Option<Interval>,
+}
+
+/// What one value came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmResult {
+    /// The value.
+    pub value: Threshold,
+    /// Nodes of the group.
+    pub nodes: usize,
+    /// Of them, those that reported the value.
+    pub applied: usize,
+    /// Of those, how many made clips before the trial and none during it.
+    pub silent: usize,
+    /// Its figures.
+    pub figures: Vec<ArmFigure>,
+}
+
+/// What a trial measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TrialResult {
+    /// From when on clips counted.
+    pub from_ms: Millis,
+    /// Until when.
+    pub until_ms: Millis,
+    /// Probability that all intervals hold the truth together.
+    pub confidence: f64,
+    /// Each value, in the plan's order.
+    pub values: Vec<ArmResult>,
+}
+
+impl Run {
+    /// The verdict on the stage, in words, and each gate with its numbers.
+    pub(super) fn judge(
+        &self,
+        plan: &RolloutPlan,
+        found: &Measured,
+    ) -> (Verdict, String, Vec<GateResult>) {
+        let rates = self.error_rates(plan);
+        let changed = self.side(found, |m| self.is_in_stage(m) && m.applied_ms().is_some());
+        let unchanged = self.side(found, |m| self.is_later(m));
+        let fewest = plan.basics.fewest_clips;
+        let results = judge(
+            &plan.gates,
+            &clips(&changed),
+            &clips(&unchanged),
+            fewest,
+            rates,
+        );
+        let (changed, unchanged) = (silence(&changed), silence(&unchanged));
+        let lost = changed.by_chance(unchanged) < rates.fail;
+        // Where too few nodes can be measured, a stage passes when its nodes took the value and are alive.
+        let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
+        let verdict = match overall(&results) {
+            _ if lost => Verdict::Failed,
+            Verdict::Passed | Verdict::NotMeasured if !alive => Verdict::Undecided,
+            verdict => verdict,
+        };
+        let silent = format!(
+            "{} of {} nodes fell silent, {} of {} of the others",
+            changed.silent, changed.nodes, unchanged.silent, unchanged.nodes
+        );
+        let text = match verdict {
+            Verdict::Passed => "all gates passed".to_owned(),
+            Verdict::NotMeasured => format!("took the value and are alive; {silent}"),
+            _ if lost || !alive => format!("{verdict}: {silent}"),
+            _ => format!("{verdict}: {}", named(&results, verdict)),
+        };
+        (verdict, text, results)
+    }
+
+    /// The members of one side of a comparison, with their clips.
+    fn side<'a>(&'a self, found: &'a Measured, is: impl Fn(&Member) -> bool) -> Vec<Side<'a>> {
+        let members = self.members.iter().filter(|member| is(member));
+        members
+            .filter_map(|member| Some((member, found.get(&member.node)?)))
+            .collect()
+    }
+
+    /// The groups of a trial beside the first.
+    pub(super) fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
+        let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
+        let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
+        let nodes = |arm: usize| -> Vec<&BeforeAfter> {
+            clips(&self.side(found, |m| m.group == arm && m.applied_ms().is_some()))
+        };
+        let first = nodes(0);
+        let arm = |(arm, value): (usize, &Threshold)| {
+            let own = nodes(arm);
+            let figure = |figure: Figure| {
+                let fewest = plan.basics.fewest_clips;
+                let found = Comparison::of(figure, figure.scale(), &own, &first, fewest);
+                let clips = own.iter().filter_map(|node| node.after.get(&figure));
+                let (before, mean) = found.means?;
+                Some(ArmFigure {
+                    figure,
+                    nodes: found.nodes,
+                    clips: clips.map(|mean| mean.clips).sum(),
+                    before,
+                    mean,
+                    difference: (found.effect.filter(|_| arm > 0))
+                        .map(|effect| effect.interval(miss)),
+                })
+            };
+            ArmResult {
+                value: *value,
+                nodes: self.members.iter().filter(|m| m.group == arm).count(),
+                applied: own.len(),
+                silent: own.iter().filter(|clips| clips.fell_silent()).count(),
+                figures: Figure::ALL.into_iter().filter_map(figure).collect(),
+            }
+        };
+        TrialResult {
+            from_ms: self.measured_from(now),
+            until_ms: now,
+            confidence: plan.basics.confidence,
+            values: plan.values.iter().enumerate().map(arm).collect(),
+        }
+    }
+
+    /// The error of one look at one figure. What the plan allows for a failure without cause is shared by all stages,
+    /// gates and looks; each resumption has half of what the soak before it had. For a pass it is shared by the looks
+    /// that can pass: every stage has to pass every gate, so there nothing adds up.
+    pub(super) fn error_rates(&self, plan: &RolloutPlan) -> ErrorRates {
+        let error = (1.0 - plan.basics.confidence) * 0.5_f64.powi(i32::from(self.soaks));
+        let figures: usize = (plan.gates.iter())
+            .map(|gate| gate.metric.figures().count())
+            .sum();
+        // One more for nodes that fall silent.
+        let tests = (self.stages() * (figures + 1)) as f64 * f64::from(LOOKS);
+        ErrorRates {
+            fail: error / tests,
+            pass: error / f64::from(LOOKS - 1),
+        }
+    }
+}
+
+type Side<'a> = (&'a Member, &'a BeforeAfter);
+
+fn clips<'a>(side: &[Side<'a>]) -> Vec<&'a BeforeAfter> {
+    side.iter().map(|(_, clips)| *clips).collect()
+}
+
+/// How many of these nodes, as far as they were in reach when the stage began, are out of reach now, or made clips before and
+/// none since.
+fn silence(side: &[Side<'_>]) -> Silence {
+    let mut silence = Silence::default();
+    for (member, clips) in side.iter().filter(|(member, _)| member.was_reachable) {
+        silence.nodes += 1;
+        silence.silent += u64::from(!member.reachable || clips.fell_silent());
+    }
+    silence
+}
+
+fn named(results: &[GateResult], verdict: Verdict) -> String {
+    let names: Vec<String> = (results.iter().filter(|r| r.verdict == verdict))
+        .map(|r| match r.figure {
+            Some(figure) => format!("{} ({figure})", r.gate),
+            None => format!("{} (not measured)", r.gate),
+        })
+        .collect();
+    names.join(", ")
+}
