@@ -22,6 +22,6 @@ pub(crate) use components::{ComponentSolver, Edge};
 pub use life_cycle::{LifeCycle, Missed};
 use matching::Matcher;
 pub use matching::{Association, GateOrder};
-pub(crate) use pairing::Pairing;
+pub(crate) use pairing::{Pairing, by_overlap, overlaps};
 pub(crate) use screening::is_usable;
 pub use state::ObjectState;

@@ -1,6 +1,7 @@
 //! Which detection belongs to which object: first by overlap, then by statistical distance.
 
-use super::{AssignmentSolver, ObjectState, Pairing};
+use super::pairing::{Pairing, by_overlap, overlaps};
+use super::{AssignmentSolver, ObjectState};
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 use crate::kalman::FilterModel;
@@ -58,15 +59,14 @@ impl Matcher {
         usable: impl Iterator<Item = bool>,
     ) -> &[Option<u32>] {
         self.pairing.begin(states.len(), detections, usable);
-        let by_overlap = |row: usize| {
+        let of = |row: usize| {
             let state = &states[row];
             let own = state.filter.bounding_box().corners();
-            let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
-            let area = own.core(settings.iou_gate);
-            (state.since_update <= settings.iou_frames).then_some((area, cost))
+            let is_recent = state.since_update <= settings.iou_frames;
+            is_recent.then(|| by_overlap(own, settings.iou_gate))
         };
-        let within = |cost: f64| 1.0 - cost >= settings.iou_gate && cost < 1.0;
-        self.stage(settings.gate, detections, by_overlap, within, |cost| cost);
+        let within = |cost: f64| overlaps(cost, settings.iou_gate);
+        self.stage(settings.gate, detections, of, within, |cost| cost);
         let by_distance = |row: usize| {
             let gauge = states[row].filter.gauge(model);
             let cost = move |other: BoundingBox| gauge.squared_distance(other);

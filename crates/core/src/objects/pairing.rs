@@ -5,6 +5,18 @@ use super::sweep::Sweep;
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 
+/// What [`Pairing::stage`] needs of an object to pair by overlap: the area that every box overlaps whose intersection over
+/// union with `own` is `gate` or more, and the cost of a box, 1 − intersection over union.
+pub(crate) fn by_overlap(own: Corners, gate: f64) -> (Corners, impl Fn(BoundingBox) -> f64) {
+    let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
+    (own.core(gate), cost)
+}
+
+/// Whether a box of that cost overlaps enough. One that only touches does not, whatever the gate.
+pub(crate) fn overlaps(cost: f64, gate: f64) -> bool {
+    1.0 - cost >= gate && cost < 1.0
+}
+
 /// The pairs of a frame, with buffers that are kept from call to call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pairing {

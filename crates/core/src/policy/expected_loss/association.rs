@@ -6,7 +6,7 @@ use super::object::{Object, measure};
 use super::settings::{IOU_GATE, MAHALANOBIS_GATE};
 use crate::detection::Detection;
 use crate::geometry::BoundingBox;
-use crate::objects::Pairing;
+use crate::objects::{Pairing, by_overlap, overlaps};
 
 /// Matches `objects`, predicted to this frame, with the `detections` that are `usable`.
 pub(super) fn associate(
@@ -17,13 +17,11 @@ pub(super) fn associate(
     aspect: f64,
 ) {
     pairing.begin(objects.len(), detections, usable);
-    // Stage 1: cost 1 − IoU.
-    let by_overlap = |row: usize| {
+    let of = |row: usize| {
         let own = objects[row].filter_box(aspect).corners();
-        let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
-        Some((own.core(IOU_GATE), cost))
+        Some(by_overlap(own, IOU_GATE))
     };
-    pairing.stage(detections, by_overlap, |cost| 1.0 - cost >= IOU_GATE);
+    pairing.stage(detections, of, |cost| overlaps(cost, IOU_GATE));
     // Stage 2: the cost is the squared distance `Σ y²/S` with `S = max(1, α)·(p00 + R)`.
     let by_distance = |row: usize| {
         let object = &objects[row];
