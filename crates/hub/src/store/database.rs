@@ -13,7 +13,7 @@ use uuid::Uuid;
 pub(crate) trait Database: Send {
     fn kind(&self) -> Kind;
 
-    /// Whether it may be used again: a server that started anew has closed it.
+    /// Whether it may be used again: a server that restarted has closed it.
     fn is_open(&mut self) -> bool;
 
     /// Begins a transaction that writes. One at a time does, whichever hub's it is: two would wait for each other's rows.
