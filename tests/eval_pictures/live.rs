@@ -43,7 +43,8 @@ impl Node {
         let screen = CameraScreen::new(&self.screen, self.model.clone());
         let preparation = self.detector.preparation().clone();
         let pixels = PixelWork::new(preparation, FrameLimits::default(), 1);
-        LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels)
+        let never = tokio_util::sync::CancellationToken::new();
+        LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels, never)
     }
 
     /// Detections of the evaluated classes, under their numbers.

@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 /// Energy of the whole node between two instants.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Energy {
     /// The source's name: `rapl`, `estimate`, …
     pub source: String,
@@ -38,11 +38,7 @@ impl Energy {
     pub fn unavailable(source: &str) -> Self {
         Self {
             source: source.to_owned(),
-            quality: EnergyQuality::Unavailable,
-            total_from: String::new(),
-            samples: 0,
-            coverage: 0.0,
-            domains: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -54,7 +50,7 @@ impl Energy {
 }
 
 /// What was used between two instants.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
     /// The whole node's energy.
     pub node: Energy,

@@ -71,7 +71,7 @@ impl Measurement {
 
     /// What was used up to `end`. Waits for the first sample after it, at most two intervals and not longer than
     /// `patience`; not at all without a meter.
-    pub async fn finish(self, end: Instant, patience: Duration) -> Option<Measured> {
+    pub async fn finish(&self, end: Instant, patience: Duration) -> Option<Measured> {
         let power = &self.camera.0.power;
         power.sampled(end, patience).await;
         let mut account = power.account();

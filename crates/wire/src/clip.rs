@@ -21,7 +21,9 @@ pub struct Percentiles {
 }
 
 /// How far an energy figure can be trusted; the order is from most to least.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum EnergyQuality {
     /// Read from a meter over the whole clip.
@@ -31,6 +33,7 @@ pub enum EnergyQuality {
     /// Computed from utilisation; no meter was read.
     Estimated,
     /// No figure at all, or of a quality that a later version knows.
+    #[default]
     #[serde(other)]
     Unavailable,
 }
@@ -58,7 +61,7 @@ pub struct DomainEnergy {
 /// Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
 /// extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
 /// compare such joules with others or divide them by the clip's duration. `edp` is then absent.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipEnergy {
     /// Joules of this clip, its share by the time the detector ran for its camera; absent when
     /// [`EnergyQuality::Unavailable`].
@@ -105,7 +108,7 @@ impl ClipEnergy {
 }
 
 /// Why a clip ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipEnd {
     /// The camera began another clip.
@@ -119,12 +122,13 @@ pub enum ClipEnd {
     /// It lasted longer than one report covers (`clip.longest_s`): its next part follows.
     Length,
     /// For another reason, which a later version knows.
+    #[default]
     #[serde(other)]
     Other,
 }
 
 /// The report of one clip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipReport {
     /// Version.
     pub v: u32,

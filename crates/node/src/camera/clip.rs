@@ -1,16 +1,35 @@
 //! What is counted of a clip: when it begins and ends, its counters, energy and energy-delay product.
-//!
-//! [`ClipTracker`] takes a camera's frames and gives back every [`ClosedClip`]; with the energy of its span and
-//! what is known of the node ([`ClipMeta`]) that becomes the report on the wire.
 
-mod config;
 mod latencies;
 mod report;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tracker;
 
-pub use config::ClipConfig;
-pub(crate) use report::{ClipMeta, ClosedClip, MeasuredClip};
-pub use report::{energy_delay_product, energy_of};
-pub(crate) use tracker::{ClipTracker, FrameArrival};
+pub(crate) use report::Clip;
+pub use report::energy_of;
+pub(crate) use tracker::ClipTracker;
+
+use serde::{Deserialize, Serialize};
+
+/// When a clip ends, where the camera does not say: the `[clip]` section of the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ClipConfig {
+    /// Seconds of one clip of a camera that names none (BDD100K clips have 40).
+    pub window_s: f64,
+    /// Most seconds of one report: a clip that lasts longer is reported in parts, so that a power cut costs at most one.
+    pub longest_s: f64,
+    /// Seconds without a frame after which the open clip ends.
+    pub silence_s: f64,
+}
+
+impl Default for ClipConfig {
+    fn default() -> Self {
+        Self {
+            window_s: 40.0,
+            longest_s: 300.0,
+            silence_s: 5.0,
+        }
+    }
+}

@@ -1,4 +1,4 @@
-//! When a camera's frames are answered: `node.answer`, `camera.answer` and the `[settle]` section.
+//! When a camera's frames are answered, and what is published: `node.answer`, `camera.answer`, `[settle]` and `[report]`.
 
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -38,4 +38,13 @@ impl Default for SettleConfig {
             longest_ms: 2000,
         }
     }
+}
+
+/// The `[report]` section of the configuration.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReportConfig {
+    /// Least confidence of a published box, 0 to 1. By default that of the detector for detected boxes, and half of it for
+    /// the others.
+    pub confidence: Option<f64>,
 }

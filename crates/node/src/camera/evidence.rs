@@ -63,32 +63,27 @@ pub struct LiveEvidence {
 }
 
 impl LiveEvidence {
-    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`.
+    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`. Once `give_up` is
+    /// cancelled no answer is waited for: the node stops, and a frame must not keep it.
     pub fn new(
         detector: DetectorHandle,
         screen: CameraScreen,
         slot: CameraSlot,
         pixels: PixelWork,
+        give_up: CancellationToken,
     ) -> Self {
         Self {
             pixels,
             detector,
             screen,
             slot,
+            give_up,
             frame: PreparedFrame::default(),
             empty: None,
             detected: None,
             times: Times::default(),
             place: Duration::ZERO,
-            give_up: CancellationToken::new(),
         }
-    }
-
-    /// Once `give_up` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
-    #[must_use]
-    pub(crate) fn giving_up_on(mut self, give_up: CancellationToken) -> Self {
-        self.give_up = give_up;
-        self
     }
 
     /// Forgets the last frame's times, and its picture if that has not been done.

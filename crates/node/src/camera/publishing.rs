@@ -5,6 +5,7 @@
 //! priority has a queue and a lock in Zenoh: a report that waits for a slow subscriber never delays a detection.
 
 use albireo_service::metrics::Counter;
+use serde::Serialize;
 use tokio::task::block_in_place;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
@@ -36,11 +37,14 @@ impl Outlet {
     }
 
     /// Puts a message. Where nothing may be lost, it waits for room, and the worker's other tasks go elsewhere.
-    pub(crate) fn put(&self, json: Vec<u8>) {
-        let put = (self.publisher.put(json)).encoding(Encoding::APPLICATION_JSON);
+    pub(crate) fn put(&self, message: &impl Serialize) {
+        let put = || -> zenoh::Result<()> {
+            let put = self.publisher.put(serde_json::to_vec(message)?);
+            put.encoding(Encoding::APPLICATION_JSON).wait()
+        };
         let done = match self.publisher.congestion_control() {
-            CongestionControl::Block => block_in_place(|| put.wait()),
-            _ => put.wait(),
+            CongestionControl::Block => block_in_place(put),
+            _ => put(),
         };
         if let Err(error) = done {
             self.unpublished.inc();

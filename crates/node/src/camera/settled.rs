@@ -2,6 +2,7 @@
 
 use super::answer::box_messages;
 use super::publishing::Outlet;
+use crate::input::receiver::SequencedFrame;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{MinConfidence, Outcome, OutputBox, SettledFrame, Settler};
 use albireo_wire::{SettledMessage, VERSION};
@@ -10,30 +11,21 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// What the message of a settled frame says besides its boxes.
-pub(super) struct FrameLabel {
-    pub seq: u64,
-    pub t_ns: u64,
-    pub clip: Arc<str>,
-    pub picture: PictureSize,
-}
-
 /// The settled frames of one camera.
 pub(crate) struct SettledStream {
     settler: Settler,
-    out: Out,
-    outlet: Arc<Outlet>,
+    messages: Messages,
     start: Instant,
 }
 
-/// The messages that are due, and what they are made from.
-struct Out {
-    /// Of the frames held back, in order.
-    labels: VecDeque<FrameLabel>,
-    due: Vec<Vec<u8>>,
+/// The messages of the frames that are held back.
+struct Messages {
+    /// In order, without boxes.
+    waiting: VecDeque<SettledMessage>,
     boxes: Vec<OutputBox>,
     min_confidence: MinConfidence,
     class_names: Arc<[String]>,
+    outlet: Arc<Outlet>,
 }
 
 impl SettledStream {
@@ -46,40 +38,50 @@ impl SettledStream {
     ) -> Self {
         Self {
             settler: Settler::new(longest),
-            out: Out {
-                labels: VecDeque::new(),
-                due: Vec::new(),
+            messages: Messages {
+                waiting: VecDeque::new(),
                 boxes: Vec::new(),
                 min_confidence,
                 class_names,
+                outlet,
             },
-            outlet,
             start: Instant::now(),
         }
     }
 
-    /// Takes the answer of frame `index`, as the policy gave it. A frame of another clip ends the clip before it.
+    /// Takes the answer of a frame, as the policy gave it. A frame of another clip ends the clip before it.
     pub(super) fn frame(
         &mut self,
-        index: u64,
-        label: FrameLabel,
+        incoming: &SequencedFrame,
+        clip: &str,
         outcome: &Outcome,
         pending: bool,
     ) {
-        if (self.out.labels.back()).is_some_and(|last| last.clip != label.clip) {
+        let waiting = &mut self.messages.waiting;
+        if waiting.back().is_some_and(|last| last.clip != clip) {
             self.flush();
         }
-        let time = self.start.elapsed();
-        let out = &mut self.out;
-        out.labels.push_back(label);
-        self.settler
-            .frame(index, time, outcome, pending, |frame| out.write(&frame));
+        let frame = &incoming.frame;
+        let messages = &mut self.messages;
+        messages.waiting.push_back(SettledMessage {
+            v: VERSION,
+            seq: frame.sequence,
+            t_ns: frame.time_ns,
+            clip: clip.to_owned(),
+            state: outcome.state,
+            settled: false,
+            width: frame.picture.size.width,
+            height: frame.picture.size.height,
+            boxes: Vec::new(),
+        });
+        let (index, time) = (incoming.index, self.start.elapsed());
+        (self.settler).frame(index, time, outcome, pending, |frame| messages.put(&frame));
     }
 
     /// Takes the final answer of a pending frame.
     pub(super) fn late(&mut self, index: u64, outcome: &Outcome) {
-        let out = &mut self.out;
-        self.settler.late(index, outcome, |frame| out.write(&frame));
+        let messages = &mut self.messages;
+        (self.settler).late(index, outcome, |frame| messages.put(&frame));
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame come before.
@@ -89,47 +91,29 @@ impl SettledStream {
 
     /// Gives up the frames that have waited for too long.
     pub(super) fn tick(&mut self) {
-        let out = &mut self.out;
-        self.settler
-            .tick(self.start.elapsed(), |frame| out.write(&frame));
+        let (messages, time) = (&mut self.messages, self.start.elapsed());
+        self.settler.tick(time, |frame| messages.put(&frame));
     }
 
     /// Ends the clip: nothing is held back any more.
     pub(super) fn flush(&mut self) {
-        let out = &mut self.out;
-        self.settler.flush(|frame| out.write(&frame));
-    }
-
-    /// Publishes what is due.
-    pub(super) fn publish(&mut self) {
-        for json in self.out.due.drain(..) {
-            self.outlet.put(json);
-        }
+        let messages = &mut self.messages;
+        self.settler.flush(|frame| messages.put(&frame));
     }
 }
 
-impl Out {
-    fn write(&mut self, frame: &SettledFrame<'_>) {
-        let Some(label) = self.labels.pop_front() else {
+impl Messages {
+    fn put(&mut self, frame: &SettledFrame<'_>) {
+        let Some(mut message) = self.waiting.pop_front() else {
             return;
         };
         self.boxes.clear();
         self.boxes.extend_from_slice(frame.boxes);
         self.min_confidence.select(&mut self.boxes);
-        let message = SettledMessage {
-            v: VERSION,
-            seq: label.seq,
-            t_ns: label.t_ns,
-            clip: label.clip.to_string(),
-            state: frame.state,
-            settled: frame.settled,
-            width: label.picture.width,
-            height: label.picture.height,
-            boxes: box_messages(&self.boxes, label.picture, &self.class_names),
-        };
-        match serde_json::to_vec(&message) {
-            Ok(json) => self.due.push(json),
-            Err(error) => tracing::error!(seq = label.seq, %error, "settled frame not written"),
-        }
+        let size = PictureSize::new(message.width, message.height);
+        message.state = frame.state;
+        message.settled = frame.settled;
+        message.boxes = box_messages(&self.boxes, size, &self.class_names);
+        self.outlet.put(&message);
     }
 }

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::camera::audit::{AuditConfig, Auditor};
-use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
+use crate::camera::clip::tests::report;
+use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::Outlet;
 use crate::config::{CameraConfig, NodeConfig};
@@ -29,7 +30,7 @@ struct Bench {
     frames: Arc<Ring<SequencedFrame>>,
     picture: EncodedPicture,
     camera: Camera,
-    clips: UnboundedReceiver<ClosedClip>,
+    clips: UnboundedReceiver<Clip>,
     auditor: Auditor,
     scene: BoxScene,
 }
@@ -63,11 +64,7 @@ impl Bench {
         let frames = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, 64, 0)));
         let power = PowerHandle::none();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
-        let audit = Arc::new(CameraAudit::new(
-            audit.draw(),
-            audit.share,
-            Arc::clone(&camera),
-        ));
+        let audit = Arc::new(CameraAudit::new(audit, Arc::clone(&camera)));
         let tracker = ClipTracker::new(clip, power.camera("front"), audit.share());
         let size = PictureSize::new(640, 360);
         let scene = BoxScene::new(5, size);
@@ -79,8 +76,8 @@ impl Bench {
             pixels: pixels.clone(),
             energy: power.camera("front"),
         };
-        let camera = Camera {
-            parts: Arc::new(CameraParts {
+        let camera = Camera::new(
+            Arc::new(CameraParts {
                 board: camera,
                 ring: Arc::clone(&frames),
                 drops,
@@ -93,18 +90,19 @@ impl Bench {
                 audit,
                 reset_at_clip: false,
             }),
-            decider: Decider::new(
+            Decider::new(
                 LatePolicy::waiting(config.policy.build().unwrap()),
                 LiveEvidence::new(
                     detector.clone(),
                     CameraScreen::new(&ScreenConfig::default(), None),
                     slot,
                     pixels,
+                    CancellationToken::new(),
                 ),
             ),
-            settled: None,
-            clip: tracker,
-        };
+            None,
+            tracker,
+        );
         Self {
             board,
             frames,
@@ -141,7 +139,7 @@ impl Bench {
     }
 
     /// Plays what was put into the ring; the board and the clips that ended.
-    async fn play(mut self) -> (Arc<Board>, Vec<ClosedClip>) {
+    async fn play(mut self) -> (Arc<Board>, Vec<Clip>) {
         let stop = CancellationToken::new();
         let camera = tokio::spawn(self.camera.run(stop.clone()));
         while self.frames.waiting() > 0 {
@@ -194,7 +192,7 @@ async fn a_clip_does_not_end_by_silence_while_frames_wait() {
     let (_, clips) = bench.play().await;
     let ended: Vec<_> = clips
         .iter()
-        .map(|clip| (clip.clip.states.frames(), clip.ended_by))
+        .map(|clip| (clip.report.frames, clip.report.ended_by))
         .collect();
     assert_eq!(ended, [(10, ClipEnd::Shutdown)]);
 }
@@ -228,7 +226,7 @@ async fn a_frame_that_was_overtaken_is_counted_late_and_one_dropped_before_a_cli
     let (board, clips) = bench.play().await;
     let snapshot = board.camera("front").unwrap().snapshot();
     assert_eq!(snapshot.states.frames(), 3);
-    let dropped = &clips[0].clip.dropped;
+    let dropped = &clips[0].report.dropped;
     assert_eq!(
         (dropped.late, dropped.undecodable, dropped.total()),
         (2, 3, 5)
@@ -290,14 +288,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     camera.await.unwrap();
     auditing.await.unwrap();
     let closed = bench.clips.recv().await.unwrap();
-    let meta = ClipMeta {
-        node: "node".to_owned(),
-        camera: "front".to_owned(),
-        policy: policy.to_owned(),
-        model: String::new(),
-        provider: String::new(),
-    };
-    let report = closed.measured().await.into_report(meta);
+    let report = report(closed).await;
     let counted = board.camera("front").unwrap().snapshot().audit;
     if let Some(audit) = &report.audit {
         assert_eq!(audit.sums, counted.sums);

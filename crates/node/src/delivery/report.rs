@@ -1,10 +1,12 @@
 //! Makes reports of the clips that a camera's loop has closed: waits for the energy, keeps the report in the outbox and
 //! publishes it for subscribers.
 
-use crate::camera::clip::{ClipMeta, ClosedClip, MeasuredClip};
+use crate::camera::clip::Clip;
 use crate::state::board::Board;
+use albireo_power::Measured;
 use albireo_service::clock::Now;
 use albireo_vision::detector::DetectorHandle;
+use albireo_wire::ClipReport;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use zenoh::Wait;
@@ -28,7 +30,7 @@ const MAX_BATCH: usize = 256;
 
 impl Reporter {
     /// Reports until the camera's loop is dropped and the last clip is kept.
-    pub(crate) async fn run(self, mut clips: mpsc::UnboundedReceiver<ClosedClip>) {
+    pub(crate) async fn run(self, mut clips: mpsc::UnboundedReceiver<Clip>) {
         let mut closed = Vec::new();
         while clips.recv_many(&mut closed, MAX_BATCH).await > 0 {
             self.report(std::mem::take(&mut closed)).await;
@@ -36,15 +38,26 @@ impl Reporter {
     }
 
     /// Waits for the clips' energy, keeps their reports, and publishes them.
-    async fn report(&self, closed: Vec<ClosedClip>) {
+    async fn report(&self, closed: Vec<Clip>) {
         let mut measured = Vec::with_capacity(closed.len());
         for clip in closed {
-            measured.push(clip.measured().await);
+            let energy = clip.energy().await;
+            measured.push((clip, energy));
         }
-        let (board, meta) = (Arc::clone(&self.board), self.meta());
+        let board = Arc::clone(&self.board);
+        let camera = self.camera.clone();
+        let model = self.detector.model_name().to_owned();
+        let provider = self.detector.provider().as_str().to_owned();
         let kept = tokio::task::spawn_blocking(move || {
-            let report = |clip: MeasuredClip| {
-                let mut report = clip.into_report(meta.clone());
+            let report = |(clip, energy): (Clip, Measured)| {
+                let mut report = ClipReport {
+                    node: board.node().to_owned(),
+                    camera: camera.clone(),
+                    policy: board.policy().to_owned(),
+                    model: model.clone(),
+                    provider: provider.clone(),
+                    ..clip.into_report(energy)
+                };
                 report.round();
                 report
             };
@@ -81,16 +94,6 @@ impl Reporter {
         let put = self.listeners.put(json);
         if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
             tracing::debug!(camera = self.camera, %error, "a clip report was not published");
-        }
-    }
-
-    fn meta(&self) -> ClipMeta {
-        ClipMeta {
-            node: self.board.node().to_owned(),
-            camera: self.camera.clone(),
-            policy: self.board.policy().to_owned(),
-            model: self.detector.model_name().to_owned(),
-            provider: self.detector.provider().as_str().to_owned(),
         }
     }
 }

@@ -102,11 +102,7 @@ impl Cameras<'_> {
             .await
             .map_err(refused("clip reports cannot be published"))?;
 
-        let audit = Arc::new(CameraAudit::new(
-            shared.config.audit.draw(),
-            shared.config.audit.share,
-            Arc::clone(board),
-        ));
+        let audit = Arc::new(CameraAudit::new(shared.config.audit, Arc::clone(board)));
         self.add_auditor(name, &audit);
         let report = shared.config.report.confidence;
         let parts = Arc::new(CameraParts {
@@ -284,8 +280,8 @@ impl Shared {
             CameraScreen::new(&config.screen, self.screen.clone()),
             slot,
             self.pixels.clone(),
-        )
-        .giving_up_on(self.give_up.clone());
+            self.give_up.clone(),
+        );
         let policy = match parts.late {
             Some(_) => {
                 LatePolicy::new(policy).map_err(|error| NodeError::State(error.to_string()))?
@@ -304,11 +300,6 @@ impl Shared {
         let energy = self.power.camera(name);
         let clip = ClipTracker::new(config.clip, energy, parts.audit.share());
         parts.ring.open();
-        Ok(Camera {
-            parts,
-            decider,
-            settled,
-            clip,
-        })
+        Ok(Camera::new(parts, decider, settled, clip))
     }
 }

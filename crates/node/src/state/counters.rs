@@ -74,14 +74,8 @@ impl Counters {
     }
 
     fn publish(&self, message: &CountersMessage) {
-        let Some(outlet) = self.outlets.get(&message.camera) else {
-            return;
-        };
-        match serde_json::to_vec(message) {
-            Ok(json) => outlet.put(json),
-            Err(error) => {
-                tracing::error!(camera = message.camera, %error, "counters not written");
-            }
+        if let Some(outlet) = self.outlets.get(&message.camera) {
+            outlet.put(message);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The drawn frames of one camera that wait, and what came of those that do not.
 
+use super::AuditConfig;
 use crate::state::board::CameraBoard;
 use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::policy::OutputBox;
@@ -68,17 +69,17 @@ pub(crate) struct CameraAudit {
 struct State {
     waiting: VecDeque<DrawnFrame>,
     /// How many boxes were shown on the frame that is being compared.
-    in_hand: Option<usize>,
+    comparing: Option<usize>,
     /// Mostly nothing, and asked for at every frame.
     since_reported: Option<Box<AuditCount>>,
 }
 
 impl CameraAudit {
     /// For the camera of `board`.
-    pub(crate) fn new(draw: AuditDraw, share: f64, board: Arc<CameraBoard>) -> Self {
+    pub(crate) fn new(config: AuditConfig, board: Arc<CameraBoard>) -> Self {
         Self {
-            draw,
-            share,
+            draw: config.draw(),
+            share: config.share,
             board,
             state: Mutex::default(),
             came: Notify::new(),
@@ -109,24 +110,25 @@ impl CameraAudit {
     /// The next frame to look at.
     pub(crate) async fn next(&self) -> DrawnFrame {
         loop {
-            let next = {
-                let mut state = self.state.lock();
-                let next = state.waiting.pop_front();
-                state.in_hand = next.as_ref().map(|frame| frame.shown.len());
-                next
-            };
-            if let Some(frame) = next {
+            if let Some(frame) = self.take_waiting() {
                 return frame;
             }
             self.came.notified().await;
         }
     }
 
+    fn take_waiting(&self) -> Option<DrawnFrame> {
+        let mut state = self.state.lock();
+        let frame = state.waiting.pop_front()?;
+        state.comparing = Some(frame.shown.len());
+        Some(frame)
+    }
+
     /// Counts the result of the current frame; `None` when the detector did not run on it in time. A frame that was given up
     /// meanwhile is counted already.
     pub(crate) fn done(&self, found: Option<AuditCount>) {
         let mut state = self.state.lock();
-        if let Some(shown) = state.in_hand.take() {
+        if let Some(shown) = state.comparing.take() {
             let found = found.unwrap_or_else(|| AuditCount::missed(shown));
             self.count(&mut state, &found);
         }
@@ -135,10 +137,9 @@ impl CameraAudit {
     /// Gives up the current frame and those that wait: the camera's last clip ends, and all that was drawn must be in it.
     pub(crate) fn give_up(&self) {
         let mut state = self.state.lock();
-        let waiting: Vec<_> = (state.waiting.drain(..))
-            .map(|frame| frame.shown.len())
-            .collect();
-        for shown in state.in_hand.take().into_iter().chain(waiting) {
+        let waiting = std::mem::take(&mut state.waiting);
+        let waiting = waiting.iter().map(|frame| frame.shown.len());
+        for shown in state.comparing.take().into_iter().chain(waiting) {
             self.count(&mut state, &AuditCount::missed(shown));
         }
     }

@@ -1,6 +1,5 @@
 //! Runs the detector on drawn frames, one task per camera.
 
-use super::config::LONGEST_WAIT;
 use super::frames::{AuditCount, CameraAudit, DrawnFrame};
 use albireo_core::audit::AuditSums;
 use albireo_power::CameraEnergy;
@@ -9,8 +8,13 @@ use albireo_vision::picture::InputFormat;
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::decoding_target;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
 use tokio_util::sync::CancellationToken;
+
+/// A drawn frame that the detector had no time for in this long counts as missed. A detector that is busy for longer is
+/// overloaded, and waiting on would keep pictures in memory.
+const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 /// Looks at one camera's drawn frames.
 pub(crate) struct Auditor {

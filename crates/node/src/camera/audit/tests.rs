@@ -15,8 +15,7 @@ fn audit() -> (Arc<Board>, CameraAudit) {
     let (_, status) = watch::channel(DetectorStatus::Starting);
     let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
     let camera = Arc::clone(board.camera("front").unwrap());
-    let draw = config.audit.draw();
-    let audit = CameraAudit::new(draw, 0.02, camera);
+    let audit = CameraAudit::new(config.audit, camera);
     (board, audit)
 }
 

@@ -6,10 +6,16 @@ use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
-use albireo_wire::{ClipEnd, DroppedFrames, Threshold};
+use albireo_wire::{ClipEnd, ClipReport, DroppedFrames, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
+
+/// The report of a clip that has ended.
+pub(crate) async fn report(closed: Clip) -> ClipReport {
+    let energy = closed.energy().await;
+    closed.into_report(energy)
+}
 
 pub(super) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
@@ -39,18 +45,15 @@ impl Camera {
         self.start + ms(at)
     }
 
-    pub(super) fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<ClosedClip> {
+    pub(super) fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<Clip> {
         self.frame_with(at, clip, Some(3e-4))
     }
 
-    fn frame_with(&mut self, at: u64, clip: Option<&str>, u: Option<f64>) -> Option<ClosedClip> {
+    fn frame_with(&mut self, at: u64, clip: Option<&str>, u: Option<f64>) -> Option<Clip> {
         let seq = self.seq;
         self.seq += 1;
-        let closed = self.tracker.arrive(&FrameArrival {
-            t_ns: at * 1_000_000,
-            clip,
-            arrival: self.at(at),
-        });
+        let arrival = self.at(at);
+        let closed = self.tracker.arrive(at * 1_000_000, clip, arrival);
         self.tracker.count(&self.result(at, seq, u));
         closed
     }
@@ -78,10 +81,10 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
     }
     let closed = camera.frame(2000, Some("b")).unwrap();
     assert_eq!(
-        (&*closed.clip.name, closed.ended_by),
+        (&*closed.report.clip, closed.report.ended_by),
         ("a", ClipEnd::NextClip)
     );
-    assert_eq!(closed.clip.states.frames(), 20);
+    assert_eq!(closed.report.states.frames(), 20);
     assert_eq!(closed.duration(), ms(2000));
     assert_eq!(&**camera.tracker.clip().unwrap(), "b");
     assert_eq!(camera.tracker.deadline(), Some(camera.at(7000)));
@@ -96,12 +99,12 @@ fn windows_tile_time_while_frames_keep_coming() {
     }
     assert_eq!(closed.len(), 2);
     for (i, clip) in closed.iter().enumerate() {
-        assert_eq!(&*clip.clip.name, format!("window-{i}"));
-        assert_eq!(clip.ended_by, ClipEnd::Window);
+        assert_eq!(clip.report.clip, format!("window-{i}"));
+        assert_eq!(clip.report.ended_by, ClipEnd::Window);
         assert_eq!(clip.duration(), ms(40_000));
     }
-    assert_eq!(closed[0].end, closed[1].clip.start);
-    assert_eq!(closed[0].clip.states.frames(), 361);
+    assert_eq!(closed[0].end, closed[1].start);
+    assert_eq!(closed[0].report.states.frames(), 361);
 }
 
 #[test]
@@ -114,7 +117,10 @@ fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
     assert_eq!(deadline, camera.at(40_000));
     assert!(camera.tracker.tick(deadline - ms(1)).is_none());
     let closed = camera.tracker.tick(deadline).unwrap();
-    assert_eq!((closed.ended_by, closed.end), (ClipEnd::Window, deadline));
+    assert_eq!(
+        (closed.report.ended_by, closed.end),
+        (ClipEnd::Window, deadline)
+    );
     assert!(camera.tracker.clip().is_none());
 }
 
@@ -126,7 +132,7 @@ fn silence_ends_a_clip_and_is_not_charged_to_it() {
     }
     assert!(camera.tracker.tick(camera.at(6799)).is_none());
     let closed = camera.tracker.tick(camera.at(6800)).unwrap();
-    assert_eq!(closed.ended_by, ClipEnd::Silence);
+    assert_eq!(closed.report.ended_by, ClipEnd::Silence);
     assert_eq!(closed.duration(), ms(2000), "ten frames at five a second");
 }
 
@@ -135,7 +141,7 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
     let mut camera = Camera::new();
     camera.frame(0, None);
     let closed = camera.frame(60_000, None).unwrap();
-    assert_eq!(closed.ended_by, ClipEnd::Silence);
+    assert_eq!(closed.report.ended_by, ClipEnd::Silence);
     assert_eq!(
         closed.duration(),
         ms(12),
@@ -143,7 +149,7 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
     );
     let closed = camera.tracker.shutdown(camera.at(60_050)).unwrap();
     assert_eq!(
-        (&*closed.clip.name, closed.clip.start),
+        (&*closed.report.clip, closed.start),
         ("window-1", camera.at(60_000))
     );
 }
@@ -159,12 +165,12 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     }
     let closed = camera.tracker.tick(camera.at(2000)).unwrap();
     assert_eq!(
-        (closed.ended_by, closed.end),
+        (closed.report.ended_by, closed.end),
         (ClipEnd::Window, camera.at(2000))
     );
     assert!(camera.frame(6000, None).is_none());
     let closed = camera.tracker.shutdown(camera.at(6100)).unwrap();
-    assert_eq!(closed.clip.start, camera.at(6000));
+    assert_eq!(closed.start, camera.at(6000));
     assert!(closed.end >= camera.at(6000));
 }
 
@@ -182,9 +188,9 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
     let told: Vec<_> = (closed.iter())
         .map(|part| {
             (
-                &*part.clip.name,
-                part.clip.part,
-                part.ended_by,
+                &*part.report.clip,
+                part.report.part,
+                part.report.ended_by,
                 part.duration(),
             )
         })
@@ -197,9 +203,9 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
             ("drive", 2, ClipEnd::Shutdown, ms(30_000)),
         ]
     );
-    assert_eq!(closed[0].end, closed[1].clip.start);
-    assert_eq!(closed[1].end, closed[2].clip.start);
-    let frames: u64 = closed.iter().map(|part| part.clip.states.frames()).sum();
+    assert_eq!(closed[0].end, closed[1].start);
+    assert_eq!(closed[1].end, closed[2].start);
+    let frames: u64 = closed.iter().map(|part| part.report.states.frames()).sum();
     assert_eq!(frames, 1500);
 }
 
@@ -213,13 +219,13 @@ fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
         assert!(camera.frame(i * 100, Some("drive")).is_none());
     }
     let closed = camera.tracker.tick(camera.at(60_000)).unwrap();
-    assert_eq!((closed.clip.part, closed.ended_by), (0, ClipEnd::Length));
+    assert_eq!(
+        (closed.report.part, closed.report.ended_by),
+        (0, ClipEnd::Length)
+    );
     assert!(camera.frame(70_000, Some("drive")).is_none());
     let closed = camera.tracker.shutdown(camera.at(70_100)).unwrap();
-    assert_eq!(
-        (closed.clip.part, closed.clip.start),
-        (0, camera.at(70_000))
-    );
+    assert_eq!((closed.report.part, closed.start), (0, camera.at(70_000)));
 }
 
 #[test]
@@ -229,7 +235,7 @@ fn shutdown_ends_the_open_clip_and_only_that() {
     camera.frame(0, Some("a"));
     camera.frame(100, Some("a"));
     let closed = camera.tracker.shutdown(camera.at(150)).unwrap();
-    assert_eq!(closed.ended_by, ClipEnd::Shutdown);
+    assert_eq!(closed.report.ended_by, ClipEnd::Shutdown);
     assert_eq!(closed.end, camera.at(150), "no clip ends in the future");
     assert!(camera.tracker.shutdown(camera.at(200)).is_none());
 }
@@ -238,22 +244,24 @@ fn shutdown_ends_the_open_clip_and_only_that() {
 fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
     let mut camera = Camera::new();
     camera.frame(0, Some("a"));
-    camera.tracker.arrive(&FrameArrival {
-        t_ns: 0,
-        clip: Some("a"),
-        arrival: camera.at(100),
-    });
+    camera.tracker.arrive(0, Some("a"), camera.at(100));
     let u = |u| Some(Threshold::new(Albireo::KNOB.name, u));
     camera.tracker.pending(1, u(3e-4));
     // The next clip begins, and its frames are its own.
     assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());
     let late = camera.result(300, 1, Some(3e-4));
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
-    assert_eq!((&*closed.clip.name, closed.clip.states.frames()), ("a", 2));
-    assert_eq!(closed.clip.threshold, u(3e-4));
+    assert_eq!(
+        (&*closed.report.clip, closed.report.states.frames()),
+        ("a", 2)
+    );
+    assert_eq!(closed.report.threshold, u(3e-4));
     let closed = camera.tracker.shutdown(camera.at(400)).unwrap();
-    assert_eq!((&*closed.clip.name, closed.clip.states.frames()), ("b", 1));
-    assert_eq!(closed.clip.threshold_changes.len(), 1);
+    assert_eq!(
+        (&*closed.report.clip, closed.report.states.frames()),
+        ("b", 1)
+    );
+    assert_eq!(closed.report.threshold_changes.len(), 1);
 }
 
 #[test]
@@ -264,14 +272,14 @@ fn the_threshold_at_the_start_and_each_change_are_told_once() {
     }
     let closed = camera.tracker.shutdown(camera.at(1000)).unwrap();
     let told: Vec<_> = closed
-        .clip
+        .report
         .threshold_changes
         .iter()
         .map(|c| (c.seq, c.threshold.value))
         .collect();
     assert_eq!(told, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
     assert_eq!(
-        closed.clip.threshold.map(|threshold| threshold.value),
+        closed.report.threshold.map(|threshold| threshold.value),
         Some(3e-4)
     );
 }
@@ -283,8 +291,8 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
         camera.frame_with(i * 10, Some("a"), Some(i as f64));
     }
     let closed = camera.tracker.shutdown(camera.at(50_000)).unwrap();
-    assert_eq!(closed.clip.threshold_changes.len(), 256);
-    assert_eq!(closed.clip.threshold_changes[255].threshold.value, 4999.0);
+    assert_eq!(closed.report.threshold_changes.len(), 256);
+    assert_eq!(closed.report.threshold_changes[255].threshold.value, 4999.0);
 }
 
 #[derive(Clone, Debug)]
@@ -314,7 +322,7 @@ proptest! {
             longest_s: 50.0,
             ..ClipConfig::default()
         });
-        let mut closed: Vec<ClosedClip> = Vec::new();
+        let mut closed: Vec<Clip> = Vec::new();
         let (mut now, mut frames, mut dropped) = (0, 0, 0);
         for event in events {
             match event {
@@ -343,15 +351,15 @@ proptest! {
             }
         }
         closed.extend(camera.tracker.shutdown(camera.at(now)));
-        prop_assert_eq!(closed.iter().map(|c| c.clip.states.frames()).sum::<u64>(), frames);
-        prop_assert_eq!(closed.iter().map(|c| c.clip.dropped.total()).sum::<u64>(), dropped);
-        prop_assert_eq!(closed.iter().map(|c| c.clip.total.len() as u64).sum::<u64>(), frames);
+        prop_assert_eq!(closed.iter().map(|c| c.report.states.frames()).sum::<u64>(), frames);
+        prop_assert_eq!(closed.iter().map(|c| c.report.dropped.total()).sum::<u64>(), dropped);
+        prop_assert_eq!(closed.iter().map(|c| c.total.len() as u64).sum::<u64>(), frames);
         for clip in &closed {
-            prop_assert!(clip.clip.start <= clip.end);
+            prop_assert!(clip.start <= clip.end);
             prop_assert!(clip.end <= camera.at(now));
         }
         for pair in closed.windows(2) {
-            prop_assert!(pair[0].end <= pair[1].clip.start);
+            prop_assert!(pair[0].end <= pair[1].start);
         }
     }
 }

@@ -6,41 +6,28 @@
 //! `silence_s`, and on shutdown; it then ends one mean frame interval after its last frame arrived (or when that frame
 //! was answered, if that is later), so that the silence itself is not charged to it.
 
-use super::config::ClipConfig;
+use super::ClipConfig;
 use super::latencies::Latencies;
-use super::report::{Clip, ClipAudit, ClosedClip};
+use super::report::Clip;
 use crate::camera::FrameRecord;
 use crate::camera::audit::AuditCount;
-use albireo_power::{CameraEnergy, Measurement};
-use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, Threshold, ThresholdChange};
+use albireo_power::CameraEnergy;
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Threshold};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
-
-/// Most threshold values in one report; after that only the newest is kept up to date.
-const MOST_CHANGES: usize = 256;
-
-/// A frame that is about to be processed.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct FrameArrival<'a> {
-    /// Capture time, nanoseconds since the Unix epoch.
-    pub t_ns: u64,
-    /// The camera's own name of the clip, if it names one.
-    pub clip: Option<&'a str>,
-    /// When it was received.
-    pub arrival: Instant,
-}
 
 /// The clip now open.
 #[derive(Debug)]
 struct OpenClip {
     clip: Clip,
+    /// The camera's own name of it, or `window-N`.
+    name: Arc<str>,
     windowed: bool,
     first_arrival: Instant,
     last_arrival: Instant,
     last_answered: Instant,
     arrivals: u64,
-    energy: Measurement,
     /// One of its frames waits for its final answer.
     pending: bool,
 }
@@ -57,7 +44,7 @@ pub(crate) struct ClipTracker {
     windows: u64,
     open: Option<OpenClip>,
     /// A clip that ended before the final answer of its last frame.
-    ended: Option<ClosedClip>,
+    ended: Option<Clip>,
     /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
     full: Option<FullClip>,
 }
@@ -94,26 +81,32 @@ impl ClipTracker {
         let Some(OpenClip { clip, .. }) = &mut self.open else {
             return;
         };
-        clip.dropped += dropped;
-        if let (Some(audit), Some(found)) = (&mut clip.audit, found) {
-            audit.count.merge(found);
+        clip.report.dropped += dropped;
+        if let (Some(audit), Some(found)) = (&mut clip.report.audit, found) {
+            audit.calls += found.calls;
+            audit.detector_us += found.detector_us;
+            audit.sums.merge(&found.sums);
         }
     }
 
-    /// Takes note of a frame about to be processed: it belongs to the clip that is open afterwards (see
-    /// [`clip`](Self::clip)). Gives back the clips that ended before it, oldest first: seldom one, never
-    /// more than one a call.
-    pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
-        let closed = self.close_before(frame);
+    /// Takes note of a frame about to be processed, of that capture time, clip (if the camera names one) and arrival: it
+    /// belongs to the clip that is open afterwards (see [`clip`](Self::clip)). Gives back the clip that ended before it.
+    pub(crate) fn arrive(
+        &mut self,
+        t_ns: u64,
+        clip: Option<&str>,
+        arrival: Instant,
+    ) -> Option<Clip> {
+        let closed = self.close_before(clip, arrival);
         self.energy.frame();
         match &mut self.open {
             Some(open) => {
                 open.arrivals += 1;
-                open.last_arrival = open.last_arrival.max(frame.arrival);
-                open.last_answered = open.last_answered.max(frame.arrival);
+                open.last_arrival = open.last_arrival.max(arrival);
+                open.last_answered = open.last_answered.max(arrival);
                 open.keep_until_its_end();
             }
-            None => self.begin(frame),
+            None => self.begin(t_ns, clip, arrival),
         }
         closed
     }
@@ -139,10 +132,10 @@ impl ClipTracker {
     }
 
     /// Counts the outcome of the pending frame. Gives back its clip if that has ended.
-    pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<ClosedClip> {
+    pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<Clip> {
         self.count_energy(frame);
         match (&mut self.ended, &mut self.open) {
-            (Some(ended), _) => ended.clip.count(frame),
+            (Some(ended), _) => ended.count(frame),
             (None, Some(open)) => open.count(frame),
             (None, None) => {}
         }
@@ -150,7 +143,7 @@ impl ClipTracker {
     }
 
     /// The pending frame gets no answer. Gives back its clip if that has ended.
-    pub(crate) fn nothing_is_pending(&mut self) -> Option<ClosedClip> {
+    pub(crate) fn nothing_is_pending(&mut self) -> Option<Clip> {
         if let Some(open) = &mut self.open {
             open.pending = false;
         }
@@ -168,29 +161,25 @@ impl ClipTracker {
 
     /// The clip the last frame belongs to.
     pub(crate) fn clip(&self) -> Option<&Arc<str>> {
-        self.open.as_ref().map(|open| &open.clip.name)
+        self.open.as_ref().map(|open| &open.name)
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame arrive before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
-        Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open)))
+        Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open.windowed)))
     }
 
-    /// How long the open clip, or its part, may last.
-    fn limit(&self, open: &OpenClip) -> Duration {
-        if open.windowed {
-            self.window
-        } else {
-            self.longest
-        }
+    /// How long a window, or a part of another clip, may last.
+    const fn limit(&self, windowed: bool) -> Duration {
+        if windowed { self.window } else { self.longest }
     }
 
     /// Ends the clip whose window or part is full or whose camera has been silent for long enough. To be called
     /// while no frame is being processed.
-    pub(crate) fn tick(&mut self, now: Instant) -> Option<ClosedClip> {
+    pub(crate) fn tick(&mut self, now: Instant) -> Option<Clip> {
         let open = self.open.as_ref()?;
-        let full = open.clip.start + self.limit(open);
+        let full = open.clip.start + self.limit(open.windowed);
         // A camera that stopped before ends it by its silence, not by the clock.
         if now >= full && full <= open.last_arrival + self.silence {
             let ended_by = if open.windowed {
@@ -208,38 +197,34 @@ impl ClipTracker {
     }
 
     /// Ends the open clip because the node stops.
-    pub(crate) fn shutdown(&mut self, now: Instant) -> Option<ClosedClip> {
+    pub(crate) fn shutdown(&mut self, now: Instant) -> Option<Clip> {
         let end = self.open.as_ref()?.natural_end().min(now);
         self.close(ClipEnd::Shutdown, end)
     }
 
-    fn close_before(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
-        if let Some(closed) = self.tick(frame.arrival) {
+    fn close_before(&mut self, clip: Option<&str>, arrival: Instant) -> Option<Clip> {
+        if let Some(closed) = self.tick(arrival) {
             return Some(closed);
         }
         let open = self.open.as_ref()?;
-        let same = match frame.clip {
-            Some(name) => !open.windowed && &*open.clip.name == name,
-            None => open.windowed,
-        };
-        if same {
+        if open.windowed == clip.is_none() && clip.is_none_or(|clip| clip == &*open.name) {
             return None;
         }
-        let end = frame.arrival.max(open.last_arrival);
+        let end = arrival.max(open.last_arrival);
         self.close(ClipEnd::NextClip, end)
     }
 
-    fn begin(&mut self, frame: &FrameArrival<'_>) {
-        let windowed = frame.clip.is_none();
+    fn begin(&mut self, t_ns: u64, clip: Option<&str>, arrival: Instant) {
+        let windowed = clip.is_none();
         // What was full goes on where frames keep coming; and what begins there is not over before the frame came.
         let full = self.full.take().filter(|full| {
-            let limit = if windowed { self.window } else { self.longest };
             full.windowed == windowed
-                && frame.clip.is_none_or(|clip| clip == &*full.clip)
-                && frame.arrival.saturating_duration_since(full.end) < self.silence.min(limit)
+                && clip.is_none_or(|clip| clip == &*full.clip)
+                && arrival.saturating_duration_since(full.end)
+                    < self.silence.min(self.limit(windowed))
         });
-        let start = full.as_ref().map_or(frame.arrival, |full| full.end);
-        let (name, part) = match (frame.clip, full) {
+        let start = full.as_ref().map_or(arrival, |full| full.end);
+        let (name, part) = match (clip, full) {
             (Some(_), Some(full)) => (full.clip, full.part.saturating_add(1)),
             (Some(name), None) => (Arc::from(name), 0),
             (None, _) => {
@@ -247,87 +232,54 @@ impl ClipTracker {
                 (format!("window-{}", self.windows - 1).into(), 0)
             }
         };
-        let arrival = frame.arrival.max(start);
+        let arrival = arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
-        let audit = self.audit.map(|share| ClipAudit {
+        let audit = self.audit.map(|share| AuditReport {
             share,
-            count: AuditCount::default(),
+            ..AuditReport::default()
         });
         self.open = Some(OpenClip {
             clip: Clip {
-                name,
-                part,
-                started_ns: frame.t_ns,
+                report: ClipReport {
+                    clip: name.to_string(),
+                    part,
+                    started_ns: t_ns,
+                    audit,
+                    ..ClipReport::default()
+                },
                 start,
-                states: FrameStates::default(),
-                degraded: 0,
-                dropped: DroppedFrames::default(),
-                threshold: None,
-                threshold_changes: Vec::new(),
+                end: start,
                 total: Latencies::default(),
                 detector: Latencies::default(),
-                detector_used: Duration::ZERO,
-                audit,
+                energy,
             },
+            name,
             windowed,
             first_arrival: arrival,
             last_arrival: arrival,
             last_answered: arrival,
             arrivals: 1,
-            energy,
             pending: false,
         });
     }
 
-    fn close(&mut self, ended_by: ClipEnd, end: Instant) -> Option<ClosedClip> {
-        let open = self.open.take()?;
+    fn close(&mut self, ended_by: ClipEnd, end: Instant) -> Option<Clip> {
+        let mut open = self.open.take()?;
+        open.clip.report.ended_by = ended_by;
+        open.clip.end = end;
         let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
-        self.full = full.then(|| FullClip {
-            clip: Arc::clone(&open.clip.name),
-            part: open.clip.part,
+        self.full = full.then_some(FullClip {
+            clip: open.name,
+            part: open.clip.report.part,
             windowed: open.windowed,
             end,
         });
-        let closed = ClosedClip {
-            clip: open.clip,
-            ended_by,
-            end,
-            energy: open.energy,
-        };
         if open.pending {
-            self.ended = Some(closed);
+            self.ended = Some(open.clip);
             return None;
         }
-        Some(closed)
-    }
-}
-
-impl Clip {
-    fn count(&mut self, frame: &FrameRecord) {
-        self.states.count(frame.detections.state);
-        self.degraded += u64::from(frame.detections.degraded);
-        self.total.add(frame.first_answer);
-        if let Some(detector) = frame.times.detector {
-            self.detector.add(detector);
-        }
-        self.detector_used += frame
-            .times
-            .detector_run
-            .map_or(Duration::ZERO, |run| run.used);
-    }
-
-    fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {
-        if let Some(threshold) = threshold
-            && self.threshold != Some(threshold)
-        {
-            if self.threshold_changes.len() == MOST_CHANGES {
-                self.threshold_changes.pop();
-            }
-            self.threshold_changes
-                .push(ThresholdChange { seq, threshold });
-        }
-        self.threshold = threshold;
+        Some(open.clip)
     }
 }
 
@@ -340,7 +292,7 @@ impl OpenClip {
 
     /// Keeps the energy up to where the clip ends if nothing more happens.
     fn keep_until_its_end(&self) {
-        self.energy.until(self.natural_end());
+        self.clip.energy.until(self.natural_end());
     }
 
     /// One mean frame interval after the last arrival, or when that frame was answered, if later.

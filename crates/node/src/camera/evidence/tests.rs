@@ -36,7 +36,13 @@ async fn evidence() -> LiveEvidence {
 fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let slot = CameraSlot(0);
     let screen = CameraScreen::new(&ScreenConfig::default(), None);
-    LiveEvidence::new(detector.clone(), screen, slot, pixels)
+    LiveEvidence::new(
+        detector.clone(),
+        screen,
+        slot,
+        pixels,
+        CancellationToken::new(),
+    )
 }
 
 #[tokio::test]
@@ -79,8 +85,8 @@ async fn decoded_pictures_of_all_cameras_take_turns_in_the_same_buffers() {
 #[ignore = "needs ONNX Runtime"]
 async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
     let [first, ..] = pictures();
-    let give_up = CancellationToken::new();
-    let mut evidence = evidence().await.giving_up_on(give_up.clone());
+    let mut evidence = evidence().await;
+    let give_up = evidence.give_up.clone();
     let mut held = Vec::new();
     while let Some(Some(place)) = evidence.pixels.place().now_or_never() {
         held.push(place);

@@ -1,12 +1,12 @@
 //! Promises of the clip report and its energy.
 
 use super::*;
-use crate::camera::clip::tests::{Camera, ms};
-use crate::camera::clip::{ClipConfig, ClipTracker, FrameArrival};
+use crate::camera::clip::tests::{Camera, ms, report};
+use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::FrameState;
-use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
+use albireo_power::{Energy, Meter, MeterError, PowerHandle, Reading, Value, start_with};
 use albireo_wire::DomainEnergy;
 use albireo_wire::EnergyQuality;
 use tokio_util::sync::CancellationToken;
@@ -27,17 +27,7 @@ fn measured(joules: f64, coverage: f64) -> Measured {
             }],
         },
         joules: Some(joules),
-        ..unmeasured()
-    }
-}
-
-fn meta() -> ClipMeta {
-    ClipMeta {
-        node: "car-7".to_owned(),
-        camera: "front".to_owned(),
-        policy: "albireo".to_owned(),
-        model: "yolo.onnx".to_owned(),
-        provider: "cpu".to_owned(),
+        ..Measured::default()
     }
 }
 
@@ -50,7 +40,7 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
     }
     let closed = closed.unwrap();
     let energy = energy_of(&measured(811.5, 1.0), closed.duration(), 200);
-    let report = closed.measured().await.into_report(meta());
+    let report = report(closed).await;
     assert_eq!(report.frames, 200);
     assert_eq!(report.states.frames(), report.frames);
     // Of 80 frames without the detector 6 should have had it.
@@ -67,7 +57,7 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
 #[test]
 fn without_frames_or_without_a_meter_there_is_no_product_and_no_nan() {
     assert_eq!(energy_delay_product(5.0, ms(100), 0), None);
-    let none = energy_of(&unmeasured(), ms(100), 5);
+    let none = energy_of(&Measured::default(), ms(100), 5);
     assert_eq!(
         (none.joules, none.node_joules, none.edp),
         (None, None, None)
@@ -121,11 +111,10 @@ impl Meter for TenWatts {
     }
 }
 
-fn frame(clip: &str) -> FrameArrival<'_> {
-    FrameArrival {
-        t_ns: 0,
-        clip: Some(clip),
-        arrival: Instant::now(),
+impl ClipTracker {
+    /// A frame of that clip arrives now.
+    fn frame(&mut self, clip: &str) -> Option<Clip> {
+        self.arrive(0, Some(clip), Instant::now())
     }
 }
 
@@ -139,7 +128,7 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
         .collect();
     for second in 0..60_u32 {
         for (i, tracker) in cameras.iter_mut().enumerate() {
-            tracker.arrive(&frame("drive"));
+            tracker.frame("drive");
             // The rear camera needs the detector in every third second only. It waits meanwhile for the front
             // camera's run, which costs it nothing.
             if i == 0 || second.is_multiple_of(3) {
@@ -158,12 +147,7 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     let mut joules = Vec::new();
     let end = Instant::now();
     for tracker in &mut cameras {
-        let report = tracker
-            .shutdown(end)
-            .unwrap()
-            .measured()
-            .await
-            .into_report(meta());
+        let report = report(tracker.shutdown(end).unwrap()).await;
         let energy = report.energy;
         assert!((energy.node_joules.unwrap() - 600.0).abs() < 1e-6);
         assert_eq!(energy.quality, EnergyQuality::Measured);
@@ -189,11 +173,11 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
         // Past an interval, so that the next is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
-            tracker.arrive(&frame(&clip.to_string()));
+            tracker.frame(&clip.to_string());
             tokio::time::sleep(ms(1000)).await;
-            let closed = tracker.arrive(&frame("between")).unwrap();
+            let closed = tracker.frame("between").unwrap();
             let asked = Instant::now();
-            let report = closed.measured().await.into_report(meta());
+            let report = report(closed).await;
             let waited = asked.elapsed();
             if until_s == f64::MAX {
                 assert!(waited <= ms(interval), "{waited:?} at {interval} ms");
@@ -222,8 +206,8 @@ async fn without_a_meter_no_report_waits() {
     );
     let start = Instant::now();
     for clip in 0..1000 {
-        if let Some(closed) = tracker.arrive(&frame(&clip.to_string())) {
-            let report = closed.measured().await.into_report(meta());
+        if let Some(closed) = tracker.frame(&clip.to_string()) {
+            let report = report(closed).await;
             assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
         }
     }
@@ -246,11 +230,11 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     let stop = CancellationToken::new();
     let (power, _task) = start_with(Box::new(Silent), ms(10_000), stop.clone());
     let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"), None);
-    tracker.arrive(&frame("last"));
+    tracker.frame("last");
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();
     let closed = tracker.shutdown(asked).unwrap();
-    closed.measured().await.into_report(meta());
+    report(closed).await;
     assert!(asked.elapsed() <= ms(301), "{:?}", asked.elapsed());
     stop.cancel();
 }

@@ -1,7 +1,8 @@
 //! The estimate of what was saved, on a machine whose watts are given, beside the truth: what the same clip costs there
 //! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
 
-use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, FrameArrival};
+use crate::camera::clip::tests::report;
+use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use crate::config::{CameraConfig, NodeConfig};
@@ -126,11 +127,7 @@ async fn play(
             picture: PictureSize::new(1280, 720),
         };
         last = Some(index);
-        tracker.arrive(&FrameArrival {
-            t_ns: 0,
-            clip: Some("drive"),
-            arrival,
-        });
+        tracker.arrive(0, Some("drive"), arrival);
         let mut times = Times::default();
         let mut need = policy.begin(head);
         while need != Need::Nothing {
@@ -153,15 +150,7 @@ async fn play(
         });
     }
     tokio::time::sleep_until(start + CLIP).await;
-    let closed = tracker.shutdown(Instant::now()).unwrap();
-    let meta = ClipMeta {
-        node: "node".to_owned(),
-        camera: camera.to_string(),
-        policy: policy.name().to_owned(),
-        model: String::new(),
-        provider: String::new(),
-    };
-    closed.measured().await.into_report(meta)
+    report(tracker.shutdown(Instant::now()).unwrap()).await
 }
 
 struct Played {
