@@ -41,7 +41,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
         }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let mut reports = bench.reports().await;
-    let mut changes = bench.board.readiness().subscribe();
+    let mut changes = bench.board.readiness.subscribe();
     let picture = pictures(1).remove(0);
     for seq in 0..2 {
         bench
@@ -65,7 +65,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
 
     until("a restart", async || {
-        bench.board.tasks().counts().iter().any(|(name, counts)| {
+        bench.board.tasks.counts().iter().any(|(name, counts)| {
             name == "camera front" && (counts.failures, counts.restarts) == (1, 1)
         })
     })
@@ -74,7 +74,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
         .send_of_clip(picture.clone(), "image/jpeg", 3, Some("a"))
         .await;
     assert_eq!(bench.answer().await.seq, 3);
-    let health = bench.board.readiness().health();
+    let health = bench.board.readiness.health();
     assert_eq!(health.state(), HealthState::Degraded);
     bench.stop().await;
 }
@@ -97,7 +97,7 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
         bench.send(picture.clone(), "image/jpeg", seq).await;
     }
     let failures = || -> u64 {
-        let counts = bench.board.tasks().counts();
+        let counts = bench.board.tasks.counts();
         counts.iter().map(|(_, counts)| counts.failures).sum()
     };
     let stopped = || bench.snapshot().dropped.stopped;
@@ -158,7 +158,7 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
     let mut config = configuration();
     config.zenoh.connect = first.endpoints.clone();
     let second = Bench::start(&config).await;
-    let mut changes = second.board.readiness().subscribe();
+    let mut changes = second.board.readiness.subscribe();
     let told = timeout(
         LONG,
         changes.wait_for(|status| {
@@ -266,7 +266,7 @@ async fn a_detector_that_finds_only_the_impossible_is_told_by_readiness_until_it
     let mut config = configuration();
     config.detector.model = model("dark_overflows.onnx");
     let mut bench = Bench::start(&config).await;
-    let mut changes = bench.board.readiness().subscribe();
+    let mut changes = bench.board.readiness.subscribe();
     for seq in 0..6 {
         bench.send(solid(20), "image/jpeg", seq).await;
         let answer = bench.answer().await;

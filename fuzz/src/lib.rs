@@ -8,10 +8,8 @@ use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::selector::Selector;
 use albireo_node::api::http::{NodeView, router};
 use albireo_node::config::NodeConfig;
-use albireo_node::delivery::outbox::{Outbox, OutboxConfig};
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
-use albireo_node::state::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
-use albireo_node::state::target::TargetSetup;
+use albireo_node::state::board::Board;
 use albireo_power::TegrastatsLine;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
@@ -318,43 +316,10 @@ const CHANGES: [&str; 3] = [
 ];
 
 fn node_api() -> axum::Router {
-    let knob = albireo_core::policy::Knob {
-        name: "u",
-        meaning: "",
-        minimum: 1e-9,
-        maximum: 1.0,
-        default: 3e-4,
-        useful_minimum: 1.5e-4,
-        useful_maximum: 1e-1,
-    };
-    let camera = CameraSetup {
-        name: "front".to_owned(),
-        key: "albireo/node/front/frame".to_owned(),
-        source: None,
-        knob: Some(knob),
-        threshold: None,
-        sizeless: true,
-        longest_pause: None,
-        audited: false,
-    };
-    let setup = BoardSetup {
-        node: "node".to_owned(),
-        cameras: vec![camera],
-        outbox: Outbox::open(&OutboxConfig::default(), None).expect("an outbox in memory"),
-        policy: "albireo",
-        target: TargetSetup {
-            policy: "albireo",
-            knob: Some(knob),
-            ..TargetSetup::default()
-        },
-        detector: DetectorFacts {
-            model: "detector.onnx".to_owned(),
-            requested: Vec::new(),
-        },
-        detector_status: tokio::sync::watch::channel(DetectorStatus::Starting).1,
-    };
+    let (_, status) = tokio::sync::watch::channel(DetectorStatus::Starting);
+    let board = Board::open(&NodeConfig::default(), status).expect("a board in memory");
     let view = NodeView {
-        board: Board::new(setup),
+        board,
         limits: limits(),
         config: Default::default(),
     };

@@ -25,7 +25,7 @@ fn with_file(file: PathBuf) -> HttpConfig {
 
 #[tokio::test]
 async fn with_a_token_all_but_health_and_the_page_needs_it() {
-    let node = Served::with(with_token(), Some(KNOB)).await;
+    let node = Served::with(with_token()).await;
     node.ready();
     for path in [
         "/",
@@ -65,7 +65,7 @@ async fn with_a_token_all_but_health_and_the_page_needs_it() {
 #[case("a-long-random-secret", 401)]
 #[tokio::test]
 async fn only_the_whole_token_passes(#[case] value: &str, #[case] status: u16) {
-    let node = Served::with(with_token(), Some(KNOB)).await;
+    let node = Served::with(with_token()).await;
     let request = node.request(Method::GET, "/api/v1/threshold");
     let answer = request.header("authorization", value).send().await.unwrap();
     assert_eq!(answer.status(), status);
@@ -77,7 +77,7 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
     let file = directory.path().join("token");
     let write = |text: &str| std::fs::write(&file, text).unwrap();
     write("the-first-token-of-all\nsecond line\n");
-    let node = Served::with(with_file(file.clone()), Some(KNOB)).await;
+    let node = Served::with(with_file(file.clone())).await;
     let status = async |token: &str| {
         let request = node.request(Method::GET, "/metrics").bearer_auth(token);
         request.send().await.unwrap().status().as_u16()
@@ -104,7 +104,7 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
 
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
-    let (board, _detector) = board(Some(KNOB), None);
+    let (board, _detector) = board("albireo", None);
     let view = view(&board, serde_json::Value::Null);
     let shutdown = CancellationToken::new();
     // Already over: a service that is not refused ends at once.
@@ -192,7 +192,7 @@ async fn other_web_origins_are_let_in_only_when_named() {
     assert!(!headers.contains_key(ALLOWED));
     let mut config = with_token();
     config.cors_origins = vec!["https://fleet.example".to_owned()];
-    let open = Served::with(config, Some(KNOB)).await;
+    let open = Served::with(config).await;
     let headers = preflight(&open, "https://fleet.example").await;
     assert_eq!(headers[ALLOWED], "https://fleet.example");
     // As the node has them, and no other.

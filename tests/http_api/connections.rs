@@ -1,6 +1,6 @@
 //! Connections that say nothing, or do not read: they are closed, and never shut out who asks.
 
-use super::served::{Frames, KNOB, Served, frame};
+use super::served::{Frames, Served, frame};
 use crate::support::Node;
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
@@ -20,7 +20,7 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
         max_connections,
         ..HttpConfig::default()
     };
-    Served::with(config, Some(KNOB)).await
+    Served::with(config).await
 }
 
 #[tokio::test]

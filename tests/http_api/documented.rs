@@ -1,8 +1,7 @@
-use super::served::{Frames, KNOB, Served, clip};
+use super::served::{Frames, Served, clip};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::LatestFrame;
-use albireo_service::config::HttpConfig;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -36,18 +35,16 @@ get /api/v1/clips
 get /api/v1/events";
 
 async fn filled() -> Served {
-    let node = Served::with(HttpConfig::default(), Some(KNOB)).await;
+    let node = Served::start().await;
     node.ready();
     let front = node.front();
     front.answered_all(&[FrameState::I, FrameState::P]);
-    front.set_latest_frame(LatestFrame {
-        seq: 0,
-        picture: EncodedPicture {
-            format: PictureFormat::Gray8,
-            bytes: vec![7; 16].into(),
-            size: PictureSize::new(4, 4),
-        },
-    });
+    let picture = EncodedPicture {
+        format: PictureFormat::Gray8,
+        bytes: vec![7; 16].into(),
+        size: PictureSize::new(4, 4),
+    };
+    front.set_latest_frame(LatestFrame::new(0, picture));
     node.board.record_clip(clip("front", 0));
     node
 }

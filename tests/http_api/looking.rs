@@ -103,7 +103,7 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 #[tokio::test]
 async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
     let node = Served::start().await;
-    let zenoh = node.board.readiness().part("zenoh");
+    let zenoh = node.board.readiness.part("zenoh");
     zenoh.not_ready("the session is not open yet");
     let starting = node.refused("/readyz", 503).await;
     let requested = json!(["cuda", "cpu"]);
@@ -123,7 +123,7 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
     let degraded = node.refused("/readyz", 503).await;
     assert_says(degraded["detail"].as_str().unwrap(), &["2000 ms"]);
     node.ready();
-    let power = node.board.readiness().part("power");
+    let power = node.board.readiness.part("power");
     power.degraded("the meter cannot be read");
     let reasons = json!([{"part": "power", "effect": "degraded"}]);
     let expected = json!({"ready": true, "state": "degraded", "reasons": reasons});
@@ -140,14 +140,12 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
     assert_says(none["detail"].as_str().unwrap(), &["no picture"]);
     let camera = node.front();
     let show = |seq, format, bytes: Vec<u8>| {
-        camera.set_latest_frame(LatestFrame {
-            seq,
-            picture: EncodedPicture {
-                format,
-                bytes: bytes.into(),
-                size: PictureSize::new(4, 2),
-            },
-        });
+        let picture = EncodedPicture {
+            format,
+            bytes: bytes.into(),
+            size: PictureSize::new(4, 2),
+        };
+        camera.set_latest_frame(LatestFrame::new(seq, picture));
     };
     show(7, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
     let response = node.get(path).await;
@@ -160,6 +158,27 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
     assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
     show(9, PictureFormat::Png, b"broken".to_vec());
     node.refused(path, 500).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_picture_is_decoded_once_however_many_ask_for_it() {
+    let node = Served::start().await;
+    for (number, seq) in [(1, 7), (2, 8)] {
+        let picture = EncodedPicture {
+            format: PictureFormat::Rgb8,
+            bytes: vec![number; 640 * 480 * 3].into(),
+            size: PictureSize::new(640, 480),
+        };
+        node.front()
+            .set_latest_frame(LatestFrame::new(seq, picture));
+        let asking = (0..24).map(|_| node.get("/api/v1/cameras/front/frame.jpg"));
+        for response in futures_util::future::join_all(asking).await {
+            assert_eq!(response.headers()["albireo-frame"], seq.to_string());
+            assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
+        }
+        let decoded = format!("albireo_shown_pictures_decoded_total {number}\n");
+        assert_says(&node.metrics().await, &[&decoded]);
+    }
 }
 
 /// Camera and number of the clips that a path answers with.
@@ -267,7 +286,7 @@ async fn a_request_that_does_not_end_is_answered_and_dropped() {
         timeout_ms: 50,
         ..HttpConfig::default()
     };
-    let node = Served::with(config, Some(super::served::KNOB)).await;
+    let node = Served::with(config).await;
     let mut connection = tokio::net::TcpStream::connect(node.address).await.unwrap();
     let head = "PUT /api/v1/threshold HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n\
                 Content-Length: 12\r\nConnection: close\r\n\r\n{\"u\":";

@@ -58,7 +58,7 @@ albireo_threshold{camera="front",knob="u"} 0.0003
 albireo_tau_max{camera="front"} 0.00015
 albireo_ready 1
 albireo_detector_ready 1
-albireo_detector_info{model="detector.onnx",provider="cpu",policy="albireo"} 1
+albireo_detector_info{model="yolox_nano.onnx",provider="cpu",policy="albireo"} 1
 albireo_detector_runs_total{outcome="completed"} 0
 albireo_detector_batches_total 0
 albireo_detector_rebuilds_total{outcome="failed"} 0

@@ -1,13 +1,13 @@
 //! A node's history: for a page that is opened later, and for diagnosis.
 
-use super::served::{Frames, KNOB, Served, board, clip, frame};
+use super::served::{Frames, Served, board, clip, frame};
 #[cfg(feature = "hub")]
 use crate::support::{Ended, albireo};
 use crate::support::{assert_has, assert_says};
 use albireo_core::policy::FrameState;
 use albireo_node::config::NodeConfig;
 use albireo_node::state::board::PowerSnapshot;
-use albireo_service::config::{HttpConfig, Token, without_secrets};
+use albireo_service::config::{Token, without_secrets};
 use albireo_wire::{CallCause, EnergyQuality};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -93,7 +93,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
     assert!((really - 2.0 / 3.0).abs() < 0.01, "{told}");
     let rates = [0, 1, 2].map(|value| told["values"][value]["skip_rate"].as_f64().unwrap());
     assert!(
-        rates[0] == 0.0 && (rates[1] - really).abs() < 0.01 && rates[2] > 0.99,
+        rates[0] == 0.0 && (rates[1] - really).abs() < 0.01 && rates[2] > 0.9,
         "{told}"
     );
     let curve = node.json(path).await;
@@ -191,7 +191,7 @@ async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
     let mut config = NodeConfig::default();
     config.http.token = Some(Token::new(secret));
     let shown = without_secrets(&config);
-    let node = Served::over(config.http, board(Some(KNOB), None), shown).await;
+    let node = Served::over(config.http, board("albireo", None), shown).await;
     node.front().answered(frame(0, FrameState::I));
     node.board.record_clip(clip("front", 0));
     node.refused("/api/v1/diag", 401).await;
@@ -242,7 +242,7 @@ async fn the_command_fetches_it(node: &str, secret: &str) {
 
 #[tokio::test]
 async fn the_last_lines_of_the_log_can_be_had_from_a_number_on() {
-    let node = Served::with(HttpConfig::default(), Some(KNOB)).await;
+    let node = Served::start().await;
     let log = node.json("/api/v1/log?limit=5").await;
     assert!(log["lines"].as_array().unwrap().len() <= 5, "{log}");
     let none = node.json("/api/v1/log?after=18446744073709551615").await;

@@ -1,11 +1,10 @@
 //! A node's interface on a free port, over a board that the test writes.
 
-use albireo_core::policy::{FrameState, Knob};
+use albireo_core::policy::{Albireo, FrameState, Knob};
 use albireo_node::FrameRecord;
 use albireo_node::api::http::{NodeView, router};
-use albireo_node::delivery::outbox::{Outbox, OutboxConfig};
-use albireo_node::state::board::{Board, BoardSetup, CameraBoard, CameraSetup, DetectorFacts};
-use albireo_node::state::target::TargetSetup;
+use albireo_node::config::{CameraConfig, NodeConfig};
+use albireo_node::state::board::{Board, CameraBoard};
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
@@ -14,7 +13,7 @@ use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::{Value, json};
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -22,15 +21,7 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-pub(crate) const KNOB: Knob = Knob {
-    name: "u",
-    meaning: "The detector is skipped while every uncertainty is below it.",
-    minimum: 1e-9,
-    maximum: 1.0,
-    default: 3e-4,
-    useful_minimum: 1.5e-4,
-    useful_maximum: 1e-1,
-};
+pub(crate) const KNOB: Knob = Albireo::KNOB;
 
 /// A served node.
 pub(crate) struct Served {
@@ -44,37 +35,19 @@ pub(crate) struct Served {
 
 /// A board with the cameras `front` and `rear`.
 pub(crate) fn board(
-    knob: Option<Knob>,
-    state_dir: Option<PathBuf>,
+    policy: &str,
+    state_dir: Option<&Path>,
 ) -> (Arc<Board>, watch::Sender<DetectorStatus>) {
     let (detector, detector_status) = watch::channel(DetectorStatus::Starting);
-    let camera = |name: &str| CameraSetup {
-        name: name.to_owned(),
-        key: format!("albireo/car-7/{name}/frame"),
-        source: None,
-        knob,
-        threshold: None,
-        sizeless: true,
-        longest_pause: None,
-        audited: true,
+    let mut config = NodeConfig {
+        cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),
+        ..NodeConfig::default()
     };
-    let board = Board::new(BoardSetup {
-        node: "car-7".to_owned(),
-        cameras: vec![camera("front"), camera("rear")],
-        outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
-        policy: "albireo",
-        target: TargetSetup {
-            policy: "albireo",
-            knob: Some(KNOB),
-            ..TargetSetup::default()
-        },
-        detector: DetectorFacts {
-            model: "detector.onnx".to_owned(),
-            requested: vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu],
-        },
-        detector_status,
-    });
-    (board, detector)
+    config.policy.select(policy).unwrap();
+    config.node.name = "car-7".to_owned();
+    config.node.state_dir = state_dir.map(Path::to_owned);
+    config.detector.providers = vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu];
+    (Board::open(&config, detector_status).unwrap(), detector)
 }
 
 /// What is served of a board.
@@ -89,16 +62,16 @@ pub(crate) fn view(board: &Arc<Board>, config: Value) -> NodeView {
 impl Served {
     /// With the default settings.
     pub(crate) async fn start() -> Self {
-        Self::with(HttpConfig::default(), Some(KNOB)).await
+        Self::with(HttpConfig::default()).await
     }
 
-    pub(crate) async fn with(config: HttpConfig, knob: Option<Knob>) -> Self {
-        Self::over(config, board(knob, None), Value::Null).await
+    pub(crate) async fn with(config: HttpConfig) -> Self {
+        Self::over(config, board("albireo", None), Value::Null).await
     }
 
     /// Over a board with that state directory.
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
-        let board = board(Some(KNOB), Some(state_dir.into()));
+        let board = board("albireo", Some(state_dir));
         Self::over(HttpConfig::default(), board, Value::Null).await
     }
 

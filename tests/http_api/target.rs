@@ -85,7 +85,7 @@ async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls()
         ] {
             node.get(path).await.text().await.unwrap();
         }
-        for (seq, camera) in node.board.cameras().iter().enumerate() {
+        for (seq, camera) in node.board.cameras.iter().enumerate() {
             camera.answered(frame(seq as u64, FrameState::P));
         }
         node.board.publish_counters(0);

@@ -1,4 +1,4 @@
-use super::served::{KNOB, Served, problem};
+use super::served::{KNOB, Served, board, problem};
 use crate::support::{assert_has, assert_says};
 use albireo_service::config::HttpConfig;
 use reqwest::Method;
@@ -60,7 +60,7 @@ async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
             assert_has(&refused["knob"], &json!({"minimum": 1e-9, "maximum": 1.0}));
         }
     }
-    for camera in node.board.cameras() {
+    for camera in &node.board.cameras {
         assert_eq!(camera.threshold(), Some(KNOB.default));
     }
 }
@@ -129,7 +129,7 @@ async fn a_change_for_one_camera_leaves_the_others() {
 #[tokio::test]
 async fn a_change_for_all_reaches_every_camera_and_its_loop() {
     let node = Served::start().await;
-    let cameras = node.board.cameras().iter();
+    let cameras = node.board.cameras.iter();
     let loops: Vec<_> = cameras.map(|camera| camera.watch_threshold()).collect();
     let response = node.put(PATHS[0], r#" {"v": 1, "u": 7e-4} "#).await;
     let all: Value = response.json().await.unwrap();
@@ -153,12 +153,12 @@ async fn an_unknown_camera_is_refused_with_the_names_of_the_known_ones() {
 
 #[tokio::test]
 async fn a_policy_without_a_threshold_says_so() {
-    let node = Served::with(HttpConfig::default(), None).await;
+    let node = Served::over(HttpConfig::default(), board("vanilla", None), Value::Null).await;
     for path in PATHS {
         let refused = problem(node.put(path, r#"{"u": 5e-4}"#).await, 409).await;
         assert_eq!(
             refused["detail"],
-            "policy `albireo` has no threshold to change"
+            "policy `vanilla` has no threshold to change"
         );
     }
     let front = node.json(PATHS[1]).await;

@@ -307,7 +307,7 @@ impl Camera {
         let clip = frame.clip.as_deref();
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let knob = (parts.board.knob()).zip(self.decider.policy().knob_value());
+        let knob = (parts.board.knob).zip(self.decider.policy().knob_value());
         Some(BegunFrame {
             head,
             clip,

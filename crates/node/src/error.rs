@@ -1,7 +1,7 @@
 //! Errors that keep a node from starting or end it.
 
+use crate::delivery::outbox::OutboxError;
 use crate::input::source::SourceError;
-use crate::state::board::SetupError;
 use albireo_core::policy::PolicyConfigError;
 use albireo_power::MeterError;
 use albireo_service::http::HttpError;
@@ -13,9 +13,9 @@ use albireo_wire::KeyError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NodeError {
-    /// The configuration describes no node.
+    /// The state directory cannot be used.
     #[error(transparent)]
-    Setup(#[from] SetupError),
+    Outbox(#[from] OutboxError),
     /// A name cannot stand in a key.
     #[error(transparent)]
     Key(#[from] KeyError),

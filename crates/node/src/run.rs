@@ -124,7 +124,7 @@ pub async fn run_prepared(
     let notifier = tokio::spawn(albireo_service::notify::run(
         move || {
             readiness::service_state(
-                status_board.readiness(),
+                &status_board.readiness,
                 &status_board.detector_status(),
                 stuck_after,
             )
@@ -158,16 +158,16 @@ pub async fn run_prepared(
 
 /// Logs what a reader of the log wants to know first, in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
-    let from: Vec<_> = (board.cameras().iter())
-        .map(|camera| camera.source().unwrap_or_else(|| camera.key()))
+    let from: Vec<_> = (board.cameras.iter())
+        .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let knobs: BTreeSet<_> = (board.cameras().iter())
+    let knobs: BTreeSet<_> = (board.cameras.iter())
         .filter_map(|camera| Some(camera.threshold_in_force()?.to_string()))
         .collect();
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         node = config.node.name,
-        policy = board.policy(),
+        policy = board.policy,
         knob = knobs.into_iter().collect::<Vec<_>>().join(", "),
         model = %config.detector.model.display(),
         provider = node.provider(),

@@ -2,15 +2,15 @@
 
 mod camera;
 
-use crate::api::key_service::KeyService;
+use crate::api::keys::NodeKeyValues;
 use crate::api::name::NodeName;
 use crate::config::NodeConfig;
+use crate::delivery::outbox::retry_disk;
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
 use crate::error::NodeError;
-use crate::state::board::{Board, BoardSetup};
+use crate::state::board::Board;
 use crate::state::counters::Counters;
 use crate::state::readiness;
-use crate::state::target::{TargetKey, TargetTask};
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_service::readiness::Fault;
 use albireo_service::session;
@@ -75,8 +75,8 @@ impl PreparedNode {
     /// When a name or the policy cannot be used.
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
-        let board = Board::new(BoardSetup::from_config(config, status)?);
-        let cameras = board.readiness().part(readiness::CAMERAS);
+        let board = Board::open(config, status)?;
+        let cameras = board.readiness.part(readiness::CAMERAS);
         cameras.not_ready("the cameras are not subscribed to yet");
         let policy = config.policy.clone();
         Ok(Self {
@@ -131,7 +131,7 @@ impl PreparedNode {
             policies,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
-        let zenoh = board.readiness().part(readiness::ZENOH);
+        let zenoh = board.readiness.part(readiness::ZENOH);
         zenoh.not_ready("the session is not open yet");
         let session = session::open(&config.zenoh, config.frame.max_payload_bytes, |reason| {
             zenoh.not_ready(reason);
@@ -140,7 +140,7 @@ impl PreparedNode {
         .map_err(|error| NodeError::Zenoh(format!("{error:#}")))?;
         zenoh.works();
         let probed = session.clone();
-        (board.readiness()).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
+        (board.readiness).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
             probed.is_closed().then(|| Fault::not_ready("it is closed"))
         });
         let sampling = CancellationToken::new();
@@ -156,14 +156,14 @@ impl PreparedNode {
 
         if let Some(screen) = &screen {
             let status = screen.status();
-            (board.readiness()).probe(readiness::SCREEN, "", move || {
+            (board.readiness).probe(readiness::SCREEN, "", move || {
                 readiness::of_screen(&status.borrow())
             });
         }
         board.attach_meters(detector.meter(), screen.as_ref().map(ScreenHandle::meter));
         let mut tasks = Supervisor::new(
-            board.readiness().clone(),
-            board.tasks().clone(),
+            board.readiness.clone(),
+            board.tasks.clone(),
             shutdown.clone(),
         );
         tasks.until_shutdown(
@@ -182,7 +182,7 @@ impl PreparedNode {
         }
         readiness::look_at_cameras(&board, readiness::CAMERA_SILENCE);
         readiness::look_at_power(&board, &power);
-        let watched = board.readiness().clone();
+        let watched = board.readiness.clone();
         tasks.until_shutdown("readiness", tracing::info_span!("readiness"), async move {
             watched.watch(POLL_INTERVAL).await;
         });
@@ -219,44 +219,50 @@ impl PreparedNode {
                 })?;
         }
         let subscriptions = cameras.subscriptions;
-        let counters =
-            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
+        let counters = Counters::declare(&session, &keys, Arc::clone(&board), power).await?;
         tasks.essential(
             "counters",
             tracing::info_span!("counters"),
             counters.run(shutdown.clone()),
         );
-        let value = Arc::new(TargetKey(Arc::clone(&board)));
-        let served = KeyService::declare(&session, keys.target(), value)
-            .await
+        let mut values = NodeKeyValues::new();
+        for camera in &board.cameras {
+            let key = keys.camera(camera.name())?.threshold();
+            (values
+                .add_threshold(&session, key, Arc::clone(camera))
+                .await)
+                .map_err(refused("a threshold cannot be served"))?;
+        }
+        (values
+            .add_target(&session, keys.target(), Arc::clone(&board))
+            .await)
             .map_err(refused("the target cannot be served"))?;
         tasks.essential(
-            "target requests",
-            tracing::info_span!("target_requests"),
-            served.run(shutdown.clone()),
+            "requests",
+            tracing::info_span!("requests"),
+            values.run(shutdown.clone()),
         );
-        let task = TargetTask::new(Arc::clone(&board), power);
-        tasks.essential(
-            "target",
-            tracing::info_span!("target"),
-            task.run(shutdown.clone()),
+        tasks.until_shutdown(
+            "disk",
+            tracing::info_span!("disk"),
+            retry_disk(board.outbox.clone(), board.settings.clone()),
         );
         let alive = NodeName::default();
         let holding = alive.clone().hold(
             session.clone(),
             keys.alive(),
-            board.readiness().part_of(readiness::ZENOH, "name"),
+            board.readiness.part_of(readiness::ZENOH, "name"),
         );
         tasks.until_shutdown("name", tracing::info_span!("name"), holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             config: config.clone(),
             keys: keys.clone(),
-            desired: DesiredKeeper::open(board.outbox()),
+            desired: DesiredKeeper::open(&board.settings),
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
         tasks.until_shutdown("uplink", tracing::info_span!("uplink"), ended);
-        board.readiness().part(readiness::CAMERAS).works();
+        board.readiness.part(readiness::CAMERAS).works();
         Ok(Node {
             session,
             detector,

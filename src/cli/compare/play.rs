@@ -141,7 +141,7 @@ impl Player {
         stopped.await.context("the node")??;
         let (cpu, answers) = played?;
         let report = board
-            .recent_clips(Some(CAMERA), usize::MAX)
+            .recent_clips(Some(CAMERA), None, None, usize::MAX)
             .into_iter()
             .find(|report| report.clip == MEASURED)
             .context("the node reported no clip")?;

@@ -1,7 +1,7 @@
 //! What the demonstration prints: an address, a live line, a line for every clip, a summary.
 
 use albireo_node::config::NodeConfig;
-use albireo_node::state::board::{Board, Event, SharedEvent};
+use albireo_node::state::board::{Board, Event, News};
 use albireo_wire::{ClipEnergy, ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ const LAST_REPORT: Duration = Duration::from_secs(3);
 /// Follows a node's board and prints.
 pub(super) struct Show {
     board: Arc<Board>,
-    events: Receiver<SharedEvent>,
+    events: Receiver<Arc<Event>>,
     address: SocketAddr,
     model: String,
     started: Instant,
@@ -65,8 +65,8 @@ impl Show {
             "  counters curl http://{}/api/v1/frame-states",
             self.address
         );
-        let camera = self.board.cameras().first();
-        if let Some(knob) = camera.and_then(|camera| camera.knob()) {
+        let camera = self.board.cameras.first();
+        if let Some(knob) = camera.and_then(|camera| camera.knob) {
             // Something to see the difference by: twice what it is without configuration.
             let value = (2.0 * knob.default).min(knob.maximum);
             let value = serde_json::json!({ knob.name: value });
@@ -91,8 +91,8 @@ impl Show {
                 event = self.events.recv() => event,
                 () = &mut end => break,
             };
-            match event.as_deref() {
-                Ok(Event::Frame(frame)) => {
+            match event.as_ref().map(|event| &event.news) {
+                Ok(News::Frame(frame)) => {
                     if !self.has_heading && !frame.detections.boxes.is_empty() {
                         let seconds = self.started.elapsed().as_secs_f64();
                         self.say(&format!("first detection after {seconds:.1} s"));
@@ -103,7 +103,7 @@ impl Show {
                         .set_message(live_line(&self.board, &frame.detections));
                     self.bar.tick();
                 }
-                Ok(Event::Clip(report)) => {
+                Ok(News::Clip(report)) => {
                     self.heading();
                     self.say(&clip_line(report));
                     summary.add(report);
@@ -157,7 +157,7 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
         .map(|(class, count)| format!("{count} {class}"))
         .collect();
     let skip_rate = board
-        .cameras()
+        .cameras
         .first()
         .map_or(0.0, |camera| camera.snapshot().skip_rate());
     let knob = (message.threshold).map_or_else(String::new, |knob| format!("  {knob}"));

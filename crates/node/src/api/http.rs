@@ -12,7 +12,6 @@ mod log;
 mod metrics;
 mod node;
 mod picture;
-mod pictures;
 mod states;
 mod target;
 mod threshold;
@@ -21,16 +20,19 @@ pub(crate) use health::provider;
 
 use crate::state::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
 use albireo_service::http::{self, Page, Problem, Route};
+use albireo_service::metrics::Counter;
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
     PullRequest, ReportAnswer, ReportBatch, SettledMessage, StatusMessage, ThresholdMessage,
 };
 use axum::Router;
+use axum::extract::Query;
+use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
 use std::sync::Arc;
-use tokio::sync::Semaphore;
+use tokio::sync::{Mutex, Semaphore};
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 use utoipa::{Modify, OpenApi as _};
@@ -52,7 +54,10 @@ pub struct NodeView {
 #[derive(Clone)]
 struct RouteState {
     view: NodeView,
-    pictures: Arc<pictures::Pictures>,
+    /// The right to decode a picture: memory holds one that is decoded, however many are asked for.
+    decoding: Arc<Mutex<()>>,
+    /// Pictures decoded to be shown.
+    decoded: Counter,
     /// Places for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
@@ -65,14 +70,14 @@ impl RouteState {
         &self.view.board
     }
 
+    fn camera_names(&self) -> Vec<String> {
+        let cameras = self.board().cameras.iter();
+        cameras.map(|camera| camera.name().to_owned()).collect()
+    }
+
     fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {
         self.board().camera(name).ok_or_else(|| {
-            let names: Vec<_> = self
-                .board()
-                .cameras()
-                .iter()
-                .map(|camera| camera.name().to_owned())
-                .collect();
+            let names = self.camera_names();
             let detail = format!(
                 "there is no camera `{name}`; there is: {}",
                 names.join(", ")
@@ -80,6 +85,21 @@ impl RouteState {
             Problem::new(StatusCode::NOT_FOUND, detail).allowing(names)
         })
     }
+}
+
+/// What is asked for behind the `?` of a request; `allowed` are the names that may be there.
+fn query<T>(
+    query: Result<Query<T>, QueryRejection>,
+    allowed: &[&'static str],
+) -> Result<T, Problem> {
+    match query {
+        Ok(Query(query)) => Ok(query),
+        Err(rejection) => Err(bad_request(rejection.body_text()).allowing(allowed.iter().copied())),
+    }
+}
+
+fn bad_request(detail: String) -> Problem {
+    Problem::new(StatusCode::BAD_REQUEST, detail)
 }
 
 #[derive(utoipa::OpenApi)]
@@ -177,7 +197,8 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         )
         .with_state(RouteState {
             view,
-            pictures: Arc::default(),
+            decoding: Arc::default(),
+            decoded: Counter::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
             routes,

@@ -44,20 +44,25 @@ impl NodeName {
         let own = format!("{key}/{}", session.zid());
         let mut warned = false;
         loop {
-            let pause = if self.is_held().await {
-                if !other_claims(session, key, &own).await?.is_empty() {
-                    warn(key, part, &mut warned);
-                } else {
-                    part.works();
-                    warned = false;
+            let is_held = self.is_held().await;
+            let is_free = other_claims(session, key, &own).await?.is_empty()
+                && (is_held || self.claim(session, key, &own).await?);
+            if is_free {
+                part.works();
+                warned = false;
+            } else {
+                part.degraded(TAKEN);
+                if !std::mem::replace(&mut warned, true) {
+                    tracing::warn!(
+                        key,
+                        "another node of this name is on the network, or an earlier run of this one was killed a moment \
+                         ago: give each node a name of its own (node.name)"
+                    );
                 }
+            }
+            let pause = if is_held {
                 LOOK_AGAIN_EVERY
             } else {
-                if self.claim(session, key, &own).await? {
-                    part.works();
-                } else {
-                    warn(key, part, &mut warned);
-                }
                 LOOK_EVERY
             };
             let random = RandomState::new().hash_one(&own) % 1000;
@@ -65,11 +70,8 @@ impl NodeName {
         }
     }
 
-    /// Takes the name if it is free; whether it was.
+    /// Takes the name, unless somebody with a lower id claims it at the same time; whether that went well.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
-        if !other_claims(session, key, own).await?.is_empty() {
-            return Ok(false);
-        }
         let claim = session.liveliness().declare_token(own).await?;
         tokio::time::sleep(GETTING_AROUND).await;
         let others = other_claims(session, key, own).await?;
@@ -108,17 +110,6 @@ async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<
         }
     }
     Ok(others)
-}
-
-fn warn(key: &str, part: &Part, warned: &mut bool) {
-    part.degraded(TAKEN);
-    if !std::mem::replace(warned, true) {
-        tracing::warn!(
-            key,
-            "another node of this name is on the network, or an earlier run of this one was killed a moment ago: give \
-             each node a name of its own (node.name)"
-        );
-    }
 }
 
 #[cfg(test)]

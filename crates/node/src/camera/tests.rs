@@ -8,7 +8,7 @@ use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::Outlet;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits};
-use crate::state::board::{Board, BoardSetup, Event};
+use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
@@ -49,7 +49,7 @@ impl Bench {
             ..NodeConfig::default()
         };
         let (_, status) = watch::channel(DetectorStatus::Starting);
-        let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+        let board = Board::open(&config, status).unwrap();
         let camera = Arc::clone(board.camera("front").unwrap());
         let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
         let detector = DetectorHandle::start(&DetectorConfig {
@@ -271,7 +271,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         };
         bench.frames.push(frame, 0);
         let mut message = loop {
-            if let Event::Frame(event) = &*events.recv().await.unwrap() {
+            if let News::Frame(event) = &events.recv().await.unwrap().news {
                 break DetectionsMessage::clone(&event.detections);
             }
         };

@@ -21,29 +21,18 @@ pub(super) use disk::StateFile;
 use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
-use table::TableError;
+use std::time::{Duration, Instant};
+pub(super) use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
 
-/// Why the state directory cannot be used. Only what waiting does not mend: a disk that fails is no reason
-/// not to start.
+/// The state directory cannot be used, for a reason that waiting does not mend: a disk that fails is no reason not to
+/// start.
 #[derive(Debug, thiserror::Error)]
-pub enum OutboxError {
-    /// Another node has it.
-    #[error(
-        "node.state_dir {0} is in use by another node: two nodes cannot share one; choose another, or stop the other node"
-    )]
-    Locked(PathBuf),
-    /// Not our file.
-    #[error("node.state_dir {0} cannot be used: {1}")]
-    Foreign(PathBuf, String),
-    /// The configuration names something that can never be a folder.
-    #[error("node.state_dir {0} is a file, not a folder: name a folder, or move the file away")]
-    NotAFolder(PathBuf),
-    /// There is no memory.
-    #[error("clip reports cannot be kept in memory: {0}")]
-    Memory(String),
+#[error("node.state_dir {} cannot be used: {error}", .directory.display())]
+pub struct OutboxError {
+    directory: PathBuf,
+    error: TableError,
 }
 
 /// What the outbox has counted, and how it is.
@@ -85,14 +74,13 @@ impl OutboxCounts {
     }
 }
 
+/// How often a disk that failed is tried again.
+const RETRY_EVERY: Duration = Duration::from_secs(2);
+
 /// The outbox; clones are the same one. Methods that may write and sync a file say so: to be called away from async
 /// workers.
 #[derive(Clone, Debug)]
-pub struct Outbox {
-    shared: Arc<Shared>,
-    settings: Settings,
-    directory: bool,
-}
+pub struct Outbox(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
@@ -110,74 +98,61 @@ impl Outbox {
     /// # Errors
     /// [`OutboxError`]: another node uses the directory, or what is there is not ours.
     pub fn open(config: &OutboxConfig, directory: Option<&Path>) -> Result<Self, OutboxError> {
-        let Some(directory) = directory else {
-            tracing::warn!(
-                "no node.state_dir: clip reports wait in memory and are gone when the node stops"
-            );
-            return Self::in_memory();
+        let opened = match directory {
+            None => {
+                tracing::warn!(
+                    "no node.state_dir: clip reports wait in memory and are gone when the node stops"
+                );
+                Waiting::new(None, 0).map(Self::of)
+            }
+            Some(directory) if directory.is_file() => Err(TableError::NotAFolder),
+            Some(directory) => {
+                let file = Box::new(StateFile::new(directory));
+                Self::open_on(file, config.max_bytes, Now::system())
+            }
         };
-        if directory.is_file() {
-            return Err(OutboxError::NotAFolder(directory.to_owned()));
-        }
-        let file = Box::new(StateFile::new(directory));
-        Self::open_on(file, config, directory, Now::system())
+        opened.map_err(|error| OutboxError {
+            directory: directory.map(Path::to_owned).unwrap_or_default(),
+            error,
+        })
     }
 
     /// Opens the outbox on a disk.
     pub(super) fn open_on(
         disk: Box<dyn Disk>,
-        config: &OutboxConfig,
-        directory: &Path,
+        max_bytes: u64,
         now: Now,
-    ) -> Result<Self, OutboxError> {
-        let mut waiting = Self::waiting(Some(disk), config.max_bytes)?;
+    ) -> Result<Self, TableError> {
+        let mut waiting = Waiting::new(Some(disk), max_bytes)?;
         match waiting.open(now) {
-            Err(TableError::Locked) => return Err(OutboxError::Locked(directory.to_owned())),
-            Err(TableError::Foreign(reason)) => {
-                return Err(OutboxError::Foreign(directory.to_owned(), reason));
-            }
+            Err(error @ (TableError::Locked | TableError::Foreign(_))) => Err(error),
             // A disk that fails is tried again.
-            Ok(()) | Err(_) => {}
+            Ok(()) | Err(_) => Ok(Self::of(waiting)),
         }
-        Ok(Self::of(waiting, Some(directory)))
     }
 
-    /// One that keeps nothing on disk.
-    pub(crate) fn in_memory() -> Result<Self, OutboxError> {
-        Ok(Self::of(Self::waiting(None, 0)?, None))
-    }
-
-    fn waiting(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Waiting, OutboxError> {
-        Waiting::new(disk, most_bytes).map_err(|error| OutboxError::Memory(error.to_string()))
-    }
-
-    fn of(waiting: Waiting, directory: Option<&Path>) -> Self {
-        let counts = waiting.counts();
-        Self {
-            shared: Arc::new(Shared {
-                waiting: Mutex::new(waiting),
-                counts: Mutex::new(counts),
-                changed: Notify::new(),
-            }),
-            settings: Settings::open(directory),
-            directory: directory.is_some(),
-        }
+    fn of(waiting: Waiting) -> Self {
+        Self(Arc::new(Shared {
+            counts: Mutex::new(waiting.counts()),
+            waiting: Mutex::new(waiting),
+            changed: Notify::new(),
+        }))
     }
 
     /// How it is. Never waits for a disk.
     pub fn counts(&self) -> OutboxCounts {
-        self.shared.counts.lock().clone()
+        self.0.counts.lock().clone()
     }
 
     /// Returns when reports were added since the last call. For one task alone; never waits for a disk.
     pub(crate) async fn changed(&self) {
-        self.shared.changed.notified().await;
+        self.0.changed.notified().await;
     }
 
     /// Keeps reports, in order, and gives them their running counts. Writes a file.
     pub(crate) fn insert(&self, reports: &mut [ClipReport], now: Now) {
         self.with(|waiting| waiting.insert(reports, now));
-        self.shared.changed.notify_one();
+        self.0.changed.notify_one();
     }
 
     /// The oldest reports to be sent, as reports of `node`; with those that a hub has lost if they go `again` now. Reads,
@@ -191,49 +166,35 @@ impl Outbox {
         self.with(|waiting| waiting.answered(batch, answer, now))
     }
 
-    /// Tries a disk that failed again, when it is time. May write a file.
+    /// Tries a disk that failed again. May write a file.
     pub(crate) fn retry_disk(&self, now: Now) {
         self.with(|waiting| waiting.retry_disk(now));
-        self.settings.retry();
     }
 
     /// Works on the reports, and publishes their counts.
     fn with<T>(&self, work: impl FnOnce(&mut Waiting) -> T) -> T {
-        let mut waiting = self.shared.waiting.lock();
+        let mut waiting = self.0.waiting.lock();
         let done = work(&mut waiting);
-        *self.shared.counts.lock() = waiting.counts();
+        *self.0.counts.lock() = waiting.counts();
         done
     }
 
-    /// A setting kept under `name`.
-    pub(crate) fn setting<T: serde::de::DeserializeOwned>(&self, name: &str) -> Option<T> {
-        self.settings.get(name)
-    }
-
-    /// Keeps a setting; whether it survives a restart. Writes a file.
-    pub(crate) fn set<T: serde::Serialize>(&self, name: &str, setting: &T) -> bool {
-        self.settings.set(name, setting)
-    }
-
-    /// Whether there is a directory to keep things in.
-    pub(crate) const fn has_directory(&self) -> bool {
-        self.directory
-    }
-
-    /// Whether settings changed now survive a restart.
-    pub(crate) fn keeps_settings(&self) -> bool {
-        self.counts().durable
-    }
-
-    /// A disk that stalls until this is dropped, for reports and settings.
+    /// A disk that stalls until this is dropped.
     #[cfg(test)]
     pub(crate) fn stall(&self) -> impl Sized {
-        (self.shared.waiting.lock(), self.settings.stall())
+        self.0.waiting.lock()
     }
+}
 
-    /// Makes it time to try a disk that failed.
-    #[cfg(test)]
-    pub(crate) fn disk_is_due(&self) {
-        self.shared.waiting.lock().retry_at = Instant::now();
+/// Tries a disk that failed again, for reports and settings, for as long as it is polled.
+pub(crate) async fn retry_disk(outbox: Outbox, settings: Settings) {
+    loop {
+        tokio::time::sleep(RETRY_EVERY).await;
+        let (outbox, settings) = (outbox.clone(), settings.clone());
+        let tried = tokio::task::spawn_blocking(move || {
+            outbox.retry_disk(Now::system());
+            settings.retry();
+        });
+        let _ = tried.await;
     }
 }

@@ -51,9 +51,9 @@ impl Reporter {
         let kept = tokio::task::spawn_blocking(move || {
             let report = |(clip, energy): (Clip, Measured)| {
                 let mut report = ClipReport {
-                    node: board.node().to_owned(),
+                    node: board.node.clone(),
                     camera: camera.clone(),
-                    policy: board.policy().to_owned(),
+                    policy: board.policy.to_owned(),
                     model: model.clone(),
                     provider: provider.clone(),
                     ..clip.into_report(energy)
@@ -62,7 +62,7 @@ impl Reporter {
                 report
             };
             let mut reports: Vec<_> = measured.into_iter().map(report).collect();
-            board.outbox().insert(&mut reports, Now::system());
+            board.outbox.insert(&mut reports, Now::system());
             reports
         });
         let kept = kept.await.unwrap_or_else(|error| {

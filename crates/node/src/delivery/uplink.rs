@@ -24,9 +24,10 @@ use albireo_wire::{
 use backoff::Backoff;
 use futures_util::future::{BoxFuture, FutureExt};
 use futures_util::stream::{FuturesUnordered, StreamExt};
-pub(super) use query::HubReply;
 use query::ask;
-pub(super) use schedule::{Outcome, Schedule};
+#[cfg(test)]
+pub(super) use query::read_reply;
+pub(super) use schedule::{Failure, Schedule};
 pub(super) use status::StatusTeller;
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
@@ -41,11 +42,6 @@ use watched::Watched;
 use zenoh::Session;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
-#[cfg(test)]
-pub(super) use {
-    desired::tests::{board, thresholds},
-    query::read_reply,
-};
 
 /// How often the status is compared with the one sent last.
 const POLL_EVERY: Duration = Duration::from_secs(1);
@@ -113,7 +109,6 @@ struct Worker {
     schedule: Schedule,
     /// Pauses between sessions that could not be opened or failed.
     reconnect: Backoff,
-    retry_disk_at: Instant,
 }
 
 /// Why a session is served no longer.
@@ -128,8 +123,8 @@ enum Asked {
     Pull,
 }
 
-/// What came of it, with what the hub desires.
-type Ended = (Asked, Outcome, Option<Desired>);
+/// What came of it: what the hub desires, if it said that.
+type Ended = (Asked, Result<Option<Desired>, Failure>);
 
 impl Worker {
     fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
@@ -142,21 +137,20 @@ impl Worker {
             watched: Watched::new(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
-            retry_disk_at: Instant::now(),
             setup: Arc::new(setup),
             stop,
         }
     }
 
     async fn run(mut self) {
-        let part = self.setup.board.readiness().part(readiness::UPLINK);
+        let part = self.setup.board.readiness.part(readiness::UPLINK);
         loop {
             let session = match &self.setup.local {
                 Some(session) => Ok(session.clone()),
                 None => {
                     let uplink = self.setup.config.uplink.clone();
                     let opening = spawn_blocking(move || session::open_uplink(&uplink));
-                    let Some(opened) = self.unless_stopped(opening).await else {
+                    let Some(opened) = self.stop.run_until_cancelled(opening).await else {
                         return;
                     };
                     opened.unwrap_or_else(|failed| Err(failed.into()))
@@ -195,39 +189,15 @@ impl Worker {
                 }
             };
             let pause = self.reconnect.next(None);
-            if failed && self.unless_stopped(sleep(pause)).await.is_none() {
+            if failed && (self.stop.run_until_cancelled(sleep(pause)).await).is_none() {
                 return;
             }
         }
     }
 
-    /// Waits for `work`, and retries the disk meanwhile; `None` when the node stops before.
-    async fn unless_stopped<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
-        let mut work = std::pin::pin!(work);
-        loop {
-            tokio::select! {
-                biased;
-                () = self.stop.clone().cancelled_owned() => return None,
-                done = &mut work => return Some(done),
-                () = sleep(POLL_EVERY) => self.retry_disk().await,
-            }
-        }
-    }
-
-    /// Tries a disk that failed again.
-    async fn retry_disk(&mut self) {
-        let setup = Arc::clone(&self.setup);
-        if setup.board.outbox().counts().failing.is_none() || Instant::now() < self.retry_disk_at {
-            return;
-        }
-        self.retry_disk_at = Instant::now() + POLL_EVERY;
-        let tried = spawn_blocking(move || setup.board.outbox().retry_disk(Now::system()));
-        let _ = tried.await;
-    }
-
     async fn serve(&mut self, session: &Session) -> zenoh::Result<Served> {
         let setup = Arc::clone(&self.setup);
-        let (keys, outbox) = (&setup.keys, setup.board.outbox());
+        let (keys, outbox) = (&setup.keys, &setup.board.outbox);
         let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
         let querier = |key: String| {
             session
@@ -264,7 +234,6 @@ impl Worker {
         self.watched.begin();
         self.schedule.begin(Instant::now());
         loop {
-            self.retry_disk().await;
             let now = Instant::now();
             let counts = outbox.counts();
             let watched = self.watched.is_on(now);
@@ -293,8 +262,9 @@ impl Worker {
             let look = self.schedule.next_look(latest, now);
             tokio::select! {
                 () = self.stop.cancelled(), if last_try.is_none() => {
-                    last_try = Some(Instant::now() + LAST_TRY);
-                    self.schedule.send_now();
+                    let now = Instant::now();
+                    last_try = Some(now + LAST_TRY);
+                    self.schedule.send_now(now);
                 }
                 Some(ended) = asked.next() => self.take(ended).await,
                 () = outbox.changed() => {}
@@ -311,13 +281,13 @@ impl Worker {
         }
     }
 
-    async fn take(&mut self, (asked, outcome, desired): Ended) {
+    async fn take(&mut self, (asked, ended): Ended) {
         let now = Instant::now();
         match asked {
-            Asked::Batch => self.schedule.batch_ended(outcome, now),
-            Asked::Pull => self.schedule.pull_ended(outcome, now),
+            Asked::Batch => self.schedule.batch_ended(&ended, now),
+            Asked::Pull => self.schedule.pull_ended(&ended, now),
         }
-        let Some(desired) = desired else { return };
+        let Ok(Some(desired)) = ended else { return };
         if desired.send_full_status {
             self.teller.full_is_due();
         }
@@ -334,8 +304,7 @@ impl Worker {
 
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
-        let period = Duration::from_secs(setup.config.outbox.status_s.max(1));
-        let message = (self.teller).due(period, Now::system(), &setup.board, &setup.desired);
+        let message = (self.teller).due(Now::system(), &setup.board, &setup.desired);
         match message {
             Ok(Some(payload)) => status.put(payload).await,
             _ => Ok(()),
@@ -345,41 +314,38 @@ impl Worker {
 
 /// Sends the oldest reports, and takes the answer to the outbox.
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
-    let prepare = Arc::clone(setup);
+    let board = Arc::clone(&setup.board);
     let prepared = spawn_blocking(move || {
-        let batch = (prepare.board.outbox()).batch(prepare.board.node(), again, Now::system())?;
-        match batch.to_payload(BatchCompression::Best) {
-            Ok(payload) => Some((batch, payload)),
-            Err(error) => {
-                tracing::error!(%error, "clip reports cannot be written");
-                None
-            }
-        }
+        let batch = (board.outbox).batch(&board.node, again, Now::system())?;
+        let payload = batch.to_payload(BatchCompression::Best);
+        Some((batch, payload))
     });
-    let Ok(Some((batch, payload))) = prepared.await else {
-        return (Asked::Batch, Outcome::Nothing, None);
+    let (batch, payload) = match prepared.await {
+        Ok(Some((batch, Ok(payload)))) => (batch, payload),
+        Ok(None) => return (Asked::Batch, Ok(None)),
+        failed => {
+            tracing::error!(?failed, "clip reports cannot be written");
+            return (Asked::Batch, Err(Failure::Unanswered));
+        }
     };
     let reply = ask::<ReportAnswer>(reports, payload).await;
     let board = Arc::clone(&setup.board);
-    let taken = spawn_blocking(move || conclude(board.outbox(), &batch, reply, Now::system()));
-    let (outcome, desired) = taken.await.unwrap_or((Outcome::Unanswered, None));
-    (Asked::Batch, outcome, desired)
+    let taken = spawn_blocking(move || conclude(&board.outbox, &batch, reply, Now::system()));
+    let ended = taken.await.unwrap_or(Err(Failure::Unanswered));
+    (Asked::Batch, ended)
 }
 
-/// Takes to the outbox what came of `batch`. Writes a file.
+/// Takes to the outbox what came of `batch`; what the hub desires, if it said that. Writes a file.
 pub(crate) fn conclude(
     outbox: &Outbox,
     batch: &ReportBatch,
-    reply: HubReply<ReportAnswer>,
+    reply: Result<ReportAnswer, Failure>,
     now: Now,
-) -> (Outcome, Option<Desired>) {
-    let (outcome, answer) = reply.outcome();
-    let desired = answer.and_then(|answer| {
-        let stored = outbox.answered(batch, &answer, now);
-        tracing::debug!(stored, "clip reports acknowledged");
-        answer.desired
-    });
-    (outcome, desired)
+) -> Result<Option<Desired>, Failure> {
+    let answer = reply?;
+    let stored = outbox.answered(batch, &answer, now);
+    tracing::debug!(stored, "clip reports acknowledged");
+    Ok(answer.desired)
 }
 
 /// Asks what is desired.
@@ -389,6 +355,6 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
         revision: setup.desired.revision(),
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
-    let (outcome, desired) = ask::<Desired>(pulls, payload).await.outcome();
-    (Asked::Pull, outcome, desired)
+    let desired = ask::<Desired>(pulls, payload).await;
+    (Asked::Pull, desired.map(Some))
 }

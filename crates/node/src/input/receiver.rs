@@ -333,10 +333,8 @@ impl FrameReceiver {
         let sequence = frame.sequence;
         let (kind, reason): (DropKind, _) = match arrival {
             Some(Arrival::New { index, .. }) => {
-                self.board.set_latest_frame(LatestFrame {
-                    seq: sequence,
-                    picture: frame.picture.clone(),
-                });
+                self.board
+                    .set_latest_frame(LatestFrame::new(sequence, frame.picture.clone()));
                 return Ok(SequencedFrame {
                     frame,
                     index,

@@ -1,8 +1,6 @@
 //! Adds a camera to a node that starts: its publishers, its loop, its reporter, its threshold and its source of frames.
 
 use super::{PolicyMaker, refused};
-use crate::api::key_service::KeyService;
-use crate::api::threshold::ThresholdKey;
 use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::ClipTracker;
 use crate::camera::evidence::LiveEvidence;
@@ -144,15 +142,6 @@ impl Cameras<'_> {
             reporter.run(clips),
         );
 
-        let value = Arc::new(ThresholdKey(Arc::clone(board)));
-        let threshold = KeyService::declare(self.session, keys.threshold(), value)
-            .await
-            .map_err(refused("the threshold cannot be served"))?;
-        self.tasks.essential(
-            format!("threshold {name}"),
-            tracing::info_span!("threshold", camera = name),
-            threshold.run(self.shutdown.clone()),
-        );
         let receiver = FrameReceiver::new(
             Arc::clone(board),
             drops,
@@ -163,14 +152,14 @@ impl Cameras<'_> {
         if let Some(settings) = config.source_settings(self.shared.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
-        let key = board.key();
+        let key = &board.key;
         let refused = || refused(format!("frames on `{key}` cannot be received"));
         let receiver = Arc::new(receiver);
         if config.delivery == Delivery::Every {
             let every_frame = Arc::clone(&receiver);
             let queryable = self
                 .session
-                .declare_queryable(key.to_owned())
+                .declare_queryable(key.clone())
                 .complete(true)
                 .callback(move |query| every_frame.take_query(query))
                 .await
@@ -191,7 +180,7 @@ impl Cameras<'_> {
             .map_err(refused())?;
         let frames = self
             .session
-            .declare_subscriber(key.to_owned())
+            .declare_subscriber(key.clone())
             .callback(move |sample| receiver.take(&sample))
             .await
             .map_err(refused())?;
@@ -250,7 +239,7 @@ impl Cameras<'_> {
         // It asks the programs for their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(|error| NodeError::State(error.to_string()))??;
-        let readiness = self.board.readiness();
+        let readiness = &self.board.readiness;
         let feed = SourceFeed {
             receiver: Arc::new(receiver),
             part: readiness.part_of(readiness::CAMERAS, name.to_owned()),

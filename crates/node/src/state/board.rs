@@ -5,30 +5,28 @@ mod camera;
 mod event;
 mod history;
 mod savings;
-mod setup;
 mod threshold;
 
-pub use camera::CameraSnapshot;
-pub use camera::{CameraBoard, CameraSetup, LatestFrame};
-pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
+pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
+pub use event::{Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
 pub(crate) use savings::{Savings, Totals};
-pub use setup::SetupError;
-pub use setup::{BoardSetup, DetectorFacts};
-pub use threshold::ThresholdError;
 #[cfg(test)]
 pub(crate) use threshold::set_by_hand;
-pub(crate) use threshold::set_thresholds;
+pub(crate) use threshold::{ThresholdError, set_thresholds};
 
+use crate::config::NodeConfig;
 use crate::delivery::outbox::Outbox;
+use crate::error::NodeError;
 use crate::state::readiness;
+use crate::state::settings::Settings;
 use crate::state::target::NodeTarget;
 use albireo_core::target::{Target, TargetError};
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
-use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
+use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus, ExecutionProvider};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{ClipReport, CountersMessage, SettingSource};
 use camera::Shared;
@@ -51,67 +49,100 @@ const EVENT_BACKLOG: usize = 1024;
 /// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
 #[derive(Debug)]
 pub struct Board {
-    node: String,
-    policy: &'static str,
+    /// The node's name.
+    pub(crate) node: String,
+    /// The policy's name.
+    pub(crate) policy: &'static str,
+    /// File name of the detector's model.
+    pub(crate) model: String,
+    /// Execution providers asked for, in order.
+    pub(crate) providers: Vec<ExecutionProvider>,
+    /// All cameras, in the order of the configuration.
+    pub cameras: Vec<Arc<CameraBoard>>,
+    /// Whether the node works, part by part.
+    pub readiness: Readiness,
+    /// How often the node's tasks failed.
+    pub tasks: TaskTally,
+    /// Where reports wait for a hub.
+    pub(crate) outbox: Outbox,
+    /// What is changed while the node runs and survives a restart.
+    pub(crate) settings: Settings,
+    /// The target, which moves the thresholds while one is set.
+    pub(crate) target: Arc<NodeTarget>,
     started: Instant,
-    cameras: Vec<Arc<CameraBoard>>,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
-    events: broadcast::Sender<SharedEvent>,
-    detector: DetectorFacts,
+    events: broadcast::Sender<Arc<Event>>,
     detector_status: watch::Receiver<DetectorStatus>,
     meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
     today: Mutex<Today>,
-    readiness: Readiness,
-    tasks: TaskTally,
-    outbox: Outbox,
-    target: Arc<NodeTarget>,
 }
 
 impl Board {
-    /// A board with no frames yet. Thresholds kept in the state directory by an earlier run are taken over where
-    /// the policy's knob still has that name and range and the configured value is the same as then; a
-    /// file that cannot be read is logged and otherwise ignored. Call inside a tokio runtime or not, as
-    /// you like.
-    pub fn new(setup: BoardSetup) -> Arc<Self> {
+    /// The board of a node with this configuration, with no frames yet. Thresholds kept in the state directory by an
+    /// earlier run are taken over where the policy's knob still has that name and range and the configured value is the
+    /// same as then; a file that cannot be read is logged and otherwise ignored.
+    ///
+    /// # Errors
+    /// What cannot be used: the state directory, or what a checked configuration does not have.
+    pub fn open(
+        config: &NodeConfig,
+        detector_status: watch::Receiver<DetectorStatus>,
+    ) -> Result<Arc<Self>, NodeError> {
+        let directory = config.node.state_dir.as_deref();
+        let outbox = Outbox::open(&config.outbox, directory)?;
+        let settings = Settings::open(directory);
+        let policy = config.policy.build()?;
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
         let started = Instant::now();
-        let begin = setup.cameras.first().and_then(|camera| camera.threshold);
-        let target = NodeTarget::open(setup.target, setup.outbox.clone(), begin);
-        let target = Arc::new(target);
+        let begin = config.cameras.first().and_then(|camera| camera.threshold);
+        let target = Arc::new(NodeTarget::open(
+            config.target,
+            policy.name(),
+            policy.knob(),
+            begin.or_else(|| policy.knob_value()),
+            settings.clone(),
+        ));
         let shared = Shared {
-            policy: setup.policy,
             started,
             events: events.clone(),
-            outbox: setup.outbox.clone(),
+            settings: settings.clone(),
             target: Arc::clone(&target),
         };
-        let cameras = setup.cameras.into_iter();
-        let cameras = cameras.map(|camera| Arc::new(CameraBoard::new(camera, shared.clone())));
-        let started_ms = unix_milliseconds();
+        let cameras = (config.cameras.iter())
+            .map(|camera| CameraBoard::new(config, camera, &*policy, shared.clone()).map(Arc::new));
+        let cameras = cameras.collect::<Result<_, _>>()?;
         let readiness = Readiness::default();
-        let detector_status = setup.detector_status.clone();
+        let status = detector_status.clone();
         readiness.probe(readiness::DETECTOR, "", move || {
-            readiness::of_detector(&detector_status.borrow())
+            readiness::of_detector(&status.borrow())
         });
-        let outbox = setup.outbox.clone();
+        let (disk, reports, has_directory) = (outbox.clone(), outbox.clone(), directory.is_some());
         readiness.probe(readiness::DISK, "", move || {
-            outbox.counts().failing.map(Fault::degraded)
+            disk.counts().failing.map(Fault::degraded)
         });
-        let outbox = setup.outbox.clone();
         readiness.probe(readiness::OUTBOX, "", move || {
-            readiness::of_outbox(&outbox.counts(), outbox.has_directory())
+            readiness::of_outbox(&reports.counts(), has_directory)
         });
-        Arc::new(Self {
-            node: setup.node,
-            policy: setup.policy,
+        let started_ms = unix_milliseconds();
+        let model = &config.detector.model;
+        let model = model.file_name().unwrap_or(model.as_os_str());
+        Ok(Arc::new(Self {
+            node: config.node.name.clone(),
+            policy: policy.name(),
+            model: model.to_string_lossy().into_owned(),
+            providers: config.detector.providers.clone(),
+            cameras,
+            readiness,
+            tasks: TaskTally::default(),
+            outbox,
+            settings,
+            target,
             started,
-            cameras: cameras.collect(),
             clips: Mutex::default(),
             events,
-            detector: setup.detector,
-            detector_status: setup.detector_status,
+            detector_status,
             meters: OnceLock::new(),
             power: Mutex::default(),
             started_ms,
@@ -119,21 +150,7 @@ impl Board {
                 since_ms: started_ms,
                 before: Totals::default(),
             }),
-            readiness,
-            tasks: TaskTally::default(),
-            outbox: setup.outbox,
-            target,
-        })
-    }
-
-    /// The node's name.
-    pub fn node(&self) -> &str {
-        &self.node
-    }
-
-    /// The policy's name.
-    pub fn policy(&self) -> &'static str {
-        self.policy
+        }))
     }
 
     /// Where to read what the detector and the screen count, once they have started. The first ones stay.
@@ -158,11 +175,6 @@ impl Board {
         self.started.elapsed()
     }
 
-    /// All cameras, in the order of the configuration.
-    pub fn cameras(&self) -> &[Arc<CameraBoard>] {
-        &self.cameras
-    }
-
     /// The camera of that name.
     pub fn camera(&self, name: &str) -> Option<&Arc<CameraBoard>> {
         self.cameras.iter().find(|camera| camera.name() == name)
@@ -170,7 +182,7 @@ impl Board {
 
     /// What happens from now on. A reader that falls more than 1024 events behind gets
     /// `RecvError::Lagged` with the number it lost.
-    pub fn subscribe(&self) -> broadcast::Receiver<SharedEvent> {
+    pub fn subscribe(&self) -> broadcast::Receiver<Arc<Event>> {
         self.events.subscribe()
     }
 
@@ -188,17 +200,12 @@ impl Board {
         clips.push_back(Arc::clone(&report));
         drop(clips);
         // An error only means that there are no subscribers.
-        let _ = self.events.send(Event::Clip(report).into());
-    }
-
-    /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
-    pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
-        self.clips_between(camera, None, None, limit)
+        let _ = self.events.send(Event::new(News::Clip(report)));
     }
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`; those older than `before` and newer
     /// than `after`. Of reports that are not in memory nothing is older, and all are newer.
-    pub(crate) fn clips_between(
+    pub fn recent_clips(
         &self,
         camera: Option<&str>,
         before: Option<Uuid>,
@@ -226,19 +233,22 @@ impl Board {
             .iter()
             .map(|camera| {
                 let message = Arc::new(self.counters(camera, t_ns));
-                let _ = (self.events).send(Event::Counters(Arc::clone(&message)).into());
+                let news = News::Counters(Arc::clone(&message));
+                let _ = self.events.send(Event::new(news));
                 message
             })
             .collect()
     }
 
     /// The present state as events: thresholds and counters of every camera.
-    pub(crate) fn current(&self, t_ns: u64) -> Vec<Event> {
-        let thresholds = |camera: &Arc<CameraBoard>| {
-            let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
-            camera.threshold_event().into_iter().chain([counters])
+    pub(crate) fn current(&self, t_ns: u64) -> Vec<Arc<Event>> {
+        let current = |camera: &Arc<CameraBoard>| {
+            let counters = News::Counters(Arc::new(self.counters(camera, t_ns)));
+            let threshold = camera.threshold_in_force();
+            let threshold = threshold.map(|threshold| camera.threshold_news(threshold));
+            threshold.into_iter().chain([counters]).map(Event::new)
         };
-        self.cameras.iter().flat_map(thresholds).collect()
+        self.cameras.iter().flat_map(current).collect()
     }
 
     /// The present counter message of one camera.
@@ -259,7 +269,7 @@ impl Board {
             watts: power.watts,
             power_quality: power.quality,
             target: self.target.is_on().then(|| self.target.report()),
-            audit: camera.audit_is_on().then(|| snapshot.audit.figures()),
+            audit: camera.is_audited.then(|| snapshot.audit.figures()),
         }
     }
 
@@ -281,27 +291,6 @@ impl Board {
             }
         }
         Ok(())
-    }
-
-    /// The target, which moves the thresholds while one is set.
-    pub(crate) fn target(&self) -> &NodeTarget {
-        &self.target
-    }
-
-    /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the
-    /// last write to it went well.
-    pub(crate) fn thresholds_are_kept(&self) -> bool {
-        self.outbox.keeps_settings()
-    }
-
-    /// Where reports wait for a hub, and what must survive.
-    pub(crate) fn outbox(&self) -> &Outbox {
-        &self.outbox
-    }
-
-    /// What was known about the detector before it started.
-    pub(crate) fn detector_facts(&self) -> &DetectorFacts {
-        &self.detector
     }
 
     /// How the detector is doing now.
@@ -366,16 +355,6 @@ impl Board {
     /// The power figures as last written.
     pub fn power(&self) -> PowerSnapshot {
         self.power.lock().newest().clone()
-    }
-
-    /// Whether the node works, part by part.
-    pub fn readiness(&self) -> &Readiness {
-        &self.readiness
-    }
-
-    /// How often the node's tasks failed.
-    pub fn tasks(&self) -> &TaskTally {
-        &self.tasks
     }
 }
 

@@ -1,4 +1,4 @@
-//! Once a second: every camera's counters on Zenoh, and new power figures on the board.
+//! Once a second: new power figures on the board, every camera's counters on Zenoh, and a step of the target.
 
 use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;
@@ -9,13 +9,17 @@ use albireo_wire::{CountersMessage, NodeKeys};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::MissedTickBehavior;
+use tokio::task::spawn_blocking;
+use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
 /// Time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
+
+/// Messages between two times that the place of the target's knob is kept for a restart.
+const KEEP_EVERY: u32 = 60;
 
 /// Publishes the counters of a node's cameras.
 pub(crate) struct Counters {
@@ -36,7 +40,7 @@ impl Counters {
         power: PowerHandle,
     ) -> Result<Self, NodeError> {
         let mut outlets = BTreeMap::new();
-        for camera in board.cameras() {
+        for camera in &board.cameras {
             let publisher = session
                 .declare_publisher(keys.camera(camera.name())?.counters())
                 .congestion_control(CongestionControl::Drop)
@@ -60,17 +64,27 @@ impl Counters {
     pub(crate) async fn run(self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        loop {
-            tokio::select! {
-                // The figures at the end are the last ones anybody sees.
-                () = shutdown.cancelled() => return self.board.set_power(self.power.snapshot()),
-                _ = ticks.tick() => {}
-            }
-            self.board.set_power(self.power.snapshot());
+        let (mut before, mut then) = (self.board.totals(&self.power.snapshot()), Instant::now());
+        let mut second = 0_u32;
+        while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
+            let (power, now) = (self.power.snapshot(), Instant::now());
+            let totals = self.board.totals(&power);
+            self.board.set_power(power);
             for message in self.board.publish_counters(unix_nanoseconds()) {
                 self.publish(&message);
             }
+            self.board.step_target(totals - before, now - then);
+            (before, then) = (totals, now);
+            second = second.wrapping_add(1);
+            if second.is_multiple_of(KEEP_EVERY) {
+                // Not waited for: the disk may stall.
+                let board = Arc::clone(&self.board);
+                spawn_blocking(move || board.target.keep_place());
+            }
         }
+        // The figures at the end are the last ones anybody sees.
+        self.board.set_power(self.power.snapshot());
+        let _ = spawn_blocking(move || self.board.target.keep_place()).await;
     }
 
     fn publish(&self, message: &CountersMessage) {

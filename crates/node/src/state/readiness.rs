@@ -127,11 +127,11 @@ pub(crate) const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 /// Looks from now on whether frames come from every camera that has no source: a source says itself why none come.
 pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
     let start = tokio::time::Instant::now();
-    let cameras = board.cameras().iter();
-    for camera in cameras.filter(|camera| camera.source().is_none()) {
+    let cameras = board.cameras.iter();
+    for camera in cameras.filter(|camera| camera.source.is_none()) {
         let name = camera.name().to_owned();
         let camera = Arc::clone(camera);
-        board.readiness().probe(CAMERAS, name, move || {
+        board.readiness.probe(CAMERAS, name, move || {
             let seconds = silence.as_secs_f64();
             match camera.snapshot().last_frame_age {
                 Some(age) => (age > silence)
@@ -147,7 +147,7 @@ pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
 pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
     let power = power.clone();
     let begun = tokio::time::Instant::now();
-    board.readiness().probe(POWER, "", move || {
+    board.readiness.probe(POWER, "", move || {
         let silent = power.source() != "none"
             && begun.elapsed() > FIRST_SAMPLE
             && power.snapshot().quality == EnergyQuality::Unavailable;

@@ -70,7 +70,11 @@ impl Settings {
         let mut state = self.0.state.lock();
         state.values.insert(name.to_owned(), value);
         state.unwritten = true;
-        self.0.write(&mut state)
+        let is_kept = self.0.write(&mut state);
+        if !is_kept && self.0.directory.is_some() {
+            tracing::warn!(name, "a setting is not kept: it will not survive a restart");
+        }
+        is_kept
     }
 
     /// Tries again what could not be read or written. Settings that can be read only now are in force from the next start

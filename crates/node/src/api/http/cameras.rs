@@ -87,17 +87,17 @@ pub(super) struct CameraDetail {
 }
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
-    let faults = board.readiness().health().faults;
+    let faults = board.readiness.health().faults;
     let fault = (faults.into_iter())
         .find(|fault| fault.part == CAMERAS && fault.subject == camera.name())
         .map(|fault| fault.fault.reason);
-    let source = camera.source().map(str::to_owned);
+    let source = camera.source.as_deref().map(str::to_owned);
     let snapshot = camera.snapshot();
     let picture =
         (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
         camera: camera.name().to_owned(),
-        key: (source.is_none()).then(|| camera.key().to_owned()),
+        key: (source.is_none()).then(|| camera.key.to_owned()),
         source,
         fault,
         frames: snapshot.states.frames(),
@@ -115,7 +115,7 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
 /// `curl http://127.0.0.1:8080/api/v1/cameras`
 #[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
 pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
-    let cameras = shared.board().cameras().iter();
+    let cameras = shared.board().cameras.iter();
     Json(Cameras {
         cameras: cameras
             .map(|camera| entry(shared.board(), camera))
@@ -144,10 +144,10 @@ pub(super) async fn one(
     Ok(Json(CameraDetail {
         entry: entry(shared.board(), camera),
         version: env!("CARGO_PKG_VERSION"),
-        policy: camera.policy(),
+        policy: camera.policy,
         threshold: camera.threshold_in_force(),
-        set_by: camera.knob().map(|_| camera.threshold_source()),
-        knob: camera.knob(),
+        set_by: camera.knob.map(|_| camera.threshold_source()),
+        knob: camera.knob,
         states: snapshot.states,
         skip_rate,
         degraded_frames: snapshot.degraded_frames,
@@ -175,11 +175,11 @@ pub(super) async fn detections(
     let camera = shared.camera(&camera)?;
     let latest = camera.snapshot().latest.ok_or_else(|| {
         let name = camera.name();
-        let detail = match camera.source() {
+        let detail = match camera.source.as_deref() {
             Some(source) => format!("camera `{name}` has received no frame yet from {source}"),
             None => format!(
                 "camera `{name}` has received no frame yet; it listens on the Zenoh key {}",
-                camera.key()
+                camera.key
             ),
         };
         Problem::new(StatusCode::NOT_FOUND, detail)

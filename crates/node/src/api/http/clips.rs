@@ -1,13 +1,12 @@
 //! Recent clip reports.
 
-use super::RouteState;
+use super::{RouteState, bad_request, query};
 use crate::state::board::RECENT_CLIPS;
 use albireo_service::http::Problem;
 use albireo_wire::ClipReport;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
-use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
@@ -36,20 +35,11 @@ pub(super) struct Selection {
 pub(super) struct Clips {
     /// The reports, as published on Zenoh.
     #[schema(value_type = Vec<ClipReport>)]
-    clips: Vec<ArcReport>,
+    clips: Vec<Arc<ClipReport>>,
     /// To be given as `before` for the clips before these; absent when there are none in memory.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, format = "uuid")]
     next: Option<Uuid>,
-}
-
-/// A shared report; serialised as the report itself.
-struct ArcReport(Arc<ClipReport>);
-
-impl Serialize for ArcReport {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.0.serialize(serializer)
-    }
 }
 
 /// Recent clip reports, newest first
@@ -67,14 +57,11 @@ pub(super) async fn list(
     State(shared): State<RouteState>,
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<Clips>, Problem> {
-    let Query(selection) = selection.map_err(|rejection| {
-        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())
-            .allowing(["camera", "limit", "before", "after"])
-    })?;
+    let selection = query(selection, &["camera", "limit", "before", "after"])?;
     let limit = selection.limit.unwrap_or(50);
     if !(1..=RECENT_CLIPS).contains(&limit) {
         let detail = format!("`limit` must be from 1 to {RECENT_CLIPS}, not {limit}");
-        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+        return Err(bad_request(detail));
     }
     if let Some(camera) = &selection.camera {
         shared.camera(camera)?;
@@ -82,12 +69,9 @@ pub(super) async fn list(
     let Selection { before, after, .. } = selection;
     // One more than requested shows whether there are more.
     let board = shared.board();
-    let mut clips = board.clips_between(selection.camera.as_deref(), before, after, limit + 1);
+    let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;
     clips.truncate(limit);
     let next = clips.last().map(|clip| clip.id).filter(|_| more);
-    Ok(Json(Clips {
-        clips: clips.into_iter().map(ArcReport).collect(),
-        next,
-    }))
+    Ok(Json(Clips { clips, next }))
 }

@@ -31,7 +31,7 @@ fn text(value: &impl Serialize) -> Vec<u8> {
 pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response, Problem> {
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let board = shared.board();
-    let name = board.node().to_owned();
+    let name = board.node.clone();
     let about = json!({
         "program": "albireo node",
         "node": name,
@@ -39,12 +39,11 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
         "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
         "at_s": now_s,
         "running_s": board.uptime().as_secs_f64(),
-        "policy": board.policy(),
+        "policy": board.policy,
         "screen": format!("{:?}", board.screen_counters()),
         "detector": format!("{:?}", board.detector_counters()),
     });
-    let clips = board.recent_clips(None, MOST_CLIPS);
-    let clips: Vec<_> = clips.iter().map(|clip| &**clip).collect();
+    let clips = board.recent_clips(None, None, None, MOST_CLIPS);
     let Json(overview) = node::overview(State(shared.clone())).await;
     let Json(cameras) = cameras::list(State(shared.clone())).await;
     let Json(counters) = states::all(State(shared.clone())).await;

@@ -1,8 +1,8 @@
 //! What happens on the node, as server-sent events (WHATWG HTML, section 9.2).
 
-use super::RouteState;
 use super::health::provider;
-use crate::state::board::{Event, SharedEvent};
+use super::{RouteState, bad_request, query};
+use crate::state::board::{Event, News};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
 use albireo_vision::detector::DetectorStatus;
@@ -27,7 +27,7 @@ use utoipa::{IntoParams, ToSchema};
 /// Event streams at a time: each holds a connection.
 pub(super) const MOST_STREAMS: usize = 64;
 
-/// Names of the events there are, beside those of [`Event`].
+/// Names of the events there are, beside those of [`News`].
 const DETECTOR: &str = "detector";
 const LAGGED: &str = "lagged";
 
@@ -76,7 +76,7 @@ struct Reader {
     types: Vec<String>,
     /// The present state, sent before new events.
     first: VecDeque<sse::Event>,
-    events: broadcast::Receiver<SharedEvent>,
+    events: broadcast::Receiver<Arc<Event>>,
     detector: watch::Receiver<DetectorStatus>,
     shutdown: CancellationToken,
     /// Given back when the stream ends.
@@ -98,10 +98,10 @@ impl Reader {
         self.types.is_empty() || self.types.iter().any(|wanted| wanted == name)
     }
 
-    fn select(&self, happened: &SharedEvent) -> Option<sse::Event> {
+    fn select(&self, happened: &Event) -> Option<sse::Event> {
         let camera = self.camera.as_deref();
-        let about = camera.is_none_or(|camera| camera == happened.camera());
-        let name = happened.name();
+        let about = camera.is_none_or(|camera| camera == happened.news.camera());
+        let name = happened.news.name();
         (about && self.wants(name)).then(|| event(name, happened.json()))?
     }
 
@@ -149,7 +149,7 @@ fn wanted(
         .types
         .map(|types| types.split(',').map(str::to_owned).collect())
         .unwrap_or_default();
-    let known: Vec<&str> = Event::NAMES.into_iter().chain([DETECTOR]).collect();
+    let known: Vec<&str> = News::NAMES.into_iter().chain([DETECTOR]).collect();
     match types.iter().find(|name| !known.contains(&name.as_str())) {
         None => Ok((selection.camera, types)),
         Some(name) => {
@@ -157,7 +157,7 @@ fn wanted(
                 "there are no events `{name}`; there are: {}",
                 known.join(", ")
             );
-            Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(known))
+            Err(bad_request(detail).allowing(known))
         }
     }
 }
@@ -180,9 +180,7 @@ pub(super) async fn stream(
     State(shared): State<RouteState>,
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let Query(selection) = selection.map_err(|rejection| {
-        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["camera", "types"])
-    })?;
+    let selection = query(selection, &["camera", "types"])?;
     let (camera, types) = wanted(selection, &shared)?;
     let place = Arc::clone(&shared.streams)
         .try_acquire_owned()
@@ -204,7 +202,7 @@ pub(super) async fn stream(
     };
     let mut first: VecDeque<_> = reader.detector().into_iter().collect();
     for happened in board.current(unix_nanoseconds()) {
-        first.extend(reader.select(&happened.into()));
+        first.extend(reader.select(&happened));
     }
     reader.first = first;
     let events = stream::unfold(reader, |mut reader| async move {

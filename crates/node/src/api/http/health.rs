@@ -92,16 +92,15 @@ pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
 
 /// How the node is now.
 pub(super) fn readiness(board: &Board) -> Readiness {
-    let facts = board.detector_facts();
-    let health = board.readiness().health();
+    let health = board.readiness.health();
     Readiness {
         ready: health.is_ready(),
         state: health.state(),
-        node: board.node().to_owned(),
-        policy: board.policy(),
-        model: facts.model.clone(),
+        node: board.node.clone(),
+        policy: board.policy,
+        model: board.model.clone(),
         provider: provider(&board.detector_status()),
-        requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
+        requested_providers: board.providers.iter().map(|name| name.as_str()).collect(),
         reasons: health.faults.iter().cloned().map(Reason::from).collect(),
     }
 }
@@ -114,7 +113,7 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
     let board = shared.board();
     Json(Health {
         status: "ok",
-        node: board.node().to_owned(),
+        node: board.node.clone(),
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: albireo_service::clock::seconds(board.uptime()),
     })
@@ -136,7 +135,7 @@ pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let reasons = shared.board().readiness().health().status().reasons;
+    let reasons = shared.board().readiness.health().status().reasons;
     let words: Vec<_> = (reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
         .collect();

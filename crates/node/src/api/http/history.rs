@@ -1,6 +1,6 @@
 //! The recent past of a node, for a page that has just been opened.
 
-use super::RouteState;
+use super::{RouteState, bad_request, query};
 use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
@@ -95,13 +95,10 @@ pub(super) async fn camera(
     Path(camera): Path<String>,
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<CameraHistory>, Problem> {
-    let Query(selection) = selection.map_err(|rejection| {
-        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["frames"])
-    })?;
-    let most = selection.frames.unwrap_or(3000);
+    let most = query(selection, &["frames"])?.frames.unwrap_or(3000);
     if most > FRAMES {
         let detail = format!("`frames` must be from 0 to {FRAMES}, not {most}");
-        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+        return Err(bad_request(detail));
     }
     let camera = shared.camera(&camera)?;
     let (frames, slots, clock) = camera.past(most);
@@ -188,7 +185,7 @@ fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
             let detail = format!(
                 "`values` must be at most {MOST_VALUES} numbers above 0, separated by commas"
             );
-            Err(Problem::new(StatusCode::BAD_REQUEST, detail))
+            Err(bad_request(detail))
         }
     }
 }
@@ -212,12 +209,10 @@ pub(super) async fn skip_estimate(
     Path(camera): Path<String>,
     values: Result<Query<Values>, QueryRejection>,
 ) -> Result<Json<SkipEstimates>, Problem> {
-    let Query(values) = values.map_err(|rejection| {
-        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["values"])
-    })?;
+    let values = query(values, &["values"])?;
     let camera = shared.camera(&camera)?;
     let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
-    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.knob()) else {
+    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.knob) else {
         return Err(cannot("the policy has no threshold to estimate with"));
     };
     if threshold.name.as_str() != "u" {

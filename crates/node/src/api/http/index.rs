@@ -31,12 +31,10 @@ pub(super) struct Index {
 pub(super) async fn index(State(shared): State<RouteState>) -> Json<Index> {
     let board = shared.board();
     Json(Index {
-        node: board.node().to_owned(),
+        node: board.node.clone(),
         version: env!("CARGO_PKG_VERSION"),
-        policy: board.policy(),
-        cameras: (board.cameras().iter())
-            .map(|camera| camera.name().to_owned())
-            .collect(),
+        policy: board.policy,
+        cameras: shared.camera_names(),
         openapi: "/openapi.json",
         routes: shared.routes.to_vec(),
     })

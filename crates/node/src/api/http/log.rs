@@ -1,11 +1,11 @@
 //! The last lines of the log.
 
+use super::{bad_request, query};
 use albireo_service::http::Problem;
 use albireo_service::logging::{self, LogLine};
 use axum::Json;
 use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
-use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -45,13 +45,11 @@ pub(super) struct Log {
 pub(super) async fn tail(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<Log>, Problem> {
-    let Query(selection) = selection.map_err(|rejection| {
-        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["after", "limit"])
-    })?;
+    let selection = query(selection, &["after", "limit"])?;
     let limit = selection.limit.unwrap_or(200);
     if !(1..=MOST).contains(&limit) {
         let detail = format!("`limit` must be from 1 to {MOST}, not {limit}");
-        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+        return Err(bad_request(detail));
     }
     Ok(Json(Log {
         lines: logging::lines_after(selection.after, limit),

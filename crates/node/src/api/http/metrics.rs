@@ -30,7 +30,7 @@ pub(super) fn page(shared: &RouteState) -> MetricsPage {
     page.counter(
         "albireo_shown_pictures_decoded_total",
         "Pictures decoded because somebody looked at them",
-        shared.pictures.decoded() as f64,
+        shared.decoded.get() as f64,
     );
     node(&mut page, board);
     detector(&mut page, board);
@@ -43,12 +43,12 @@ pub(super) fn page(shared: &RouteState) -> MetricsPage {
 
 /// What runs, and whether its parts work.
 fn node(page: &mut MetricsPage, board: &Board) {
-    let (status, health) = (board.detector_status(), board.readiness().health());
+    let (status, health) = (board.detector_status(), board.readiness.health());
     let version = ("version", env!("CARGO_PKG_VERSION"));
     page.gauges(
         "albireo_build_info",
         "The program that runs, always 1",
-        [([version, ("node", board.node())], 1.0)],
+        [([version, ("node", board.node.as_str())], 1.0)],
     );
     page.gauge(
         "albireo_uptime_seconds",
@@ -65,8 +65,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
         "Whether the detector works",
         flag(matches!(status, DetectorStatus::Ready { .. })),
     );
-    let facts = board.detector_facts();
-    let (wanted, runs) = (facts.requested.first(), provider(&status));
+    let (wanted, runs) = (board.providers.first(), provider(&status));
     let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
     page.gauge(
         "albireo_detector_fallback",
@@ -74,9 +73,9 @@ fn node(page: &mut MetricsPage, board: &Board) {
         flag(fell_back),
     );
     let labels = [
-        ("model", facts.model.as_str()),
+        ("model", board.model.as_str()),
         ("provider", runs.unwrap_or("none")),
-        ("policy", board.policy()),
+        ("policy", board.policy),
     ];
     page.gauges(
         "albireo_detector_info",
@@ -91,7 +90,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
             ([("part", part)], flag(works))
         }),
     );
-    let tasks = board.tasks().counts();
+    let tasks = board.tasks.counts();
     page.counters(
         "albireo_task_failures_total",
         "Times a task of the node panicked, failed or ended before the shutdown",
@@ -166,7 +165,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
 
 /// What is wanted of the node, what is measured of it, and whether it is met; no figure while there is no target.
 fn target(page: &mut MetricsPage, board: &Board) {
-    let report = board.target().report();
+    let report = board.target.report();
     let target = report.target;
     let state = report.state.filter(|_| target.is_some());
     let label = || target.iter().map(|target| [("target", target.name())]);
@@ -202,7 +201,7 @@ fn target(page: &mut MetricsPage, board: &Board) {
 
 /// The counts of the outbox.
 fn outbox(page: &mut MetricsPage, board: &Board) {
-    let counts = board.outbox().counts();
+    let counts = board.outbox.counts();
     page.gauge(
         "albireo_outbox_waiting",
         "Clip reports that no hub has acknowledged",

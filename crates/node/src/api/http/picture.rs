@@ -6,6 +6,7 @@ use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
+use std::sync::Arc;
 
 /// Which frame it is: its sequence number, as in the frame's detections.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
@@ -28,9 +29,28 @@ pub(super) async fn jpeg(
     Path(camera): Path<String>,
 ) -> Result<Response, Problem> {
     let board = shared.camera(&camera)?;
-    let Some((seq, file)) = shared.pictures.newest(board, shared.view.limits).await else {
+    let missing = || {
         let detail = format!("no picture came from camera `{camera}` yet");
-        return Err(Problem::new(StatusCode::NOT_FOUND, detail));
+        Problem::new(StatusCode::NOT_FOUND, detail)
+    };
+    let limits = shared.view.limits;
+    let mut frame = board.latest_frame().ok_or_else(missing)?;
+    let file = if frame.is_made() {
+        frame.jpeg(&limits)
+    } else {
+        let turn = Arc::clone(&shared.decoding).lock_owned().await;
+        // Made while this waited, or another has come. One that is not waited for any more is made to its end all the
+        // same, and is there for the next who asks.
+        frame = board.latest_frame().ok_or_else(missing)?;
+        let (picture, decoded) = (Arc::clone(&frame), shared.decoded.clone());
+        let making = tokio::task::spawn_blocking(move || {
+            let _turn = turn;
+            if !picture.is_made() {
+                decoded.inc();
+            }
+            picture.jpeg(&limits)
+        });
+        making.await.unwrap_or_else(|error| Err(error.to_string()))
     };
     let bytes = file.map_err(|reason| {
         let detail = format!("the latest picture of camera `{camera}` cannot be shown: {reason}");
@@ -39,7 +59,7 @@ pub(super) async fn jpeg(
     let headers = [
         (CONTENT_TYPE, "image/jpeg".to_owned()),
         (CACHE_CONTROL, "no-store".to_owned()),
-        (FRAME, seq.to_string()),
+        (FRAME, frame.seq.to_string()),
     ];
     Ok((headers, bytes).into_response())
 }

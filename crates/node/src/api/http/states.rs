@@ -75,7 +75,7 @@ impl FrameCounts {
             states += snapshot.states;
             calls += &snapshot.calls;
             degraded_frames += snapshot.degraded_frames;
-            if camera.audit_is_on() {
+            if camera.is_audited {
                 audit.get_or_insert_default().merge(&snapshot.audit);
             }
         }
@@ -107,12 +107,12 @@ fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
 #[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = shared.board();
-    let cameras: Vec<_> = (board.cameras().iter())
+    let cameras: Vec<_> = (board.cameras.iter())
         .map(|camera| (&**camera, camera.snapshot()))
         .collect();
     let counted = || cameras.iter().map(|(camera, snapshot)| (*camera, snapshot));
     Json(NodeStates {
-        node: board.node().to_owned(),
+        node: board.node.clone(),
         uptime_s: seconds(board.uptime()),
         counts: FrameCounts::of(counted()),
         cameras: counted().map(|(camera, shown)| of(camera, shown)).collect(),

@@ -18,7 +18,7 @@ const EXPECTED: &str =
 /// `curl http://127.0.0.1:8080/api/v1/target`
 #[utoipa::path(get, operation_id = "target", path = "/api/v1/target", tag = "threshold", responses((status = 200, body = TargetReport)))]
 pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> {
-    Json(shared.board().target().report())
+    Json(shared.board().target.report())
 }
 
 /// Sets a target instead of a threshold
@@ -49,5 +49,5 @@ pub(super) async fn put(
     off_the_runtime(move || board.set_target(message.target, SettingSource::Local))
         .await?
         .map_err(|error| refused(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()))?;
-    Ok(Json(shared.board().target().report()))
+    Ok(Json(shared.board().target.report()))
 }

@@ -78,17 +78,17 @@ fn of(camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
-        knob: camera.knob(),
+        knob: camera.knob,
     }
 }
 
 fn thresholds(board: &Board) -> Thresholds {
-    let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
+    let cameras: Vec<_> = board.cameras.iter().map(|camera| of(camera)).collect();
     let first = cameras.first().map(|camera| camera.value.clone());
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
         value: same.unwrap_or_default(),
-        survives_restart: board.thresholds_are_kept(),
+        survives_restart: board.outbox.counts().durable,
         cameras,
     }
 }
@@ -96,7 +96,7 @@ fn thresholds(board: &Board) -> Thresholds {
 fn one_threshold(board: &Board, camera: &CameraBoard) -> OneThreshold {
     OneThreshold {
         threshold: of(camera),
-        survives_restart: board.thresholds_are_kept(),
+        survives_restart: board.outbox.counts().durable,
     }
 }
 
@@ -106,7 +106,7 @@ async fn put(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<(), Problem> {
-    let knob = cameras.first().and_then(|camera| camera.knob());
+    let knob = cameras.first().and_then(|camera| camera.knob);
     let expected = expected(knob);
     let fault = |what: &dyn Display| {
         let detail = format!("the body must be {expected}: {what}");
@@ -168,7 +168,7 @@ pub(super) async fn put_all(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Thresholds>, Problem> {
-    put(shared.board().cameras().to_vec(), &headers, body).await?;
+    put(shared.board().cameras.to_vec(), &headers, body).await?;
     Ok(Json(thresholds(shared.board())))
 }
 

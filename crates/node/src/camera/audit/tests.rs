@@ -1,6 +1,6 @@
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::state::board::{Board, BoardSetup};
+use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::DetectorStatus;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
@@ -13,7 +13,7 @@ fn audit() -> (Arc<Board>, CameraAudit) {
         ..NodeConfig::default()
     };
     let (_, status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+    let board = Board::open(&config, status).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
     let audit = CameraAudit::new(config.audit, camera);
     (board, audit)

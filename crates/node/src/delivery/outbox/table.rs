@@ -46,8 +46,13 @@ pub(crate) enum TableError {
     #[error("{0}")]
     Foreign(String),
     /// Another node has the folder.
-    #[error("in use by another node")]
+    #[error(
+        "it is in use by another node: two nodes cannot share one; choose another, or stop the other node"
+    )]
     Locked,
+    /// The configuration names something that can never be a folder.
+    #[error("it is a file, not a folder: name a folder, or move the file away")]
+    NotAFolder,
     /// The file is no longer where it was.
     #[error("the file is no longer there: the disk was removed, or somebody deleted it")]
     Gone,

@@ -122,7 +122,7 @@ impl Bench {
     fn open(&self) -> Outbox {
         let (file, faults) = (StateFile::new(&self.state()), Arc::clone(&self.faults));
         let disk = Box::new(FaultyDisk { file, faults });
-        Outbox::open_on(disk, &self.config, &self.state(), Now::system()).unwrap()
+        Outbox::open_on(disk, self.config.max_bytes, Now::system()).unwrap()
     }
 
     fn fill_disk(&self, is_full: bool) {
@@ -138,9 +138,12 @@ impl Bench {
     fn return_disk(&self, outbox: &Outbox) {
         std::fs::remove_file(self.state()).unwrap();
         std::fs::rename(self.folder.path().join("away"), self.state()).unwrap();
-        outbox.disk_is_due();
         outbox.retry_disk(Now::system());
     }
+}
+
+fn in_memory() -> Outbox {
+    Outbox::open(&OutboxConfig::default(), None).unwrap()
 }
 
 fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
@@ -415,7 +418,6 @@ fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
     std::fs::remove_file(bench.state()).unwrap();
     std::fs::create_dir(bench.state()).unwrap();
     std::fs::rename(bench.folder.path().join("away"), &state).unwrap();
-    outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     keep(&outbox, 4..5);
     let sent = batch(&outbox).unwrap();
@@ -445,7 +447,6 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
     keep(&outbox, 3..4);
     std::fs::remove_dir_all(bench.state()).ok();
     std::fs::rename(other.state(), bench.state()).unwrap();
-    outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     let mut sent = drain(&outbox);
     sent.sort();
@@ -476,7 +477,7 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
 
 #[test]
 fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
-    let outbox = Outbox::open(&OutboxConfig::default(), None).unwrap();
+    let outbox = in_memory();
     let most = 40 * MEMORY_BYTES / 1_000_000;
     for clip in 0..most {
         let mut one = report(clip);
@@ -499,16 +500,12 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     bench.fill_disk(true);
     keep(&outbox, 2..60);
     assert_eq!(outbox.counts().waiting, 60);
-    // What is on disk is sent too, also after attempts that find the disk as full as before; these go on every two seconds.
-    let mut now = Now::system();
+    // What is on disk is sent too, also after attempts that find the disk as full as before.
     for _ in 0..20 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
-        now.at = outbox.shared.waiting.lock().retry_at;
-        outbox.retry_disk(now);
+        outbox.retry_disk(Now::system());
         let counts = outbox.counts();
         assert!(!counts.durable && counts.in_memory == 60, "{counts:?}");
-        let next = outbox.shared.waiting.lock().retry_at;
-        assert!(next - now.at <= Duration::from_secs(2));
     }
     assert!(
         outbox
@@ -518,7 +515,6 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
             .contains("no storage space")
     );
     bench.fill_disk(false);
-    outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0);
@@ -541,7 +537,6 @@ fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() 
     assert_eq!(outbox.counts().waiting, 1);
     assert_eq!(clips(&batch(&outbox).unwrap()), ["window-4"]);
     other.execute_batch("ROLLBACK").unwrap();
-    outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.waiting == 1 && counts.in_memory == 0);
@@ -555,14 +550,13 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
     let outbox = bench.open();
     keep(&outbox, 0..2);
     {
-        let waiting = outbox.shared.waiting.lock();
+        let waiting = outbox.0.waiting.lock();
         let db = waiting.file().connection();
         db.pragma_update(None, "query_only", true).unwrap();
     }
     keep(&outbox, 2..3);
     assert!(outbox.counts().failing.unwrap().contains("readonly"));
     assert_eq!(batch(&outbox).unwrap().reports.len(), 3);
-    outbox.disk_is_due();
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
@@ -571,7 +565,7 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
 #[test]
 fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
     let bench = Bench::new();
-    for outbox in [bench.open(), Outbox::in_memory().unwrap()] {
+    for outbox in [bench.open(), in_memory()] {
         for clip in 0..60 {
             let mut one = report(clip);
             one.policy = "x".repeat(50 << 10);
@@ -590,7 +584,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
 #[test]
 fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
     let bench = Bench::new();
-    for outbox in [bench.open(), Outbox::in_memory().unwrap()] {
+    for outbox in [bench.open(), in_memory()] {
         for clip in 0..3 {
             let mut one = report(clip);
             if clip == 1 {
@@ -633,10 +627,10 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
 
 #[test]
 fn counts_and_waking_the_sender_never_wait_for_a_disk() {
-    let outbox = Outbox::in_memory().unwrap();
+    let outbox = in_memory();
     keep(&outbox, 0..1);
     // As while a disk is written.
-    let writing = outbox.shared.waiting.lock();
+    let writing = outbox.0.waiting.lock();
     assert_eq!(outbox.counts().waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());
     drop(writing);

@@ -8,11 +8,7 @@ use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
 };
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
 use uuid::Uuid;
-
-/// Time between two attempts to use a disk that failed.
-const DISK_RETRY: Duration = Duration::from_secs(2);
 
 /// How long reports are kept for a hub that loses them, if there is room and a disk.
 const KEPT_MS: i64 = 7 * 86_400_000;
@@ -43,7 +39,6 @@ pub(super) struct Waiting {
     damaged: bool,
     counters: Counters,
     counts: OutboxCounts,
-    pub(super) retry_at: Instant,
 }
 
 /// What was done on a table, and what was counted there afterwards.
@@ -76,7 +71,6 @@ impl Waiting {
             memory: Table::in_memory()?,
             damaged: false,
             counts: OutboxCounts::default(),
-            retry_at: Instant::now(),
         })
     }
 
@@ -84,7 +78,7 @@ impl Waiting {
     pub(super) fn open(&mut self, now: Now) -> Result<(), TableError> {
         let mut opened = self.open_file(now);
         if let Err(error) = &opened {
-            self.fail(error, now);
+            self.fail(error);
             if self.damaged {
                 opened = self.open_file(now);
             }
@@ -121,9 +115,9 @@ impl Waiting {
         Ok(())
     }
 
-    /// Tries a disk that failed again, when it is time.
+    /// Tries a disk that failed again.
     pub(super) fn retry_disk(&mut self, now: Now) {
-        if self.counts.failing.is_some() && now.at >= self.retry_at {
+        if self.counts.failing.is_some() {
             // The reason is noted there.
             let _ = self.open(now);
         }
@@ -131,14 +125,13 @@ impl Waiting {
 
     /// Takes note that the file cannot be used. As much of what waits in it as can be read goes to memory, and is delivered
     /// from there.
-    fn fail(&mut self, error: &TableError, now: Now) {
+    fn fail(&mut self, error: &TableError) {
         let reason = format!("the state directory cannot be used: {error}");
         if self.counts.failing.as_deref() != Some(reason.as_str()) {
             tracing::error!("{reason}; clip reports wait in memory");
         }
         self.counts.failing = Some(reason);
         self.counts.disk_failures += 1;
-        self.retry_at = now.at + DISK_RETRY;
         self.damaged |= error.is_corruption();
         let Some(file) = self.file.take() else {
             return;
@@ -154,7 +147,6 @@ impl Waiting {
     /// Does `work` on the file, or in memory where that fails.
     fn work<T: Default>(
         &mut self,
-        now: Now,
         work: impl Fn(&mut Table, &mut Counters, u64) -> Result<T, TableError>,
     ) -> T {
         let (most, counters) = (self.most_bytes, self.counters);
@@ -163,7 +155,7 @@ impl Waiting {
                 .and_then(|()| work_on(file, counters, |file, counted| work(file, counted, most)));
             match done {
                 Ok(done) => return self.count(done),
-                Err(error) => self.fail(&error, now),
+                Err(error) => self.fail(&error),
             }
         }
         let done = work_on(&mut self.memory, counters, |memory, counted| {
@@ -184,7 +176,6 @@ impl Waiting {
 
     /// Keeps reports, in order, and gives them their running counts.
     pub(super) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
-        self.retry_disk(now);
         let mut rows = Vec::with_capacity(reports.len());
         for report in reports {
             self.counters.made = self.counters.made.map(|made| made + 1);
@@ -194,9 +185,7 @@ impl Waiting {
             let json = serde_json::to_vec(report).unwrap_or_default();
             rows.push(StoredReport::new(report.id, report.count, json));
         }
-        let lost = self.work(now, |table, counters, most| {
-            table.insert(&rows, counters, most)
-        });
+        let lost = self.work(|table, counters, most| table.insert(&rows, counters, most));
         self.lose(lost, now);
     }
 
@@ -211,26 +200,23 @@ impl Waiting {
     /// `again` now. One that cannot be read is counted as undeliverable.
     pub(super) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
         loop {
-            let (reports, unreadable) = self.work(now, |table, _, _| read(table, node, again));
+            let (reports, unreadable) = self.work(|table, _, _| read(table, node, again));
             let is_end = unreadable.is_empty();
-            self.counters.undeliverable += unreadable.len() as u64;
-            let refused = Answered {
-                refused: unreadable,
-                ..Answered::default()
-            };
             if !is_end {
+                self.counters.undeliverable += unreadable.len() as u64;
+                let refused = Answered {
+                    refused: unreadable,
+                    ..Answered::default()
+                };
                 self.conclude(&refused, now);
             }
-            if !reports.is_empty() {
-                return Some(ReportBatch {
+            if is_end || !reports.is_empty() {
+                return (!reports.is_empty()).then(|| ReportBatch {
                     v: VERSION,
                     node: node.to_owned(),
                     t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
                     reports,
                 });
-            }
-            if is_end {
-                return None;
             }
         }
     }
@@ -260,9 +246,7 @@ impl Waiting {
 
     fn conclude(&mut self, answered: &Answered, now: Now) {
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
-        self.work(now, |table, counters, _| {
-            table.answered(answered, counters, now.unix_ms, kept_ms)
-        });
+        self.work(|table, counters, _| table.answered(answered, counters, now.unix_ms, kept_ms));
     }
 
     #[cfg(test)]

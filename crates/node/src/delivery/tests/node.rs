@@ -1,8 +1,9 @@
 //! A simulated node: the real outbox on its real file, and the schedule of the uplink.
 
+use crate::NodeError;
 use crate::delivery::outbox::tests::{Faults, FaultyDisk, report};
-use crate::delivery::outbox::{Outbox, OutboxConfig, OutboxCounts, OutboxError, StateFile};
-use crate::delivery::uplink::{HubReply, Outcome, Schedule, conclude, read_reply};
+use crate::delivery::outbox::{Outbox, OutboxConfig, OutboxCounts, StateFile};
+use crate::delivery::uplink::{Schedule, conclude, read_reply};
 use albireo_service::clock::Now;
 use albireo_wire::{BatchCompression, ClipReport, FrameStates, ReportAnswer, ReportBatch};
 use rusqlite::Connection;
@@ -20,17 +21,15 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(900);
 /// The longest that a lock of this process is held by a program that another test starts.
 const LOCK_LIMIT: Duration = Duration::from_secs(20);
 
-/// Opens the outbox in a folder.
-pub(super) fn open_outbox(folder: &Path, faults: &Arc<Faults>, now: Now) -> Outbox {
+/// Opens what locks its folder: between fork and exec, a program that another test starts shares the lock.
+pub(super) fn until_unlocked<T>(open: impl Fn() -> Result<T, NodeError>) -> T {
     let began = Instant::now();
     loop {
-        let disk = FaultyDisk {
-            file: StateFile::new(folder),
-            faults: Arc::clone(faults),
-        };
-        match Outbox::open_on(Box::new(disk), &OutboxConfig::default(), folder, now) {
-            // Between fork and exec, a program that another test starts shares the lock.
-            Err(OutboxError::Locked(_)) if began.elapsed() < LOCK_LIMIT => thread::yield_now(),
+        match open() {
+            Err(error) if error.to_string().contains("another node") => {
+                assert!(began.elapsed() < LOCK_LIMIT, "{error}");
+                thread::yield_now();
+            }
             opened => return opened.unwrap(),
         }
     }
@@ -110,8 +109,14 @@ impl Node {
 
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = OutboxConfig::default();
-        let opened = open_outbox(&self.folder, &self.faults, now);
-        self.outbox = Some(opened);
+        self.outbox = Some(until_unlocked(|| {
+            let disk = FaultyDisk {
+                file: StateFile::new(&self.folder),
+                faults: Arc::clone(&self.faults),
+            };
+            let opened = Outbox::open_on(Box::new(disk), config.max_bytes, now);
+            opened.map_err(|error| NodeError::State(error.to_string()))
+        }));
         self.schedule = Schedule::new(&config, random, now.at);
         self.schedule.begin(now.at);
         let unsynced = self.file().exists() && !self.faults.syncs.load(Ordering::Relaxed);
@@ -188,7 +193,7 @@ impl Node {
                     payload = Some(batch.to_payload(BatchCompression::Quick).unwrap());
                     self.reply = Some((question, batch));
                 }
-                None => self.schedule.batch_ended(Outcome::Nothing, now.at),
+                None => self.schedule.batch_ended(&Ok(()), now.at),
             }
         }
         let latest = now.at + LONGEST_PAUSE;
@@ -214,18 +219,15 @@ impl Node {
         let (Some(outbox), Some((_, batch))) = (&self.outbox, self.reply.take()) else {
             return Vec::new();
         };
-        let reply: HubReply<ReportAnswer> = read_reply(reply.unwrap_or(Err(b"no reply")));
-        let refused = match &reply {
-            HubReply::Answer(answer) => answer.refused.clone(),
-            _ => Vec::new(),
-        };
-        let (outcome, _) = conclude(outbox, &batch, reply, now);
-        if outcome == Outcome::Done {
+        let reply = read_reply::<ReportAnswer>(reply.unwrap_or(Err(b"no reply")));
+        let refused = (reply.as_ref()).map_or_else(|_| Vec::new(), |answer| answer.refused.clone());
+        let outcome = conclude(outbox, &batch, reply, now);
+        if outcome.is_ok() {
             // What is acknowledged does not wait in memory any more.
             let sent: BTreeSet<usize> = batch.reports.iter().map(|one| serial(one.id)).collect();
             self.in_memory.retain(|number| !sent.contains(number));
         }
-        self.schedule.batch_ended(outcome, now.at);
+        self.schedule.batch_ended(&outcome, now.at);
         self.note_durable();
         refused.iter().map(|refused| serial(refused.id)).collect()
     }

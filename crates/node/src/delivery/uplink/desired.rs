@@ -1,7 +1,7 @@
 //! Applies and acknowledges the setting that the hub desires.
 
-use crate::delivery::outbox::Outbox;
 use crate::state::board::{Board, set_thresholds};
+use crate::state::settings::Settings;
 use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -19,23 +19,6 @@ struct Kept {
     refused: Option<RefusedDesired>,
 }
 
-impl Kept {
-    /// Notes what came of a revision.
-    fn note(&mut self, revision: u64, applied: Result<(), String>) {
-        self.revision = revision;
-        match applied {
-            Ok(()) => {
-                self.in_force = revision;
-                self.refused = None;
-            }
-            Err(reason) => {
-                tracing::warn!(revision, reason, "a desired value was refused");
-                self.refused = Some(RefusedDesired { revision, reason });
-            }
-        }
-    }
-}
-
 /// Applies what is desired, once a revision.
 #[derive(Debug)]
 pub(crate) struct DesiredKeeper {
@@ -44,9 +27,9 @@ pub(crate) struct DesiredKeeper {
 
 impl DesiredKeeper {
     /// With what was desired before the restart.
-    pub(crate) fn open(outbox: &Outbox) -> Self {
+    pub(crate) fn open(settings: &Settings) -> Self {
         Self {
-            kept: Mutex::new(outbox.setting(SETTING).unwrap_or_default()),
+            kept: Mutex::new(settings.get(SETTING).unwrap_or_default()),
         }
     }
 
@@ -67,60 +50,55 @@ impl DesiredKeeper {
 
     /// Takes what is desired; whether anything changed. A lower revision never replaces a higher.
     pub(in crate::delivery) fn take(&self, desired: &Desired, board: &Board) -> bool {
-        let mut kept = self.kept.lock();
-        if desired.revision < kept.revision {
+        let (mut kept, revision) = (self.kept.lock(), desired.revision);
+        if revision < kept.revision {
+            let known = kept.revision;
             tracing::warn!(
-                revision = desired.revision,
-                known = kept.revision,
+                revision,
+                known,
                 "an older desired value than the one known: not taken"
             );
+        }
+        if revision <= kept.revision {
             return false;
         }
-        let Some(setting) = desired.setting.filter(|_| desired.revision > 0) else {
-            let newer = desired.revision > kept.revision;
-            kept.revision = desired.revision;
-            if newer {
-                kept.in_force = desired.revision;
-                kept.refused = None;
-                board.outbox().set(SETTING, &*kept);
-            }
-            return newer;
-        };
-        if desired.revision == kept.revision {
-            return false;
-        }
-        let applied = match setting {
-            DesiredSetting::Threshold(threshold) => {
-                set_thresholds(board.cameras(), threshold, SettingSource::Hub)
+        kept.revision = revision;
+        let applied = match desired.setting {
+            None => Ok(()),
+            Some(DesiredSetting::Threshold(threshold)) => {
+                set_thresholds(&board.cameras, threshold, SettingSource::Hub)
                     .map_err(|error| error.to_string())
             }
-            DesiredSetting::Target(target) => {
+            Some(DesiredSetting::Target(target)) => {
                 (board.set_target(target, SettingSource::Hub)).map_err(|error| error.to_string())
             }
         };
-        kept.note(desired.revision, applied);
-        board.outbox().set(SETTING, &*kept);
+        match applied {
+            Ok(()) => {
+                kept.in_force = revision;
+                kept.refused = None;
+            }
+            Err(reason) => {
+                tracing::warn!(revision, reason, "a desired value was refused");
+                kept.refused = Some(RefusedDesired { revision, reason });
+            }
+        }
+        board.settings.set(SETTING, &*kept);
         true
     }
 }
 
 #[cfg(test)]
-pub(in crate::delivery) mod tests {
+mod tests {
     use super::*;
-    use crate::delivery::outbox::OutboxConfig;
     use crate::state::board::set_by_hand;
-    use crate::state::board::tests::{KNOB, board_on};
+    use crate::state::board::tests::{board_of, config, thresholds};
     use albireo_wire::{Target, Threshold, VERSION};
     use std::path::Path;
     use std::sync::Arc;
 
-    /// A board of two cameras with the threshold `u`.
-    pub(in crate::delivery) fn board(outbox: Outbox) -> Arc<Board> {
-        board_on(outbox, KNOB, None)
-    }
-
     fn opened(state: &Path) -> Arc<Board> {
-        board(Outbox::open(&OutboxConfig::default(), Some(state)).unwrap())
+        board_of(&config(Some(state), "albireo"))
     }
 
     fn desired(revision: u64, value: f64) -> Desired {
@@ -141,15 +119,14 @@ pub(in crate::delivery) mod tests {
     }
 
     fn target(board: &Board) -> Option<Target> {
-        board.target().report().target
+        board.target.report().target
     }
 
     #[test]
     fn a_target_and_a_value_take_each_others_place_by_one_revision() {
         let folder = tempfile::tempdir().unwrap();
         let board = opened(folder.path());
-        let outbox = board.outbox();
-        let keeper = DesiredKeeper::open(outbox);
+        let keeper = DesiredKeeper::open(&board.settings);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&with_target(3, half), &board));
         assert_eq!((target(&board), keeper.revision_in_force()), (half, 3));
@@ -159,7 +136,7 @@ pub(in crate::delivery) mod tests {
         assert_eq!(target(&board), half);
         assert!(keeper.take(&desired(4, 0.07), &board));
         assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
-        let off = board.target().report().off;
+        let off = board.target.report().off;
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
         assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), None);
@@ -179,8 +156,7 @@ pub(in crate::delivery) mod tests {
     fn a_target_that_cannot_be_held_is_refused_in_words_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let board = opened(folder.path());
-        let outbox = board.outbox();
-        let keeper = DesiredKeeper::open(outbox);
+        let keeper = DesiredKeeper::open(&board.settings);
         assert!(keeper.take(&desired(1, 0.07), &board));
         assert!(keeper.take(&with_target(2, Some(Target::SkipRate(1.5))), &board));
         let refused = keeper.refused().unwrap();
@@ -196,11 +172,10 @@ pub(in crate::delivery) mod tests {
     fn a_knob_turned_at_the_node_ends_the_hubs_target_until_the_hub_desires_anew() {
         let folder = tempfile::tempdir().unwrap();
         let board = opened(folder.path());
-        let outbox = board.outbox();
-        let keeper = DesiredKeeper::open(outbox);
+        let keeper = DesiredKeeper::open(&board.settings);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&with_target(3, half), &board));
-        set_by_hand(&board.cameras()[1..], 0.01).unwrap();
+        set_by_hand(&board.cameras[1..], 0.01).unwrap();
         assert_eq!(target(&board), None);
         assert!(!keeper.take(&with_target(3, half), &board));
         assert_eq!(target(&board), None);
@@ -213,17 +188,11 @@ pub(in crate::delivery) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let half = Some(Target::SkipRate(0.5));
         let before = opened(folder.path());
-        let keeper = DesiredKeeper::open(before.outbox());
+        let keeper = DesiredKeeper::open(&before.settings);
         assert!(keeper.take(&with_target(7, half), &before));
         drop((before, keeper));
         let restarted = opened(folder.path());
-        let keeper = DesiredKeeper::open(restarted.outbox());
+        let keeper = DesiredKeeper::open(&restarted.settings);
         assert_eq!((target(&restarted), keeper.revision()), (half, 7));
-    }
-
-    pub(in crate::delivery) fn thresholds(board: &Board) -> Vec<f64> {
-        (board.cameras().iter())
-            .filter_map(|camera| camera.threshold())
-            .collect()
     }
 }

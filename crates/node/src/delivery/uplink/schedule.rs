@@ -7,13 +7,12 @@ use std::time::{Duration, Instant};
 /// Time between two batches with reports that a hub has lost: a whole fleet sends them at once.
 const AGAIN_EVERY: Duration = Duration::from_secs(10);
 
-/// What came of a query.
+/// Reports that are gathered before a batch is sent.
+const GATHERED: u64 = 12;
+
+/// Why a query brought nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Outcome {
-    /// The hub did what was asked.
-    Done,
-    /// There was nothing to send.
-    Nothing,
+pub(crate) enum Failure {
     /// The hub refused, perhaps with a time to come again.
     Refused(Option<Duration>),
     /// Nobody answered.
@@ -41,16 +40,16 @@ impl Attempts {
         !self.under_way && self.not_before.is_none_or(|at| now >= at)
     }
 
-    fn ended(&mut self, outcome: Outcome, now: Instant) {
+    fn ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.under_way = false;
         let at_least = match outcome {
-            Outcome::Done | Outcome::Nothing => {
+            Ok(_) => {
                 self.backoff.reset();
                 self.not_before = None;
                 return;
             }
-            Outcome::Refused(at_least) => at_least,
-            Outcome::Unanswered => None,
+            Err(Failure::Refused(at_least)) => *at_least,
+            Err(Failure::Unanswered) => None,
         };
         self.not_before = Some(now + self.backoff.next(at_least));
     }
@@ -60,12 +59,9 @@ impl Attempts {
 /// what compression learns again. What waits when a session begins goes at once: its waiting time is unknown.
 #[derive(Debug)]
 pub(crate) struct Schedule {
-    gather_reports: u64,
     gather: Duration,
-    /// Since when a report waits.
-    waits_since: Option<Instant>,
-    /// Everything goes at once until the first batch was taken.
-    eager: bool,
+    /// When what waits is to be sent; unknown while nothing does.
+    due_at: Option<Instant>,
     reports: Attempts,
     pulls: Attempts,
     pull_wanted: bool,
@@ -79,10 +75,8 @@ impl Schedule {
     /// `random` spreads the pauses of nodes.
     pub(crate) fn new(config: &OutboxConfig, random: u64, now: Instant) -> Self {
         Self {
-            gather_reports: config.gather_reports as u64,
             gather: Duration::from_secs(config.gather_s),
-            waits_since: None,
-            eager: true,
+            due_at: Some(now),
             reports: Attempts::new(config, random),
             pulls: Attempts::new(config, random.rotate_left(32)),
             pull_wanted: true,
@@ -95,14 +89,14 @@ impl Schedule {
     pub(crate) fn begin(&mut self, now: Instant) {
         self.reports.under_way = false;
         self.pulls.under_way = false;
-        self.eager = true;
+        self.due_at = Some(now);
         self.pull_wanted = true;
         self.answered_at = now;
     }
 
     /// Ends a pause: the node stops, so there is no later.
-    pub(crate) fn send_now(&mut self) {
-        self.eager = true;
+    pub(crate) fn send_now(&mut self, now: Instant) {
+        self.due_at = Some(now);
         self.reports.not_before = None;
     }
 
@@ -112,25 +106,13 @@ impl Schedule {
     }
 
     /// Whether reports wait that are worth a batch. `watched`: somebody watches the node.
-    pub(crate) fn is_worth_it(
-        &mut self,
-        counts: &OutboxCounts,
-        watched: bool,
-        now: Instant,
-    ) -> bool {
-        if counts.waiting == 0 {
-            self.waits_since = None;
+    fn is_due(&mut self, waiting: u64, watched: bool, now: Instant) -> bool {
+        if waiting == 0 {
+            self.due_at.take_if(|at| *at > now);
+            return false;
         }
-        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
-        if counts.waiting == 0 {
-            return again;
-        }
-        let since = *self.waits_since.get_or_insert(now);
-        again
-            || self.eager
-            || watched
-            || counts.waiting >= self.gather_reports
-            || now.saturating_duration_since(since) >= self.gather
+        let due_at = *self.due_at.get_or_insert(now + self.gather);
+        watched || waiting >= GATHERED || now >= due_at
     }
 
     /// Whether a batch is to be sent now, and if, whether with reports that a hub has lost. It is then under way.
@@ -140,30 +122,29 @@ impl Schedule {
         watched: bool,
         now: Instant,
     ) -> Option<bool> {
-        let worth_it = self.is_worth_it(counts, watched, now);
-        if !worth_it {
+        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
+        let is_worth_it = self.is_due(counts.waiting, watched, now) || again;
+        if !is_worth_it {
             self.answered_at = now;
         }
-        if !worth_it || !self.reports.may_begin(now) {
+        if !is_worth_it || !self.reports.may_begin(now) {
             return None;
         }
         self.reports.under_way = true;
-        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
         if again {
             self.again_at = Some(now + AGAIN_EVERY);
         }
         Some(again)
     }
 
-    /// A batch was answered, or not.
-    pub(crate) fn batch_ended(&mut self, outcome: Outcome, now: Instant) {
+    /// A batch was answered, or not; or there was nothing to send.
+    pub(crate) fn batch_ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.reports.ended(outcome, now);
-        if outcome != Outcome::Unanswered {
+        if !matches!(outcome, Err(Failure::Unanswered)) {
             self.answered_at = now;
         }
-        if outcome == Outcome::Done {
-            self.eager = false;
-            self.waits_since = None;
+        if outcome.is_ok() {
+            self.due_at = None;
         }
     }
 
@@ -183,11 +164,11 @@ impl Schedule {
     }
 
     /// A question was answered, or not.
-    pub(crate) fn pull_ended(&mut self, outcome: Outcome, now: Instant) {
+    pub(crate) fn pull_ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.pulls.ended(outcome, now);
         match outcome {
-            Outcome::Done => self.answered_at = now,
-            _ => self.pull_wanted = true,
+            Ok(_) => self.answered_at = now,
+            Err(_) => self.pull_wanted = true,
         }
     }
 
@@ -202,7 +183,7 @@ impl Schedule {
             self.reports.not_before,
             self.pulls.not_before.filter(|_| self.pull_wanted),
             self.again_at,
-            self.waits_since.map(|since| since + self.gather),
+            self.due_at,
         ];
         let ahead = times.into_iter().flatten().filter(|at| *at > now);
         ahead.min().map_or(latest, |at| at.min(latest))
@@ -213,6 +194,9 @@ impl Schedule {
 mod tests {
     use super::*;
 
+    const DONE: Result<(), Failure> = Ok(());
+    const UNANSWERED: Result<(), Failure> = Err(Failure::Unanswered);
+
     struct Bench {
         schedule: Schedule,
         start: Instant,
@@ -222,7 +206,6 @@ mod tests {
         fn new() -> Self {
             let start = Instant::now();
             let config = OutboxConfig {
-                gather_reports: 8,
                 gather_s: 600,
                 retry_min_ms: 1000,
                 retry_max_ms: 60_000,
@@ -252,9 +235,9 @@ mod tests {
             self.schedule.next_batch(&counts, false, now)
         }
 
-        fn ended(&mut self, outcome: Outcome, ms: u64) {
+        fn ended(&mut self, outcome: Result<(), Failure>, ms: u64) {
             let now = self.at(ms);
-            self.schedule.batch_ended(outcome, now);
+            self.schedule.batch_ended(&outcome, now);
         }
     }
 
@@ -264,19 +247,19 @@ mod tests {
         assert_eq!(bench.batch(0, 0), None);
         assert_eq!(bench.batch(1, 1000), Some(false), "the first goes at once");
         assert_eq!(bench.batch(1, 1000), None, "one at a time");
-        bench.ended(Outcome::Done, 1100);
-        for waiting in 1..8 {
-            assert_eq!(bench.batch(waiting, 40_000 * waiting), None);
+        bench.ended(DONE, 1100);
+        for waiting in 1..GATHERED {
+            assert_eq!(bench.batch(waiting, 20_000 * waiting), None);
         }
-        assert_eq!(bench.batch(8, 320_000), Some(false));
-        bench.ended(Outcome::Done, 320_100);
+        assert_eq!(bench.batch(GATHERED, 320_000), Some(false));
+        bench.ended(DONE, 320_100);
         assert_eq!(bench.batch(1, 400_000), None);
         assert_eq!(bench.batch(1, 999_000), None);
         assert_eq!(bench.batch(1, 1_000_000), Some(false), "ten minutes");
         // What could not be delivered stays worth it.
-        bench.ended(Outcome::Unanswered, 1_000_100);
+        bench.ended(UNANSWERED, 1_000_100);
         assert_eq!(bench.batch(2, 1_002_000), Some(false));
-        bench.ended(Outcome::Done, 1_002_100);
+        bench.ended(DONE, 1_002_100);
         assert_eq!(bench.batch(3, 1_003_000), None);
         let now = bench.at(1_004_000);
         bench.schedule.begin(now);
@@ -291,11 +274,11 @@ mod tests {
     fn a_refused_batch_waits_as_long_as_the_hub_says_but_not_when_the_node_stops() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
-        bench.ended(Outcome::Refused(Some(Duration::from_secs(3600))), 100);
+        bench.ended(Err(Failure::Refused(Some(Duration::from_secs(3600)))), 100);
         assert_eq!(bench.batch(1, 3_599_000), None);
         let (now, latest) = (bench.at(3_599_000), bench.at(9_000_000));
         assert_eq!(bench.schedule.next_look(latest, now), bench.at(3_600_100));
-        bench.schedule.send_now();
+        bench.schedule.send_now(now);
         assert_eq!(bench.batch(1, 3_599_000), Some(false));
     }
 
@@ -303,7 +286,7 @@ mod tests {
     fn a_pause_that_is_over_is_no_reason_to_look_at_once() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
-        bench.ended(Outcome::Unanswered, 0);
+        bench.ended(UNANSWERED, 0);
         let latest = bench.at(1_000_000);
         let end = bench.schedule.next_look(latest, bench.at(0));
         assert!(end > bench.at(0) && end <= bench.at(1500));
@@ -319,7 +302,7 @@ mod tests {
             let at = bench.at(now);
             if bench.schedule.next_pull(at) {
                 requests.push(now);
-                bench.schedule.pull_ended(Outcome::Unanswered, at);
+                bench.schedule.pull_ended(&UNANSWERED, at);
             }
             now += 100;
         }
@@ -329,7 +312,7 @@ mod tests {
         // An answer ends it, and a notice begins it again.
         let later = bench.at(400_000);
         assert!(bench.schedule.next_pull(later));
-        bench.schedule.pull_ended(Outcome::Done, later);
+        bench.schedule.pull_ended(&DONE, later);
         assert!(!bench.schedule.next_pull(bench.at(900_000)));
         bench.schedule.want_pull();
         assert!(bench.schedule.next_pull(bench.at(900_000)));
@@ -339,13 +322,13 @@ mod tests {
     fn what_a_hub_has_lost_is_sent_again_at_a_pace() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
-        bench.ended(Outcome::Done, 0);
+        bench.ended(DONE, 0);
         assert_eq!(bench.batch_of(0, 900, 1000), Some(true));
-        bench.ended(Outcome::Done, 1100);
+        bench.ended(DONE, 1100);
         assert_eq!(bench.batch_of(0, 500, 1200), None);
         // Reports that no hub has do not wait for that.
-        assert_eq!(bench.batch_of(8, 500, 1300), Some(false));
-        bench.ended(Outcome::Done, 1400);
+        assert_eq!(bench.batch_of(GATHERED, 500, 1300), Some(false));
+        bench.ended(DONE, 1400);
         assert_eq!(bench.batch_of(0, 500, 11_000), Some(true));
     }
 
@@ -356,7 +339,7 @@ mod tests {
         assert_eq!(bench.batch(0, 500_000), None);
         assert!(!bench.schedule.is_stale(minute, bench.at(500_000)));
         assert_eq!(bench.batch(1, 501_000), Some(false));
-        bench.ended(Outcome::Unanswered, 511_000);
+        bench.ended(UNANSWERED, 511_000);
         assert!(!bench.schedule.is_stale(minute, bench.at(559_000)));
         assert!(bench.schedule.is_stale(minute, bench.at(561_000)));
     }

@@ -12,6 +12,9 @@ use std::time::{Duration, Instant};
 /// A camera from which no frame came for this time is stale.
 const STALE: Duration = Duration::from_secs(10);
 
+/// Time between two heartbeats to the hub.
+const EVERY: Duration = Duration::from_secs(30);
+
 /// Full statuses are not sent faster than this, whatever changes.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
@@ -48,14 +51,13 @@ impl StatusTeller {
         self.full_due = true;
     }
 
-    /// The payload of a message, if one is due: in full at a change, and every `period` a heartbeat where nothing but
+    /// The payload of a message, if one is due: in full at a change, and from time to time a heartbeat where nothing but
     /// numbers has changed.
     ///
     /// # Errors
     /// None that can happen: a status can always be written.
     pub(in crate::delivery) fn due(
         &mut self,
-        period: Duration,
         now: Now,
         board: &Board,
         desired: &DesiredKeeper,
@@ -66,7 +68,7 @@ impl StatusTeller {
         }
         let status = self.status(board, desired);
         let changed = !self.last.as_ref().is_some_and(|last| same(last, &status));
-        if !changed && !self.full_due && since.is_some_and(|since| since < period) {
+        if !changed && !self.full_due && since.is_some_and(|since| since < EVERY) {
             return Ok(None);
         }
         let revision = desired.revision_in_force();
@@ -96,7 +98,7 @@ impl StatusTeller {
     }
 
     fn status(&self, board: &Board, desired: &DesiredKeeper) -> NodeStatus {
-        let cameras = board.cameras().iter().map(|camera| {
+        let cameras = board.cameras.iter().map(|camera| {
             let state = match camera.snapshot().last_frame_age {
                 None => CameraState::NeverSeen,
                 Some(age) if age > STALE => CameraState::Stale,
@@ -110,18 +112,18 @@ impl StatusTeller {
             }
         });
         let power = board.power();
-        let target = board.target().report();
+        let target = board.target.report();
         NodeStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             labels: self.labels.clone(),
             cameras: cameras.collect(),
-            policy: board.policy().to_owned(),
-            model: board.detector_facts().model.clone(),
+            policy: board.policy.to_owned(),
+            model: board.model.clone(),
             provider: crate::api::http::provider(&board.detector_status()).map(str::to_owned),
             power_source: power.source,
             power_quality: power.quality,
-            health: board.readiness().health().status(),
-            outbox: board.outbox().counts().status(),
+            health: board.readiness.health().status(),
+            outbox: board.outbox.counts().status(),
             refused: desired.refused(),
             target: target.status(),
             target_off: target.off,

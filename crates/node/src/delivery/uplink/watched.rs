@@ -2,9 +2,7 @@
 //! pictures that are asked for.
 
 use super::UplinkSetup;
-use crate::state::board::LatestFrame;
 use albireo_service::clock::unix_nanoseconds;
-use albireo_vision::picture::{PictureFormat, to_jpeg};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
@@ -83,7 +81,7 @@ impl Watched {
         // The local session carries counters anyway.
         let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
         let declares = self.pictures.is_empty();
-        for camera in setup.board.cameras() {
+        for camera in &setup.board.cameras {
             let Ok(keys) = setup.keys.camera(camera.name()) else {
                 continue;
             };
@@ -128,20 +126,14 @@ pub(super) fn answer(camera: &str, query: &Query, setup: &UplinkSetup) {
     let answered = match latest {
         _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has come yet").wait(),
-        Some(LatestFrame { seq, picture }) => {
-            let file = match picture.format {
-                PictureFormat::Jpeg => Ok(picture.bytes),
-                _ => to_jpeg(&picture, &setup.config.frame),
-            };
-            match file {
-                Ok(file) => query
-                    .reply(query.key_expr().clone(), file.to_vec())
-                    .encoding(Encoding::IMAGE_JPEG)
-                    .attachment(seq.to_string())
-                    .wait(),
-                Err(fault) => query.reply_err(fault.to_string()).wait(),
-            }
-        }
+        Some(frame) => match frame.jpeg(&setup.config.frame) {
+            Ok(file) => query
+                .reply(query.key_expr().clone(), file.to_vec())
+                .encoding(Encoding::IMAGE_JPEG)
+                .attachment(frame.seq.to_string())
+                .wait(),
+            Err(reason) => query.reply_err(reason).wait(),
+        },
     };
     if let Err(error) = answered {
         tracing::debug!(camera, %error, "a picture was not sent");

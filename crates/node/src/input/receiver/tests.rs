@@ -3,7 +3,7 @@
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, RingLimits};
-use crate::state::board::{Board, BoardSetup};
+use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::DetectorStatus;
 use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
@@ -18,7 +18,7 @@ fn receiver(capacity: usize) -> (Arc<FrameReceiver>, Arc<Ring<SequencedFrame>>) 
         ..NodeConfig::default()
     };
     let (_, status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+    let board = Board::open(&config, status).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
     let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
     let limits = FrameLimits::default();

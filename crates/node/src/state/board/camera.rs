@@ -1,59 +1,67 @@
 //! One camera's part of the live board.
 
-use super::event::{Event, FrameEvent, SharedEvent};
+use super::event::{Event, FrameEvent, News};
 use super::history::{CameraSlot, Clock, History, PastFrame, SkipEstimate};
 use super::threshold;
 use crate::camera::FrameRecord;
 use crate::camera::audit::AuditCount;
-use crate::delivery::outbox::Outbox;
+use crate::config::{CameraConfig, NodeConfig};
 use crate::state::advice::{Advice, SkipWatch};
+use crate::state::settings::Settings;
 use crate::state::target::NodeTarget;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, FrameState, Knob, short};
+use albireo_core::policy::{BoxSource, FrameState, Knob, Policy, Profile, short};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::metrics::{Counter, LatencyHistogram};
-use albireo_vision::picture::EncodedPicture;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
-    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, SettingSource,
+    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KeyError,
+    SettingSource,
 };
+use bytes::Bytes;
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 
-/// What a camera's part of the board is made from.
-#[derive(Clone, Debug)]
-pub struct CameraSetup {
-    /// The camera's name.
-    pub name: String,
-    /// Zenoh key its frames come on, unless it has a source.
-    pub key: String,
-    /// The source that the node opens for it, without credentials.
-    pub source: Option<String>,
-    /// What its policy lets a user turn, if anything.
-    pub knob: Option<Knob>,
-    /// The configured value; the knob's default without one. It must be inside the knob's range; a value
-    /// that is not is logged and the default used.
-    pub threshold: Option<f64>,
-    /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
-    /// value for it: the filter of the profile `paper`.
-    pub sizeless: bool,
-    /// Most frames that its policy lets pass without the detector while objects are followed.
-    pub longest_pause: Option<u32>,
-    /// Whether some of its skipped frames are looked at afterwards.
-    pub audited: bool,
-}
-
 /// The last picture received, still encoded.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 pub struct LatestFrame {
     /// Sequence number of the frame.
-    pub seq: u64,
+    pub(crate) seq: u64,
     /// The picture; a cheap clone of what was received.
-    pub picture: EncodedPicture,
+    picture: EncodedPicture,
+    /// As a JPEG file, once somebody wanted that.
+    jpeg: OnceLock<Result<Bytes, String>>,
+}
+
+impl LatestFrame {
+    /// The picture of frame `seq`.
+    pub fn new(seq: u64, picture: EncodedPicture) -> Self {
+        let jpeg = match picture.format {
+            PictureFormat::Jpeg => OnceLock::from(Ok(picture.bytes.clone())),
+            _ => OnceLock::new(),
+        };
+        Self { seq, picture, jpeg }
+    }
+
+    /// The picture as a JPEG file, made of another format at most once. Decodes and encodes it: to be called away from
+    /// async workers.
+    ///
+    /// # Errors
+    /// Why it cannot be shown.
+    pub(crate) fn jpeg(&self, limits: &FrameLimits) -> Result<Bytes, String> {
+        let make = || to_jpeg(&self.picture, limits).map_err(|fault| fault.to_string());
+        self.jpeg.get_or_init(make).clone()
+    }
+
+    /// Whether the file is there, or known to be impossible.
+    pub(crate) fn is_made(&self) -> bool {
+        self.jpeg.get().is_some()
+    }
 }
 
 /// The state of one camera; all numbers are of the same moment.
@@ -161,11 +169,10 @@ struct Counts {
 /// What all cameras of a board share.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
-    pub policy: &'static str,
     /// The node's start: times of the past are counted from there.
     pub started: Instant,
-    pub events: broadcast::Sender<SharedEvent>,
-    pub outbox: Outbox,
+    pub events: broadcast::Sender<Arc<Event>>,
+    pub settings: Settings,
     pub target: Arc<NodeTarget>,
 }
 
@@ -173,69 +180,71 @@ pub(super) struct Shared {
 #[derive(Debug)]
 pub struct CameraBoard {
     pub(super) name: Arc<str>,
-    pub(super) setup: CameraSetup,
+    /// Zenoh key its frames come on, unless it has a source.
+    pub(crate) key: String,
+    /// The source that the node opens for it, without credentials.
+    pub(crate) source: Option<String>,
+    /// Name of its policy.
+    pub(crate) policy: &'static str,
+    /// What the policy lets a user turn, if anything.
+    pub knob: Option<Knob>,
+    /// Whether some of its skipped frames are looked at afterwards.
+    pub(crate) is_audited: bool,
+    /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
+    /// value for it: the filter of the profile `paper`.
+    pub(super) is_sizeless: bool,
+    /// Most frames that its policy lets pass without the detector while objects are followed.
+    longest_pause: Option<u32>,
     pub(super) shared: Shared,
     pub(super) configured: Option<f64>,
     pub(super) threshold: watch::Sender<Option<f64>>,
-    pub(super) source: Mutex<SettingSource>,
+    pub(super) set_by: Mutex<SettingSource>,
     /// Makes changes of the threshold that are kept one at a time, so that file, loop and events see the same order.
     /// Held while a disk is written: no async worker takes it.
     pub(super) changing: Mutex<()>,
     counts: Mutex<Counts>,
     history: Mutex<History>,
-    latest_frame: Mutex<Option<LatestFrame>>,
+    latest_frame: Mutex<Option<Arc<LatestFrame>>>,
     shared_frames: Counter,
     unpublished: Counter,
 }
 
 impl CameraBoard {
-    pub(super) fn new(setup: CameraSetup, shared: Shared) -> Self {
-        let configured = threshold::configured(&setup);
-        let kept = threshold::kept(&shared.outbox, &setup, configured);
-        Self {
-            name: setup.name.as_str().into(),
-            setup,
+    pub(super) fn new(
+        config: &NodeConfig,
+        camera: &CameraConfig,
+        policy: &dyn Policy,
+        shared: Shared,
+    ) -> Result<Self, KeyError> {
+        let (name, knob) = (camera.name.as_str(), policy.knob());
+        let wanted = camera.threshold.or_else(|| policy.knob_value());
+        let configured = knob.map(|knob| threshold::configured(name, &knob, wanted));
+        let kept = knob.and_then(|knob| threshold::kept(&shared.settings, name, &knob, configured));
+        Ok(Self {
+            name: name.into(),
+            key: config.frame_key(camera)?,
+            source: camera.source.as_ref().map(ToString::to_string),
+            policy: policy.name(),
+            knob,
+            is_audited: config.audit.share > 0.0,
+            is_sizeless: config.policy.profile == Profile::Paper,
+            longest_pause: policy.longest_pause(),
             shared,
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
-            source: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
+            set_by: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
             counts: Mutex::default(),
             history: Mutex::default(),
             latest_frame: Mutex::default(),
             shared_frames: Counter::default(),
             unpublished: Counter::default(),
-        }
+        })
     }
 
     /// The camera's name.
     pub fn name(&self) -> &str {
         &self.name
-    }
-
-    /// Zenoh key its frames come on, unless it has a source.
-    pub fn key(&self) -> &str {
-        &self.setup.key
-    }
-
-    /// The source that the node opens for it, without credentials.
-    pub(crate) fn source(&self) -> Option<&str> {
-        self.setup.source.as_deref()
-    }
-
-    /// Name of its policy.
-    pub(crate) fn policy(&self) -> &'static str {
-        self.shared.policy
-    }
-
-    /// What the policy lets a user turn.
-    pub fn knob(&self) -> Option<Knob> {
-        self.setup.knob
-    }
-
-    /// Whether some of its skipped frames are looked at afterwards.
-    pub(crate) fn audit_is_on(&self) -> bool {
-        self.setup.audited
     }
 
     /// Adds what the audit has found.
@@ -273,26 +282,26 @@ impl CameraBoard {
         if before.is_none() {
             self.tell_first_frame(&detections);
         }
-        self.send_event(Event::Frame, detections);
+        self.send_event(News::Frame, detections);
     }
 
     /// Sends the final answer of a frame that was pending.
     pub(crate) fn show_late(&self, detections: Arc<DetectionsMessage>) {
-        self.send_event(Event::Late, detections);
+        self.send_event(News::Late, detections);
     }
 
-    fn send_event(&self, kind: fn(FrameEvent) -> Event, detections: Arc<DetectionsMessage>) {
+    fn send_event(&self, kind: fn(FrameEvent) -> News, detections: Arc<DetectionsMessage>) {
         if self.shared.events.receiver_count() > 0 {
-            let event = kind(FrameEvent {
+            let news = kind(FrameEvent {
                 camera: Arc::clone(&self.name),
                 detections,
             });
-            let _ = self.shared.events.send(event.into());
+            let _ = self.shared.events.send(Event::new(news));
         }
     }
 
     fn advice(&self, counts: &Counts) -> Option<Advice> {
-        counts.watch.advice(self.setup.knob.as_ref()?)
+        counts.watch.advice(self.knob.as_ref()?)
     }
 
     fn tell_first_frame(&self, first: &DetectionsMessage) {
@@ -300,7 +309,7 @@ impl CameraBoard {
         let published = self.published_threshold(picture);
         tracing::info!(
             camera = %self.name,
-            from = self.source().unwrap_or(self.key()),
+            from = self.source.as_deref().unwrap_or(&self.key),
             picture = %picture,
             threshold = first.threshold.map(|threshold| threshold.to_string()),
             as_published = published.map(short),
@@ -358,16 +367,16 @@ impl CameraBoard {
     pub(crate) fn skip_estimate(&self) -> SkipEstimate {
         let frames = self.history.lock().frames(usize::MAX);
         // After the lock: this takes longer than a frame may wait.
-        SkipEstimate::new(&frames, self.setup.longest_pause)
+        SkipEstimate::new(&frames, self.longest_pause)
     }
 
     /// Keeps the newest picture for who wants to look.
     pub fn set_latest_frame(&self, frame: LatestFrame) {
-        *self.latest_frame.lock() = Some(frame);
+        *self.latest_frame.lock() = Some(Arc::new(frame));
     }
 
     /// The newest picture.
-    pub(crate) fn latest_frame(&self) -> Option<LatestFrame> {
+    pub(crate) fn latest_frame(&self) -> Option<Arc<LatestFrame>> {
         self.latest_frame.lock().clone()
     }
 }

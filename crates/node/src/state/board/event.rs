@@ -2,14 +2,38 @@
 
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
-use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
 
+/// An event that many read: its JSON is made once, by the first who wants it.
+#[derive(Debug)]
+pub struct Event {
+    /// What happened.
+    pub news: News,
+    json: OnceLock<Result<String, String>>,
+}
+
+impl Event {
+    pub(crate) fn new(news: News) -> Arc<Self> {
+        let json = OnceLock::new();
+        Arc::new(Self { news, json })
+    }
+
+    /// The event as JSON.
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON: why.
+    pub(crate) fn json(&self) -> Result<&str, &str> {
+        let write = || serde_json::to_string(&self.news).map_err(|error| error.to_string());
+        let written = self.json.get_or_init(write);
+        written.as_ref().map(String::as_str).map_err(String::as_str)
+    }
+}
+
 /// One thing that happened. As JSON, the contents of the variant; the variant's name comes separately, by
-/// [`Event::name`].
+/// [`News::name`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
-pub enum Event {
+pub enum News {
     /// A frame was answered.
     Frame(FrameEvent),
     /// A frame that was pending has its final answer.
@@ -22,12 +46,12 @@ pub enum Event {
     Threshold(ThresholdEvent),
 }
 
-impl Event {
-    /// Names of all kinds, as [`Event::name`] gives them.
-    pub const NAMES: [&'static str; 5] = ["frame", "late", "clip", "counters", "threshold"];
+impl News {
+    /// Names of all kinds, as [`News::name`] gives them.
+    pub(crate) const NAMES: [&'static str; 5] = ["frame", "late", "clip", "counters", "threshold"];
 
     /// The kind, as the `event:` line of a server-sent event has it.
-    pub const fn name(&self) -> &'static str {
+    pub(crate) const fn name(&self) -> &'static str {
         match self {
             Self::Frame(_) => "frame",
             Self::Late(_) => "late",
@@ -38,51 +62,13 @@ impl Event {
     }
 
     /// The camera it is about.
-    pub fn camera(&self) -> &str {
+    pub(crate) fn camera(&self) -> &str {
         match self {
             Self::Frame(event) | Self::Late(event) => &event.camera,
             Self::Clip(report) => &report.camera,
             Self::Counters(message) => &message.camera,
             Self::Threshold(event) => &event.camera,
         }
-    }
-}
-
-/// An event that many read: its JSON is made once, by the first who wants it. Clones are the same event.
-#[derive(Clone, Debug)]
-pub struct SharedEvent(Arc<Shared>);
-
-#[derive(Debug)]
-struct Shared {
-    event: Event,
-    json: OnceLock<Result<String, String>>,
-}
-
-impl SharedEvent {
-    /// The event as JSON.
-    ///
-    /// # Errors
-    /// When it cannot be written as JSON: why.
-    pub fn json(&self) -> Result<&str, &str> {
-        let written = self.0.json.get_or_init(|| {
-            serde_json::to_string(&self.0.event).map_err(|error| error.to_string())
-        });
-        written.as_ref().map(String::as_str).map_err(String::as_str)
-    }
-}
-
-impl From<Event> for SharedEvent {
-    fn from(event: Event) -> Self {
-        let json = OnceLock::new();
-        Self(Arc::new(Shared { event, json }))
-    }
-}
-
-impl Deref for SharedEvent {
-    type Target = Event;
-
-    fn deref(&self) -> &Event {
-        &self.0.event
     }
 }
 

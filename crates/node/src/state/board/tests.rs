@@ -1,55 +1,35 @@
 use super::*;
 use crate::camera::{FrameRecord, answer};
-use crate::config::{CameraConfig, NodeConfig};
-use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
-use crate::state::target::TargetSetup;
-use albireo_core::policy::{FrameState, Knob};
-use albireo_vision::detector::ExecutionProvider;
+use crate::config::CameraConfig;
+use crate::delivery::outbox::OutboxCounts;
+use albireo_core::policy::{ExpectedLoss, FrameState};
 use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Threshold};
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::Duration;
 
-pub(crate) const KNOB: Knob = Knob {
-    name: "u",
-    meaning: "The detector is skipped while every uncertainty is below it.",
-    minimum: 1e-12,
-    maximum: 1.0,
-    default: 3e-4,
-    useful_minimum: 1.5e-4,
-    useful_maximum: 1e-1,
-};
-
-/// A board of two cameras with a threshold.
-pub(crate) fn board_on(outbox: Outbox, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
-    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
-    let camera = |name: &str| CameraSetup {
-        name: name.to_owned(),
-        key: format!("albireo/n/{name}/frame"),
-        source: None,
-        knob: Some(knob),
-        threshold,
-        sizeless: true,
-        longest_pause: None,
-        audited: true,
+/// The cameras `front` and `rear` under a policy.
+pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
+    let mut config = NodeConfig {
+        cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),
+        ..NodeConfig::default()
     };
-    Board::new(BoardSetup {
-        node: "n".to_owned(),
-        cameras: vec![camera("front"), camera("rear")],
-        outbox,
-        policy: "albireo",
-        target: TargetSetup {
-            policy: "albireo",
-            knob: Some(knob),
-            ..TargetSetup::default()
-        },
-        detector: DetectorFacts::default(),
-        detector_status,
-    })
+    config.policy.select(policy).unwrap();
+    config.node.state_dir = state_dir.map(Path::to_owned);
+    config
 }
 
-fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
-    let outbox = Outbox::open(&OutboxConfig::default(), state_dir.as_deref());
-    board_on(outbox.unwrap(), knob, threshold)
+pub(crate) fn board_of(config: &NodeConfig) -> Arc<Board> {
+    let (_, status) = watch::channel(DetectorStatus::Starting);
+    Board::open(config, status).unwrap()
+}
+
+pub(crate) fn thresholds(board: &Board) -> Vec<f64> {
+    let cameras = board.cameras.iter();
+    cameras.filter_map(|camera| camera.threshold()).collect()
+}
+
+fn board(state_dir: Option<&Path>, policy: &str) -> Arc<Board> {
+    board_of(&config(state_dir, policy))
 }
 
 fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
@@ -68,13 +48,13 @@ impl CameraBoard {
 
 #[test]
 fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
-    let board = board(None, KNOB, None);
+    let board = board(None, "albireo");
     let mut events = board.subscribe();
     let camera = board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
         camera.answered(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
-        assert_eq!((event.name(), event.camera()), ("frame", "front"));
+        assert_eq!((event.news.name(), event.news.camera()), ("frame", "front"));
         let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
         assert_eq!(json["seq"], seq as u64);
         assert_eq!(json["camera"], "front");
@@ -94,44 +74,35 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
 
 #[test]
 fn a_threshold_outside_the_knob_changes_nothing() {
-    let board = board(None, KNOB, Some(1e-3));
+    let board = board(None, "albireo:1e-3");
     let camera = board.camera("front").unwrap();
     let seen = camera.watch_threshold();
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0] {
-        assert!(set_by_hand(board.cameras(), bad).is_err(), "{bad}");
+        assert!(set_by_hand(&board.cameras, bad).is_err(), "{bad}");
     }
     let lambda = Threshold::new("lambda", 0.5);
-    let other = set_thresholds(board.cameras(), lambda, SettingSource::Hub);
+    let other = set_thresholds(&board.cameras, lambda, SettingSource::Hub);
     assert!(other.unwrap_err().to_string().contains("not `lambda`"));
     assert_eq!(*seen.borrow(), Some(1e-3));
-    set_by_hand(&board.cameras()[..1], 5e-4).unwrap();
+    set_by_hand(&board.cameras[..1], 5e-4).unwrap();
     assert_eq!(*seen.borrow(), Some(5e-4));
-    assert!(!board.thresholds_are_kept());
+    assert!(!board.outbox.counts().durable);
 }
 
 #[test]
 fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
-    let state = Some(directory.path().join("state"));
-    let first = board(state.clone(), KNOB, None);
-    set_by_hand(&first.cameras()[..1], 5e-4).unwrap();
-    assert!(first.thresholds_are_kept());
+    let restarted = |policy: &str| board(Some(&directory.path().join("state")), policy);
+    let first = restarted("albireo");
+    set_by_hand(&first.cameras[..1], 5e-4).unwrap();
+    assert!(first.outbox.counts().durable);
     drop(first);
-    let second = board(state.clone(), KNOB, None);
-    assert_eq!(second.camera("front").unwrap().threshold(), Some(5e-4));
-    assert_eq!(second.camera("rear").unwrap().threshold(), Some(3e-4));
-    drop(second);
+    assert_eq!(thresholds(&restarted("albireo")), [5e-4, 3e-4]);
     // Once the configuration is edited it is the newer word.
-    let edited = board(state.clone(), KNOB, Some(1e-3));
-    assert_eq!(edited.camera("front").unwrap().threshold(), Some(1e-3));
-    drop(edited);
+    assert_eq!(thresholds(&restarted("albireo:1e-3")), [1e-3; 2]);
     // A value kept for another knob is no value of this one.
-    let lambda = Knob {
-        name: "lambda",
-        ..KNOB
-    };
-    let other = board(state, lambda, None);
-    assert_eq!(other.camera("front").unwrap().threshold(), Some(3e-4));
+    let lambda = ExpectedLoss::KNOB.default;
+    assert_eq!(thresholds(&restarted("expected-loss")), [lambda; 2]);
 }
 
 #[test]
@@ -139,38 +110,30 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let directory = tempfile::tempdir().unwrap();
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
-    let board = board(Some(blocked.join("state")), KNOB, None);
-    set_by_hand(board.cameras(), 1e-3).unwrap();
+    let board = board(Some(&blocked.join("state")), "albireo");
+    set_by_hand(&board.cameras, 1e-3).unwrap();
     assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
-    assert!(!board.thresholds_are_kept());
+    assert!(!board.outbox.counts().durable);
 }
 
 #[test]
 fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
     let (status, detector_status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::new(BoardSetup {
-        node: "n".to_owned(),
-        cameras: Vec::new(),
-        outbox: Outbox::in_memory().unwrap(),
-        policy: "albireo",
-        target: TargetSetup::default(),
-        detector: DetectorFacts::default(),
-        detector_status,
-    });
-    let zenoh = board.readiness().part(readiness::ZENOH);
+    let board = Board::open(&config(None, "albireo"), detector_status).unwrap();
+    let zenoh = board.readiness.part(readiness::ZENOH);
     zenoh.not_ready("the session is not open yet");
-    let reasons = || board.readiness().health().status().reasons;
+    let reasons = || board.readiness.health().status().reasons;
     assert_eq!(reasons().len(), 2);
     status.send_replace(DetectorStatus::Ready {
         provider: ExecutionProvider::Cpu,
     });
     assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
     zenoh.works();
-    assert!(board.readiness().health().is_ready());
+    assert!(board.readiness.health().is_ready());
     let provider = ExecutionProvider::Cpu;
     let reason = "a run took too long".to_owned();
     status.send_replace(DetectorStatus::Degraded { reason, provider });
-    assert!(!board.readiness().health().is_ready());
+    assert!(!board.readiness.health().is_ready());
 }
 
 #[test]
@@ -182,21 +145,20 @@ fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
         threshold: Some(1e-3),
         ..CameraConfig::named("rear")
     });
-    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::new(BoardSetup::from_config(&config, detector_status).unwrap());
+    let board = board_of(&config);
     let front = board.camera("front").unwrap();
-    assert_eq!(front.key(), "albireo/node/front/frame");
+    assert_eq!(front.key, "albireo/node/front/frame");
     assert_eq!(front.threshold(), Some(7e-4));
     let rear = board.camera("rear").unwrap();
-    assert_eq!(rear.key(), "vehicle/rear");
+    assert_eq!(rear.key, "vehicle/rear");
     assert_eq!(rear.threshold(), Some(1e-3));
-    assert_eq!(board.detector_facts().model, "yolox_nano.onnx");
-    assert_eq!(board.policy(), "albireo");
+    assert_eq!(board.model, "yolox_nano.onnx");
+    assert_eq!(board.policy, "albireo");
 }
 
 #[test]
 fn an_event_is_written_as_json_once_however_many_read_it() {
-    let board = board(None, KNOB, None);
+    let board = board(None, "albireo");
     let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
     let camera = board.camera("front").unwrap();
     camera.answered(frame(0, FrameState::I));
@@ -214,15 +176,15 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
 
 #[test]
 fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
-    let reason = |board: &Board| board.readiness().health().status().reasons.remove("outbox");
+    let reason = |board: &Board| board.readiness.health().status().reasons.remove("outbox");
     let folder = tempfile::tempdir().unwrap();
     // Without a directory nothing is promised, and nothing told.
-    assert_eq!(reason(&board(None, KNOB, None)), None);
-    let sound = board(Some(folder.path().join("state")), KNOB, None);
+    assert_eq!(reason(&board(None, "albireo")), None);
+    let sound = board(Some(&folder.path().join("state")), "albireo");
     assert_eq!(reason(&sound), None);
     let blocked = folder.path().join("a file");
     std::fs::write(&blocked, b"").unwrap();
-    let failing = board(Some(blocked.join("state")), KNOB, None);
+    let failing = board(Some(&blocked.join("state")), "albireo");
     assert!(reason(&failing).unwrap().contains("do not survive"));
     let lost = OutboxCounts {
         durable: true,

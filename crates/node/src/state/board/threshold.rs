@@ -1,8 +1,8 @@
 //! The threshold of a camera: set in one place for HTTP, Zenoh and the hub, told to subscribers, and kept over a restart.
 
-use super::camera::{CameraBoard, CameraSetup};
-use super::event::{Event, ThresholdEvent};
-use crate::delivery::outbox::Outbox;
+use super::camera::CameraBoard;
+use super::event::{Event, News, ThresholdEvent};
+use crate::state::settings::Settings;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Knob, KnobError, published_threshold};
 use albireo_wire::{OtherThreshold, SettingSource, Threshold};
@@ -12,7 +12,7 @@ use tokio::sync::watch;
 
 /// A threshold that cannot be set.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ThresholdError {
+pub(crate) enum ThresholdError {
     /// It has another name than the policy's.
     #[error(transparent)]
     Name(#[from] OtherThreshold),
@@ -39,24 +39,23 @@ fn setting(camera: &str) -> String {
     format!("threshold/{camera}")
 }
 
-/// The configured value; the knob's default without one, and in place of one that the knob cannot have.
-pub(super) fn configured(setup: &CameraSetup) -> Option<f64> {
-    let knob = setup.knob?;
-    let checked = knob.check(setup.threshold.unwrap_or(knob.default));
-    Some(checked.unwrap_or_else(|error| {
-        tracing::error!(camera = setup.name, %error, "configured threshold not used");
+/// The wanted value; the knob's default without one, and in place of one that the knob cannot have.
+pub(super) fn configured(camera: &str, knob: &Knob, wanted: Option<f64>) -> f64 {
+    let checked = knob.check(wanted.unwrap_or(knob.default));
+    checked.unwrap_or_else(|error| {
+        tracing::error!(camera, %error, "configured threshold not used");
         knob.default
-    }))
+    })
 }
 
 /// The value kept for a camera and who set it, if it still fits its knob and its configuration.
 pub(super) fn kept(
-    outbox: &Outbox,
-    setup: &CameraSetup,
+    settings: &Settings,
+    camera: &str,
+    knob: &Knob,
     configured: Option<f64>,
 ) -> Option<(f64, SettingSource)> {
-    let (knob, camera) = (setup.knob?, setup.name.as_str());
-    let kept: Kept = outbox.setting(&setting(camera))?;
+    let kept: Kept = settings.get(&setting(camera))?;
     let is_current = kept.configured == configured || kept.source == SettingSource::Hub;
     if kept.knob != knob.name || !is_current {
         return None;
@@ -84,9 +83,8 @@ pub(crate) fn set_thresholds(
     source: SettingSource,
 ) -> Result<(), ThresholdError> {
     let checked = cameras.iter().map(|camera| {
-        let knob = camera.knob().ok_or(KnobError::Absent {
-            policy: camera.policy(),
-        })?;
+        let policy = camera.policy;
+        let knob = camera.knob.ok_or(KnobError::Absent { policy })?;
         knob.check(threshold.value_of(&knob)?)?;
         Ok((camera, knob))
     });
@@ -100,7 +98,7 @@ pub(crate) fn set_thresholds(
 /// Sets it as somebody at the node does, under its own name.
 #[cfg(test)]
 pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
-    let name = cameras[0].knob().unwrap().name;
+    let name = cameras[0].knob.unwrap().name;
     set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
 }
 
@@ -112,12 +110,12 @@ impl CameraBoard {
 
     /// The same with its name.
     pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
-        Some(Threshold::new(self.knob()?.name, self.threshold()?))
+        Some(Threshold::new(self.knob?.name, self.threshold()?))
     }
 
     /// Who set the threshold in force.
     pub(crate) fn threshold_source(&self) -> SettingSource {
-        *self.source.lock()
+        *self.set_by.lock()
     }
 
     /// The threshold, for the camera's loop: read it before each frame.
@@ -128,8 +126,8 @@ impl CameraBoard {
     /// The equivalent of `u` in the published code, in pictures of this size, where that is another
     /// number, to three digits.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
-        let sizeless = self.setup.sizeless;
-        let knob = self.knob().filter(|knob| sizeless && knob.name == "u")?;
+        let sizeless = self.is_sizeless;
+        let knob = self.knob.filter(|knob| sizeless && knob.name == "u")?;
         let in_force = self
             .threshold()
             .filter(|value| knob.check(*value).is_ok())?;
@@ -138,17 +136,17 @@ impl CameraBoard {
         (rounded != in_force).then_some(rounded)
     }
 
-    /// The threshold in force as an event.
-    pub(super) fn threshold_event(&self) -> Option<Event> {
-        Some(Event::Threshold(ThresholdEvent {
+    /// What subscribers get to know of a new threshold.
+    pub(super) fn threshold_news(&self, threshold: Threshold) -> News {
+        News::Threshold(ThresholdEvent {
             camera: Arc::clone(&self.name),
-            threshold: self.threshold_in_force()?,
-        }))
+            threshold,
+        })
     }
 
     /// Keeps the threshold that the target has left where it is.
     pub(super) fn keep_threshold(&self, source: SettingSource) {
-        if let Some((knob, value)) = self.knob().zip(self.threshold()) {
+        if let Some((knob, value)) = self.knob.zip(self.threshold()) {
             self.set_threshold(&knob, value, source);
         }
     }
@@ -157,7 +155,7 @@ impl CameraBoard {
         // First, so that the controller moves nothing any more.
         self.shared.target.turned_by_hand(source);
         let _changing = self.changing.lock();
-        *self.source.lock() = source;
+        *self.set_by.lock() = source;
         let before = self.turn(knob, value);
         let kept = Kept {
             knob: knob.name.to_owned(),
@@ -165,18 +163,15 @@ impl CameraBoard {
             configured: self.configured,
             source,
         };
-        let (camera, outbox) = (&*self.name, &self.shared.outbox);
-        if !outbox.set(&setting(camera), &kept) && outbox.has_directory() {
-            tracing::warn!(camera, "threshold not kept: it will not survive a restart");
-        }
-        let knob = knob.name;
+        let (camera, knob) = (&*self.name, knob.name);
+        self.shared.settings.set(&setting(camera), &kept);
         tracing::info!(camera, knob, ?before, now = value, "threshold changed");
     }
 
     /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
     /// that the knob cannot have changes nothing.
     pub(crate) fn move_threshold(&self, value: f64) {
-        if let Some(knob) = self.knob().filter(|knob| knob.check(value).is_ok()) {
+        if let Some(knob) = self.knob.filter(|knob| knob.check(value).is_ok()) {
             let before = self.turn(&knob, value);
             tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
         }
@@ -187,11 +182,8 @@ impl CameraBoard {
         let mut before = None;
         self.threshold.send_modify(|in_force| {
             before = in_force.replace(value);
-            let event = Event::Threshold(ThresholdEvent {
-                camera: Arc::clone(&self.name),
-                threshold: Threshold::new(knob.name, value),
-            });
-            let _ = self.shared.events.send(event.into());
+            let news = self.threshold_news(Threshold::new(knob.name, value));
+            let _ = self.shared.events.send(Event::new(news));
         });
         before
     }

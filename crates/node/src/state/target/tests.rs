@@ -1,28 +1,18 @@
 //! The target of a board: who switches it on and off, and what of it survives.
 
 use super::*;
-use crate::config::{CameraConfig, NodeConfig};
-use crate::state::board::{Board, BoardSetup, set_by_hand};
-use albireo_core::target::{Measured, Target, TargetStatus};
-use albireo_vision::detector::DetectorStatus;
-use albireo_wire::SettingSource;
+use crate::state::board::set_by_hand;
+use crate::state::board::tests::{board_of, config};
+use albireo_core::target::TargetStatus;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
-use std::time::Duration;
-use tokio::sync::watch;
 
-pub(super) fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
-    let mut config = NodeConfig {
-        cameras: vec![CameraConfig::named("front"), CameraConfig::named("rear")],
-        target,
-        ..NodeConfig::default()
-    };
-    config.policy.select(policy).unwrap();
-    config.node.state_dir = state.map(Path::to_owned);
-    let (_, status) = watch::channel(DetectorStatus::Starting);
-    Board::new(BoardSetup::from_config(&config, status).unwrap())
+fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
+    let mut config = config(state, policy);
+    config.target = target;
+    board_of(&config)
 }
 
 /// A second in which fewer frames are skipped than wanted.
@@ -38,26 +28,26 @@ fn too_few_skipped() -> Measured {
 /// Lets seconds pass; the knob's value then.
 fn pass(board: &Board, seconds: u32) -> f64 {
     for _ in 0..seconds {
-        board.target().step(&too_few_skipped(), |value| {
-            for camera in board.cameras() {
+        board.target.step(&too_few_skipped(), |value| {
+            for camera in &board.cameras {
                 camera.move_threshold(value);
             }
         });
     }
-    board.cameras()[0].threshold().unwrap()
+    board.cameras[0].threshold().unwrap()
 }
 
 #[test]
 fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
-    assert_eq!(board.target().report().target, None);
+    assert_eq!(board.target.report().target, None);
     board
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     let after = pass(&board, 8);
     assert!(after > 0.3, "{after}");
-    assert_eq!(board.cameras()[1].threshold(), Some(after));
-    let report = board.target().report();
+    assert_eq!(board.cameras[1].threshold(), Some(after));
+    let report = board.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.5)));
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
@@ -65,7 +55,7 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
     // At the end of the range it is said and counted.
     pass(&board, 120);
-    let state = board.target().report().state.unwrap();
+    let state = board.target.report().state.unwrap();
     assert_eq!((state.status, state.unmet), (TargetStatus::CannotBeMet, 1));
     assert!((state.knob - 1.2).abs() < 1e-9);
 }
@@ -77,21 +67,21 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     pass(&board, 10);
-    set_by_hand(&board.cameras()[1..], 7e-4).unwrap();
-    let report = board.target().report();
+    set_by_hand(&board.cameras[1..], 7e-4).unwrap();
+    let report = board.target.report();
     assert_eq!((report.target, report.state), (None, None));
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&board, 10);
-    assert_eq!(board.cameras()[1].threshold(), Some(7e-4));
+    assert_eq!(board.cameras[1].threshold(), Some(7e-4));
     // Another one begins at the knob's value, and leaves it there at its end.
     board
         .set_target(Some(Target::SkipRate(0.6)), SettingSource::Local)
         .unwrap();
-    assert_eq!(board.target().report().off, None);
+    assert_eq!(board.target.report().off, None);
     let there = pass(&board, 10);
     board.set_target(None, SettingSource::Local).unwrap();
-    assert_eq!(board.cameras()[0].threshold(), Some(there));
-    let report = board.target().report();
+    assert_eq!(board.cameras[0].threshold(), Some(there));
+    let report = board.target.report();
     assert_eq!(report.off.as_deref(), Some("it was switched off"));
 }
 
@@ -104,30 +94,30 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
         ..TargetConfig::default()
     };
     let first = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
-    assert_eq!(first.target().report().source, SettingSource::Configuration);
+    assert_eq!(first.target.report().source, SettingSource::Configuration);
     first
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     let there = pass(&first, 20);
-    first.target().keep_place();
+    first.target.keep_place();
     drop(first);
 
     let again = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
-    let report = again.target().report();
+    let report = again.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.5)));
     assert!((report.threshold.unwrap().value - there).abs() < 1e-12);
     // The first step puts it into force, whatever the cameras began with.
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
     // Off by hand stays off.
-    set_by_hand(&again.cameras()[..1], 0.25).unwrap();
+    set_by_hand(&again.cameras[..1], 0.25).unwrap();
     drop(again);
     let off = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
-    assert_eq!(off.target().report().target, None);
-    assert_eq!(off.cameras()[0].threshold(), Some(0.25));
+    assert_eq!(off.target.report().target, None);
+    assert_eq!(off.cameras[0].threshold(), Some(0.25));
     drop(off);
     let edited = board(Some(&state), "expected-loss:0.3", configured(Some(0.7)));
-    let report = edited.target().report();
+    let report = edited.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.7)));
     assert_eq!(report.source, SettingSource::Configuration);
 }
@@ -140,7 +130,7 @@ fn goes_on_while_the_disk_stalls(
 ) {
     const LIMIT: Duration = Duration::from_secs(20);
     thread::scope(|scope| {
-        let stalled = board.outbox().stall();
+        let stalled = (board.outbox.stall(), board.settings.stall());
         let ((changed, change_ended), (worked, worker_ended)) = (channel(), channel());
         scope.spawn(move || {
             change(board);
@@ -163,14 +153,13 @@ fn goes_on_while_the_disk_stalls(
 fn serve(board: &Board) {
     pass(board, 1);
     board.publish_counters(0);
-    board.target().report();
-    for camera in board.cameras() {
+    board.target.report();
+    for camera in &board.cameras {
         camera.threshold_in_force();
         camera.threshold_source();
     }
-    board.thresholds_are_kept();
-    board.outbox().counts();
-    board.readiness().health();
+    board.outbox.counts();
+    board.readiness.health();
 }
 
 #[test]
@@ -184,25 +173,25 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
         &first,
         |board| board.set_target(half, SettingSource::Local).unwrap(),
         |board| {
-            while board.target().report().target != half {
+            while board.target.report().target != half {
                 thread::yield_now();
             }
             serve(board);
         },
     );
     let there = pass(&first, 20);
-    goes_on_while_the_disk_stalls(&first, |board| board.target().keep_place(), serve);
+    goes_on_while_the_disk_stalls(&first, |board| board.target.keep_place(), serve);
     drop(first);
     let second = open();
-    let report = second.target().report();
+    let report = second.target.report();
     assert_eq!(report.target, half);
     assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
     // The target is switched off first, which is kept too.
     goes_on_while_the_disk_stalls(
         &second,
-        |board| set_by_hand(&board.cameras()[..1], 0.25).unwrap(),
+        |board| set_by_hand(&board.cameras[..1], 0.25).unwrap(),
         |board| {
-            while board.target().is_on() {
+            while board.target.is_on() {
                 thread::yield_now();
             }
             serve(board);
@@ -210,19 +199,19 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     );
     goes_on_while_the_disk_stalls(
         &second,
-        |board| set_by_hand(&board.cameras()[..1], 0.26).unwrap(),
+        |board| set_by_hand(&board.cameras[..1], 0.26).unwrap(),
         |board| {
-            while board.cameras()[0].threshold() != Some(0.26) {
+            while board.cameras[0].threshold() != Some(0.26) {
                 thread::yield_now();
             }
             serve(board);
-            board.cameras()[0].move_threshold(0.27);
+            board.cameras[0].move_threshold(0.27);
         },
     );
     drop(second);
     let third = open();
-    assert_eq!(third.target().report().target, None);
-    assert_eq!(third.cameras()[0].threshold(), Some(0.26));
+    assert_eq!(third.target.report().target, None);
+    assert_eq!(third.cameras[0].threshold(), Some(0.26));
 }
 
 #[test]
@@ -232,7 +221,7 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
         let refused = board.set_target(Some(Target::SkipRate(0.5)), SettingSource::Local);
         let reason = refused.unwrap_err().to_string();
         assert!(reason.contains(policy), "{reason}");
-        assert_eq!(board.target().report().target, None);
+        assert_eq!(board.target.report().target, None);
     }
     // A policy that was changed since: what was kept is not held, and the reason is given.
     let configured = TargetConfig {
@@ -240,6 +229,32 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
         ..TargetConfig::default()
     };
     let board = board(None, "vanilla", configured);
-    let report = board.target().report();
+    let report = board.target.report();
     assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
+}
+
+#[test]
+fn an_outage_of_the_detector_moves_no_knob() {
+    let board = board(None, "expected-loss:0.3", TargetConfig::default());
+    board
+        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
+        .unwrap();
+    // Seconds of ten frames: how many of them skipped the detector, and how many could not have it.
+    let pass = |seconds, skipped, degraded| {
+        let second = Totals {
+            frames: 10,
+            skipped,
+            degraded,
+            detector_us: 20_000 * (10 - skipped - degraded),
+            ..Totals::default()
+        };
+        for _ in 0..seconds {
+            board.step_target(second, Duration::from_secs(1));
+        }
+        board.cameras[0].threshold().unwrap()
+    };
+    let before = pass(8, 2, 0);
+    assert!(before > 0.3, "{before}");
+    assert_eq!(pass(60, 2, 8), before);
+    assert!(pass(8, 2, 0) > before);
 }

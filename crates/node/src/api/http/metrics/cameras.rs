@@ -10,7 +10,7 @@ use albireo_wire::AuditRate;
 
 /// The families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
-    let cameras: Vec<_> = (board.cameras().iter())
+    let cameras: Vec<_> = (board.cameras.iter())
         .map(|camera| (("camera", camera.name()), &**camera, camera.snapshot()))
         .collect();
     frames(page, &cameras);
@@ -121,7 +121,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
 
 /// Whether frames come, and what is known of the newest.
 fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
-    let health = board.readiness().health();
+    let health = board.readiness.health();
     let silent = |name: &str| {
         (health.faults.iter()).any(|fault| fault.part == CAMERAS && fault.subject == name)
     };
@@ -159,7 +159,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
         "albireo_threshold",
         "Threshold in force, under the policy's name for it",
         cameras.iter().filter_map(|(camera, board, _)| {
-            Some(([*camera, ("knob", board.knob()?.name)], board.threshold()?))
+            Some(([*camera, ("knob", board.knob?.name)], board.threshold()?))
         }),
     );
     page.gauges(
@@ -174,7 +174,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
 /// What the audit has found: sums that add up over cameras and nodes, and each camera's rates.
 fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     let audited = || {
-        let on = cameras.iter().filter(|(_, board, _)| board.audit_is_on());
+        let on = cameras.iter().filter(|(_, board, _)| board.is_audited);
         on.map(|(camera, _, snapshot)| (*camera, &snapshot.audit.sums, snapshot))
     };
     page.counters(

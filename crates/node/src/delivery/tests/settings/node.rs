@@ -1,21 +1,18 @@
 //! A simulated node: what is desired of it, on its real file.
 
-use super::super::node::open_outbox;
+use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;
-use crate::delivery::outbox::tests::Faults;
-use crate::delivery::uplink::{
-    DesiredKeeper, HubReply, Outcome, Schedule, StatusTeller, board, read_reply, thresholds,
-};
+use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusTeller, read_reply};
+use crate::state::board::tests::{config, thresholds};
 use crate::state::board::{Board, set_by_hand};
 use albireo_service::clock::Now;
+use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
-
-const STATUS_EVERY: Duration = Duration::from_secs(30);
+use tokio::sync::watch;
 
 struct Started {
     board: Arc<Board>,
@@ -69,12 +66,14 @@ impl Node {
     }
 
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
-        let outbox = open_outbox(&self.folder, &Arc::<Faults>::default(), now);
+        let config = config(Some(&self.folder), "albireo");
+        let (_, status) = watch::channel(DetectorStatus::Starting);
+        let board = until_unlocked(|| Board::open(&config, status.clone()));
         let mut schedule = Schedule::new(&OutboxConfig::default(), random, now.at);
         schedule.begin(now.at);
         self.started = Some(Started {
-            keeper: DesiredKeeper::open(&outbox),
-            board: board(outbox),
+            keeper: DesiredKeeper::open(&board.settings),
+            board,
             statuses: StatusTeller::new(BTreeMap::new(), random as u32, now),
             schedule,
             asked: None,
@@ -108,7 +107,7 @@ impl Node {
         let Some(node) = &mut self.started else {
             return (None, false);
         };
-        let status = (node.statuses).due(STATUS_EVERY, now, &node.board, &node.keeper);
+        let status = (node.statuses).due(now, &node.board, &node.keeper);
         let pulls = node.schedule.next_pull(now.at);
         if pulls {
             node.asked = Some(question);
@@ -132,11 +131,10 @@ impl Node {
     ) -> Option<(u64, DesiredSetting)> {
         let node = self.started.as_mut()?;
         node.asked.take_if(|asked| *asked == question)?;
-        let HubReply::Answer(desired) = read_reply::<Desired>(answer.ok_or(b"no reply")) else {
-            node.schedule.pull_ended(Outcome::Unanswered, now.at);
-            return None;
-        };
-        node.schedule.pull_ended(Outcome::Done, now.at);
+        let answer = answer.ok_or(Failure::Unanswered);
+        let desired = answer.and_then(|answer| read_reply::<Desired>(Ok(answer)));
+        node.schedule.pull_ended(&desired, now.at);
+        let desired = desired.ok()?;
         if desired.send_full_status {
             node.statuses.full_is_due();
         }
@@ -151,7 +149,7 @@ impl Node {
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.
-            let _ = set_by_hand(node.board.cameras(), value);
+            let _ = set_by_hand(&node.board.cameras, value);
         }
     }
 
@@ -161,7 +159,7 @@ impl Node {
         Has {
             revision,
             refused: (node.keeper.refused()).is_some_and(|refused| refused.revision == revision),
-            by_hand: (node.board.cameras().iter())
+            by_hand: (node.board.cameras.iter())
                 .any(|camera| camera.threshold_source() == SettingSource::Local),
             settings: thresholds(&node.board),
         }

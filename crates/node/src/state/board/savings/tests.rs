@@ -5,18 +5,15 @@ use crate::camera::clip::tests::report;
 use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
-use crate::config::{CameraConfig, NodeConfig};
-use crate::state::board::{Board, BoardSetup};
+use crate::state::board::tests::{board_of, config};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
-use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{ClipReport, EnergyQuality};
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
@@ -201,12 +198,7 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> Played {
 
 /// The node's own figure, as its page has it.
 fn told(power: &PowerHandle) -> Option<f64> {
-    let config = NodeConfig {
-        cameras: vec![CameraConfig::named("front")],
-        ..NodeConfig::default()
-    };
-    let (_, status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+    let board = board_of(&config(None, "albireo"));
     board.set_power(power.snapshot());
     let energy = board.savings().0.energy.unwrap();
     assert_eq!(energy.quality, EnergyQuality::Measured);
