@@ -98,8 +98,8 @@ fn assert_energy(report: &Value) {
 }
 
 fn watts(message: &Value, domain: &str) -> f64 {
-    let told = message["watts"].as_array().unwrap();
-    let entry = told.iter().find(|entry| entry["domain"] == domain);
+    let listed = message["watts"].as_array().unwrap();
+    let entry = listed.iter().find(|entry| entry["domain"] == domain);
     entry.map_or(0.0, |entry| entry["watts"].as_f64().unwrap())
 }
 

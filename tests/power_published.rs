@@ -43,7 +43,7 @@ fn states(row: &Row) -> FrameStates {
     states
 }
 
-/// J·ms/frame of a clip, as its report would tell.
+/// J·ms/frame of a clip, as its report has it.
 fn energy_delay_product(row: &Row) -> f64 {
     let node = Energy {
         source: "tegrastats".to_owned(),

@@ -10,7 +10,7 @@ use albireo_node::api::http::{NodeView, router};
 use albireo_node::config::NodeConfig;
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
 use albireo_node::state::board::Board;
-use albireo_power::TegrastatsLine;
+use albireo_power::tegrastats_rails;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
 use albireo_vision::detector::{DetectorStatus, Metadata};
@@ -246,9 +246,7 @@ pub fn model_metadata(data: &[u8]) -> bool {
 
 /// A line of `tegrastats`.
 pub fn tegrastats(data: &[u8]) -> bool {
-    TegrastatsLine::parse(&String::from_utf8_lossy(data))
-        .inspect(|line| drop(line.condition()))
-        .is_some()
+    tegrastats_rails(&String::from_utf8_lossy(data)).is_some()
 }
 
 /// Names in Zenoh keys: one that is taken is one chunk of a key that Zenoh takes, without a wildcard, and comes out again.

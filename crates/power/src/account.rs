@@ -10,8 +10,8 @@ use crate::reading::{Domain, Reading};
 use crate::sampler::MeterCost;
 use crate::totals::{History, Sample, Totals};
 use albireo_wire::{BoardState, DomainEnergy, EnergyQuality, FULL_COVERAGE};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -68,7 +68,7 @@ pub struct Measured {
 #[derive(Clone, Debug, Default)]
 struct Notes {
     peaks: [Option<f64>; Domain::ALL.len()],
-    rules: Vec<Arc<str>>,
+    rules: Vec<Cow<'static, str>>,
     conditions: ConditionSum,
 }
 
@@ -82,7 +82,7 @@ impl Notes {
 
     fn add_rule(&mut self, sample: &Sample) {
         if !self.rules.contains(&sample.total_from) {
-            self.rules.push(Arc::clone(&sample.total_from));
+            self.rules.push(sample.total_from.clone());
         }
     }
 }
@@ -117,8 +117,8 @@ impl Open {
 /// The account.
 #[derive(Debug)]
 pub(crate) struct Account {
-    source: String,
-    quality: EnergyQuality,
+    pub source: String,
+    pub quality: EnergyQuality,
     pub history: History,
     pub cameras: Attribution,
     pub detector: DetectorWatts,

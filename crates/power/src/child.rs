@@ -17,7 +17,7 @@ const MOST_LINES: usize = 256;
 /// A longer line is cut here: no source of ours prints one.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// Shortest time from one start to the next.
+/// Shortest time from a start or a line to the next start.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// How long the end of a killed child is waited for. That of another user (sudo) cannot be killed.
@@ -31,9 +31,8 @@ pub(crate) struct LineChild {
     command: Command,
     child: Option<Child>,
     lines: Receiver<Line>,
-    /// When it was started last, or printed its newest line.
+    /// When it was started, or printed its newest line.
     last_sign: Instant,
-    started: Instant,
     trouble: Option<String>,
 }
 
@@ -51,13 +50,11 @@ impl LineChild {
             .stderr(Stdio::null())
             .process_group(0);
         let (child, lines) = spawn(&mut command)?;
-        let now = Instant::now();
         Ok(Self {
             command,
             child: Some(child),
             lines,
-            last_sign: now,
-            started: now,
+            last_sign: Instant::now(),
             trouble: None,
         })
     }
@@ -77,7 +74,12 @@ impl LineChild {
         }
         let silent = self.last_sign.elapsed() > longest_silence;
         if ended || silent {
-            self.restart(silent.then_some(longest_silence));
+            self.end();
+            if silent {
+                let seconds = longest_silence.as_secs();
+                self.trouble = Some(format!("it printed nothing for {seconds} s"));
+            }
+            self.restart();
         }
         lines
     }
@@ -91,23 +93,15 @@ impl LineChild {
         line.ok().map(|(_, line)| line)
     }
 
-    fn restart(&mut self, silent_for: Option<Duration>) {
-        self.end();
-        if let Some(longest) = silent_for {
-            self.trouble = Some(format!("it printed nothing for {} s", longest.as_secs()));
-        }
-        if self.started.elapsed() < PAUSE {
+    fn restart(&mut self) {
+        if self.last_sign.elapsed() < PAUSE {
             return;
         }
-        (self.started, self.last_sign) = (Instant::now(), Instant::now());
-        tracing::warn!(
-            reason = self.trouble,
-            "the power meter's child process is started again"
-        );
+        self.last_sign = Instant::now();
+        let reason = self.trouble.as_deref();
+        tracing::warn!(reason, "the power meter's child process is started again");
         match spawn(&mut self.command) {
-            Ok((child, lines)) => {
-                (self.child, self.lines) = (Some(child), lines);
-            }
+            Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
             Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
         }
     }

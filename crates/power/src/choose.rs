@@ -38,7 +38,7 @@ pub(crate) fn open_source(
         PowerSource::Ina => Box::new(Ina::open(config)?),
         PowerSource::Tegrastats => Box::new(Tegrastats::open(config)?),
         PowerSource::Rapl => Box::new(Rapl::open(config)?),
-        PowerSource::Nvml => Box::new(Nvml::open(config)?),
+        PowerSource::Nvml => Box::new(Nvml::open()?),
         PowerSource::Estimate => Box::new(Estimate::open(config)?),
         PowerSource::None => Box::new(NoMeter),
     })
@@ -56,7 +56,7 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
                 return meter;
             }
             // A meter that is there and may not be read is worth a line; one that is not there is not.
-            Err(why @ MeterError::Missing { .. }) => tracing::debug!(%why, "passed over"),
+            Err(why @ MeterError::Missing(_)) => tracing::debug!(%why, "passed over"),
             Err(why) => tracing::warn!(%why, "passed over"),
         }
     }
@@ -67,63 +67,29 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn write(root: &std::path::Path, file: &str, text: &str) {
-        let path = root.join(file);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, text).unwrap();
-    }
-
-    fn config(root: &std::path::Path) -> PowerConfig {
-        PowerConfig {
-            sysfs: root.join("sys"),
-            procfs: root.join("proc"),
-            tegrastats: root.join("tegrastats"),
-            ..PowerConfig::default()
-        }
-    }
+    use crate::tests::Tree;
 
     #[test]
     fn auto_takes_the_boards_monitor_before_counters_before_the_estimate() {
-        let folder = tempfile::tempdir().unwrap();
-        let root = folder.path();
-        let config = config(root);
-        let mut chosen = Vec::new();
-        let mut ask = || chosen.push(open(&config).unwrap().source().to_owned());
-        ask();
-        write(root, "proc/stat", "cpu 1 2 3 4\n");
-        ask();
-        let zone = "sys/class/powercap/intel-rapl:0";
-        write(root, &format!("{zone}/name"), "package-0");
-        write(root, &format!("{zone}/energy_uj"), "1");
-        write(root, &format!("{zone}/max_energy_range_uj"), "100");
-        ask();
-        write(root, "sys/class/hwmon/hwmon1/name", "ina3221");
-        write(root, "sys/class/hwmon/hwmon1/in1_label", "VDD_IN");
-        write(root, "sys/class/hwmon/hwmon1/in1_input", "5000");
-        write(root, "sys/class/hwmon/hwmon1/curr1_input", "1000");
-        ask();
+        let tree = Tree::default();
+        let chosen = || open(&tree.config()).unwrap().source().to_owned();
         // A card of the machine that this runs on is not in the tree: `nvml` may come first.
-        assert!(["none", "nvml"].contains(&&*chosen[0]), "{chosen:?}");
-        assert!(["estimate", "nvml"].contains(&&*chosen[1]), "{chosen:?}");
-        assert_eq!(chosen[2..], ["rapl", "ina"]);
+        assert!(["none", "nvml"].contains(&&*chosen()));
+        tree.write("proc/stat", "cpu 1 2 3 4");
+        assert!(["estimate", "nvml"].contains(&&*chosen()));
+        tree.rapl("intel-rapl:0", "package-0", 1);
+        assert_eq!(chosen(), "rapl");
+        tree.ina3221("hwmon1", &[("VDD_IN", 5000, 1000)]);
+        assert_eq!(chosen(), "ina");
     }
 
-    #[test]
-    fn a_meter_asked_for_by_name_that_is_not_there_is_an_error() {
-        let folder = tempfile::tempdir().unwrap();
-        for source in [
-            PowerSource::Ina,
-            PowerSource::Tegrastats,
-            PowerSource::Rapl,
-            PowerSource::Estimate,
-        ] {
-            let config = PowerConfig {
-                source,
-                ..config(folder.path())
-            };
-            let error = open(&config).err().unwrap();
-            assert!(matches!(error, MeterError::Missing { .. }), "{error}");
-        }
+    #[rstest::rstest]
+    fn a_meter_asked_for_by_name_that_is_not_there_is_an_error(
+        #[values("ina", "tegrastats", "rapl", "estimate")] source: &str,
+    ) {
+        let mut config = Tree::default().config();
+        config.source = toml::Value::from(source).try_into().unwrap();
+        let error = open(&config).err().unwrap();
+        assert!(matches!(error, MeterError::Missing(_)), "{error}");
     }
 }

@@ -24,10 +24,8 @@ pub struct Condition {
 type Hottest = Option<(Arc<str>, f64)>;
 
 fn hotter(one: Hottest, other: Hottest) -> Hottest {
-    match (one, other) {
-        (Some(a), Some(b)) => Some(if b.1 > a.1 { b } else { a }),
-        (one, None) | (None, one) => one,
-    }
+    let both = other.into_iter().chain(one);
+    both.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 impl Condition {
@@ -41,11 +39,6 @@ impl Condition {
             mode: self.mode.or(other.mode),
         }
     }
-}
-
-/// Not the `PMIC` zone of Jetson boards: it reads a constant, 50 °C or 100 °C.
-pub(crate) fn is_a_sensor(name: &str) -> bool {
-    !name.to_ascii_lowercase().starts_with("pmic")
 }
 
 /// Conditions one after another.
@@ -91,19 +84,17 @@ impl ConditionSum {
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
     sum: f64,
-    count: u32,
+    count: f64,
 }
 
 impl Mean {
     fn add(&mut self, value: Option<f64>) {
-        if let Some(value) = value {
-            self.sum += value;
-            self.count += 1;
-        }
+        self.sum += value.unwrap_or_default();
+        self.count += f64::from(u8::from(value.is_some()));
     }
 
     fn value(self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / f64::from(self.count))
+        (self.count > 0.0).then(|| self.sum / self.count)
     }
 }
 

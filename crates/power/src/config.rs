@@ -90,38 +90,28 @@ impl PowerConfig {
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut found: Vec<(String, String)> = Vec::new();
         let mut add = |key: &str, reason: String| found.push((key.to_owned(), reason));
-        if !(10..=10_000).contains(&self.interval_ms) {
-            add(
-                "interval_ms",
-                format!("must be from 10 to 10000, not {}", self.interval_ms),
-            );
+        let (interval, idle, busy) = (self.interval_ms, self.idle_watts, self.busy_watts);
+        if !(10..=10_000).contains(&interval) {
+            let reason = format!("must be from 10 to 10000, not {interval}");
+            add("interval_ms", reason);
         }
         if self.tegrastats.as_os_str().is_empty() {
-            add(
-                "tegrastats",
-                "is empty; leave the key out instead".to_owned(),
-            );
+            let reason = "is empty; leave the key out instead".to_owned();
+            add("tegrastats", reason);
         }
-        let (idle, busy) = (self.idle_watts, self.busy_watts);
         for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
             // Written so that NaN is refused.
             if !(0.0..=1e5).contains(&watts) {
-                add(
-                    key,
-                    format!("must be a number from 0 to 100000, not {watts}"),
-                );
+                let reason = format!("must be a number from 0 to 100000, not {watts}");
+                add(key, reason);
             }
         }
         if busy < idle {
-            add(
-                "busy_watts",
-                format!("is {busy}, below idle_watts ({idle})"),
-            );
+            let reason = format!("is {busy}, below idle_watts ({idle})");
+            add("busy_watts", reason);
         }
-        if let Some(Err(MeterError::Configuration { key, reason })) =
-            self.rails.as_ref().map(RailTable::check)
-        {
-            add(&key, reason);
+        if let Some(fault) = self.rails.as_ref().and_then(RailTable::fault) {
+            add("rails", fault);
         }
         found
     }
@@ -132,7 +122,7 @@ impl PowerConfig {
     /// [`MeterError::Configuration`] with the first of the [`problems`](Self::problems).
     pub fn check(&self) -> Result<(), MeterError> {
         match self.problems().into_iter().next() {
-            Some((key, reason)) => Err(MeterError::Configuration { key, reason }),
+            Some((key, reason)) => Err(MeterError::configuration(&key, reason)),
             None => Ok(()),
         }
     }

@@ -1,47 +1,43 @@
 //! Errors of power meters.
 
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::Path;
 
 /// Why a meter cannot be used, or could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum MeterError {
     /// The machine does not have it.
-    #[error("{source_name}: not on this machine: {reason}")]
-    Missing {
-        /// The meter.
-        source_name: &'static str,
-        /// What was looked for and where.
-        reason: String,
-    },
-    /// It is there, but this user may not read it.
-    #[error("{source_name}: may not read {}: permission denied; {remedy}", path.display())]
-    Permission {
-        /// The meter.
-        source_name: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// What to do.
-        remedy: String,
-    },
-    /// Reading failed, or what was read makes no sense.
-    #[error("{source_name}: cannot read {}: {reason}", path.display())]
-    Unreadable {
-        /// The meter.
-        source_name: &'static str,
-        /// The file or device.
-        path: PathBuf,
-        /// What the system or the driver said, or what was read instead of a figure.
-        reason: String,
-    },
-    /// The configuration asks for something impossible.
-    #[error("power.{key}: {reason}")]
-    Configuration {
-        /// The key in `[power]`.
-        key: String,
-        /// What is wrong with it, and what is allowed.
-        reason: String,
-    },
-    /// The meter itself failed.
+    #[error("{0}")]
+    Missing(String),
+    /// It is there, and cannot be used or read.
     #[error("{0}")]
     Failed(String),
+}
+
+impl MeterError {
+    /// The machine does not have the meter `source`.
+    pub(crate) fn missing(source: &str, reason: impl Display) -> Self {
+        Self::Missing(format!("{source}: not on this machine: {reason}"))
+    }
+
+    /// A file, a program or a device of the meter `source` cannot be read.
+    pub(crate) fn unreadable(source: &str, path: &Path, reason: impl Display) -> Self {
+        Self::Failed(format!(
+            "{source}: cannot read {}: {reason}",
+            path.display()
+        ))
+    }
+
+    /// This user may not read the meter `source`; `remedy` says what to do.
+    pub(crate) fn forbidden(source: &str, path: &Path, remedy: impl Display) -> Self {
+        let path = path.display();
+        Self::Failed(format!(
+            "{source}: may not read {path}: permission denied; {remedy}"
+        ))
+    }
+
+    /// The configuration asks for something impossible.
+    pub(crate) fn configuration(key: &str, reason: impl Display) -> Self {
+        Self::Failed(format!("power.{key}: {reason}"))
+    }
 }

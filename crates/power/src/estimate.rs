@@ -11,7 +11,6 @@ use crate::reading::{Rail, Reading, Value};
 use crate::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::PathBuf;
-use std::sync::Arc;
 use tokio::time::Instant;
 
 const SOURCE: &str = "estimate";
@@ -22,8 +21,6 @@ pub(crate) struct Estimate {
     stat: PathBuf,
     idle_watts: f64,
     busy_watts: f64,
-    formula: Arc<str>,
-    name: Arc<str>,
     last: Option<(Instant, Ticks)>,
     watts: f64,
     joules: f64,
@@ -40,21 +37,14 @@ impl Estimate {
     /// Opens `/proc/stat`.
     ///
     /// # Errors
-    /// [`MeterError`] when there is no such file, or the configured watts make no sense.
+    /// [`MeterError`] when there is no such file, or it makes no sense.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
-        config.check()?;
-        let (idle_watts, busy_watts) = (config.idle_watts, config.busy_watts);
         let meter = Self {
             stat: config.procfs.join("stat"),
-            idle_watts,
-            busy_watts,
-            formula: format!(
-                "estimated: {idle_watts} W idle to {busy_watts} W busy by CPU utilisation"
-            )
-            .into(),
-            name: "CPU utilisation".into(),
+            idle_watts: config.idle_watts,
+            busy_watts: config.busy_watts,
             last: None,
-            watts: idle_watts,
+            watts: config.idle_watts,
             joules: 0.0,
         };
         meter.ticks()?;
@@ -63,10 +53,9 @@ impl Estimate {
 
     fn ticks(&self) -> Result<Ticks, MeterError> {
         let text = sysfs::text(SOURCE, &self.stat)?;
-        parse(&text).ok_or_else(|| MeterError::Unreadable {
-            source_name: SOURCE,
-            path: self.stat.clone(),
-            reason: "its first line is not `cpu` with at least four numbers".to_owned(),
+        parse(&text).ok_or_else(|| {
+            let reason = "its first line is not `cpu` with at least four numbers";
+            MeterError::unreadable(SOURCE, &self.stat, reason)
         })
     }
 }
@@ -113,12 +102,14 @@ impl Meter for Estimate {
             self.joules += self.watts * now.saturating_duration_since(then).as_secs_f64();
         }
         let value = Value::Counter(self.joules);
+        let (idle, busy) = (self.idle_watts, self.busy_watts);
+        let formula = format!("estimated: {idle} W idle to {busy} W busy by CPU utilisation");
         Ok(vec![Reading {
             at: Some(now),
             values: [Some(value), None, None, None],
-            total_from: Arc::clone(&self.formula),
+            total_from: formula.into(),
             rails: vec![Rail {
-                name: Arc::clone(&self.name),
+                name: "CPU utilisation".into(),
                 domain: None,
                 in_total: true,
                 value,
@@ -131,32 +122,25 @@ impl Meter for Estimate {
 mod tests {
     use super::*;
     use crate::reading::Domain;
+    use crate::tests::Tree;
     use std::time::Duration;
 
-    fn config(stat: &str) -> (tempfile::TempDir, PowerConfig) {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("stat"), stat).unwrap();
-        let config = PowerConfig {
-            procfs: folder.path().to_owned(),
-            sysfs: folder.path().to_owned(),
+    fn open(tree: &Tree, stat: &str) -> Result<Estimate, MeterError> {
+        tree.write("proc/stat", stat);
+        Estimate::open(&PowerConfig {
             idle_watts: 4.0,
             busy_watts: 24.0,
-            ..PowerConfig::default()
-        };
-        (folder, config)
+            ..tree.config()
+        })
     }
 
     #[test]
     fn half_busy_cores_cost_half_way_between_idle_and_busy() {
-        let (folder, config) = config("cpu  100 0 100 800 0 0 0 0 0 0\ncpu0 1 2 3 4\n");
-        let mut meter = Estimate::open(&config).unwrap();
+        let tree = Tree::default();
+        let mut meter = open(&tree, "cpu  100 0 100 800 0 0 0 0 0 0\ncpu0 1 2 3 4").unwrap();
         let start = Instant::now();
         meter.poll(start).unwrap();
-        std::fs::write(
-            folder.path().join("stat"),
-            "cpu  140 0 110 850 0 0 0 0 0 0\n",
-        )
-        .unwrap();
+        tree.write("proc/stat", "cpu  140 0 110 850 0 0 0 0 0 0");
         let readings = meter.poll(start + Duration::from_secs(2)).unwrap();
         assert_eq!(readings[0].value(Domain::Total), Some(Value::Counter(28.0)));
         assert_eq!(meter.quality(), EnergyQuality::Estimated);
@@ -165,16 +149,7 @@ mod tests {
     #[test]
     fn a_stat_file_of_another_kind_is_refused() {
         for text in ["", "intr 1 2 3", "cpu 1 2", "cpu 1 x 3 4"] {
-            let (_folder, config) = config(text);
-            assert!(Estimate::open(&config).is_err(), "{text:?}");
+            assert!(open(&Tree::default(), text).is_err(), "{text:?}");
         }
-    }
-
-    #[test]
-    fn busy_watts_below_idle_watts_are_refused() {
-        let (_folder, mut config) = config("cpu 1 2 3 4");
-        config.busy_watts = 1.0;
-        let text = Estimate::open(&config).unwrap_err().to_string();
-        assert!(text.contains("busy_watts"), "{text}");
     }
 }

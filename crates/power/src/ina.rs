@@ -21,32 +21,23 @@ const SOURCE: &str = "ina";
 /// The name of an INA238's only rail where the device tree gives none.
 const INPUT: &str = "VIN";
 
+const INA3221: &str = "ina3221";
 const INA238: &str = "ina238";
-const CHIPS: [&str; 2] = ["ina3221", INA238];
-
-#[derive(Debug)]
-enum Files {
-    /// Bus voltage in millivolts, current in milliamperes.
-    VoltageAndCurrent(PathBuf, PathBuf),
-    /// Power in microwatts.
-    Power(PathBuf),
-}
 
 #[derive(Debug)]
 struct Channel {
     name: Arc<str>,
-    files: Files,
+    /// Files whose product is the power in microwatts: it alone, or bus voltage (mV) and current (mA).
+    files: Vec<PathBuf>,
 }
 
 impl Channel {
     fn watts(&self) -> Result<f64, MeterError> {
-        let number = |path| sysfs::number::<i64>(SOURCE, path).map(|n| n as f64);
-        Ok(match &self.files {
-            Files::VoltageAndCurrent(voltage, current) => {
-                number(voltage)? * number(current)? * 1e-6
-            }
-            Files::Power(power) => number(power)? * 1e-6,
-        })
+        let numbers = (self.files.iter()).map(|file| sysfs::number::<i64>(SOURCE, file));
+        numbers
+            .map(|number| Ok(number? as f64))
+            .product::<Result<f64, _>>()
+            .map(|power| power * 1e-6)
     }
 }
 
@@ -61,21 +52,16 @@ impl Ina {
     /// Finds the monitors under `{sysfs}/class/hwmon`, where every hwmon driver lists its chips.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is none, or none with a rail; [`MeterError::Permission`] and
-    /// [`MeterError::Unreadable`] when no rail can be read.
+    /// [`MeterError::Missing`] where there is none, or none with a rail; [`MeterError::Failed`] when no rail can be read.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
-        config.check()?;
-        let mut chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
-        chips.retain(|chip| kind(chip).is_some());
+        let chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
         let channels: Vec<Channel> = chips.iter().flat_map(|chip| channels(chip)).collect();
         if channels.is_empty() {
-            return Err(MeterError::Missing {
-                source_name: SOURCE,
-                reason: format!(
-                    "no ina3221 or ina238 with a named rail under {}/class/hwmon (Jetson boards have them)",
-                    config.sysfs.display()
-                ),
-            });
+            let reason = format!(
+                "no ina3221 or ina238 with a named rail under {}/class/hwmon (Jetson boards have them)",
+                config.sysfs.display()
+            );
+            return Err(MeterError::missing(SOURCE, reason));
         }
         let mut meter = Self {
             channels,
@@ -86,23 +72,22 @@ impl Ina {
     }
 }
 
-/// The driver's name for the chip, of those that are read.
-fn kind(chip: &Path) -> Option<&'static str> {
-    let name = sysfs::text(SOURCE, &chip.join("name")).ok()?;
-    CHIPS.into_iter().find(|known| *known == name)
-}
-
+/// The rails of a chip; none of one that is no power monitor.
 fn channels(chip: &Path) -> Vec<Channel> {
     let text = |file: String| sysfs::text(SOURCE, &chip.join(file)).ok();
-    if kind(chip) == Some(INA238) {
+    let kind = text("name".to_owned()).unwrap_or_default();
+    if kind == INA238 {
         let label = ["power1_label", "in1_label", "label"]
             .iter()
             .find_map(|file| text((*file).to_owned()))
             .filter(|label| !label.is_empty());
         return vec![Channel {
             name: label.map_or_else(|| INPUT.into(), Into::into),
-            files: Files::Power(chip.join("power1_input")),
+            files: vec![chip.join("power1_input")],
         }];
+    }
+    if kind != INA3221 {
+        return Vec::new();
     }
     (1..=3)
         .filter(|i| text(format!("in{i}_enable")).is_none_or(|on| on != "0"))
@@ -110,10 +95,9 @@ fn channels(chip: &Path) -> Vec<Channel> {
         .filter(|(_, label)| !label.is_empty() && label != "NC" && !label.contains("shunt"))
         .map(|(i, label)| Channel {
             name: label.into(),
-            files: Files::VoltageAndCurrent(
-                chip.join(format!("in{i}_input")),
-                chip.join(format!("curr{i}_input")),
-            ),
+            files: ["in", "curr"]
+                .map(|what| chip.join(format!("{what}{i}_input")))
+                .into(),
         })
         .collect()
 }

@@ -57,6 +57,8 @@ mod sampler;
 mod survey;
 mod sysfs;
 mod tegrastats;
+#[cfg(test)]
+mod tests;
 mod totals;
 
 pub use account::{Energy, Measured};
@@ -70,4 +72,4 @@ pub use rails::{RailMap, RailTable, RailWatts};
 pub use reading::{Domain, Rail, Reading, Value, Values};
 pub use sampler::{MeterCost, PowerHandle, PowerSnapshot, start, start_with};
 pub use survey::{RailNow, SourceSurvey, survey};
-pub use tegrastats::{Tegrastats, TegrastatsLine};
+pub use tegrastats::tegrastats_rails;

@@ -1,22 +1,27 @@
 //! Reads the machine's condition: thermal zones, throttling, clocks, power mode. What is not there is left out.
 
-use crate::condition::{Condition, is_a_sensor};
+use crate::condition::Condition;
 use crate::config::PowerConfig;
 use crate::sysfs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::thread::JoinHandle;
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tokio::time::Instant;
+use tokio::sync::watch;
 
 const SOURCE: &str = "condition";
 
 /// CPU cores whose clocks are read: each read of a clock interrupts the core.
 const MOST_CORES: usize = 16;
 
+/// Where the Raspberry Pi's firmware says whether it throttles.
+const PI_THROTTLED: &str = "devices/platform/soc/soc:firmware/get_throttled";
+
 /// Bits of the Raspberry Pi firmware's word that say "now": frequency capped, throttled, soft limit.
 const PI_NOW: u64 = 0b1110;
+
+/// The board's power mode, as far as it is known.
+type Mode = Option<Arc<str>>;
 
 /// The files with the machine's condition.
 #[derive(Debug)]
@@ -31,7 +36,9 @@ pub(crate) struct Machine {
     pi: Option<PathBuf>,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    mode: PowerMode,
+    /// What `nvpmodel` says, and the platform profile of ACPI, for where it says nothing.
+    mode: watch::Receiver<Mode>,
+    profile: PathBuf,
 }
 
 impl Machine {
@@ -66,16 +73,12 @@ impl Machine {
             cooling: class("thermal")
                 .into_iter()
                 .filter(|device| sysfs::name(device).starts_with("cooling_device"))
-                .filter(|device| holds_clocks_back(&label(device)))
+                .filter(|device| has_one(&label(device), &CLOCKS))
                 .map(|device| device.join("cur_state"))
                 .collect(),
             events: x86.filter_map(there).chain(jetson).collect(),
             last_events: None,
-            pi: there(
-                config
-                    .sysfs
-                    .join("devices/platform/soc/soc:firmware/get_throttled"),
-            ),
+            pi: there(config.sysfs.join(PI_THROTTLED)),
             cpu_clocks: cpus
                 .iter()
                 .map(|cpu| cpu.join("cpufreq/scaling_cur_freq"))
@@ -84,17 +87,15 @@ impl Machine {
                 .collect(),
             gpu_clock: class("devfreq")
                 .into_iter()
-                .find(|device| is_gpu(sysfs::name(device)))
+                .find(|device| has_one(sysfs::name(device), &GPUS))
                 .map(|device| device.join("cur_freq")),
-            mode: PowerMode::new(
-                &config.nvpmodel,
-                config.sysfs.join("firmware/acpi/platform_profile"),
-            ),
+            mode: follow_mode(config.nvpmodel.clone(), MODE_EVERY),
+            profile: config.sysfs.join("firmware/acpi/platform_profile"),
         }
     }
 
     /// Reads them.
-    pub(crate) fn read(&mut self, now: Instant) -> Condition {
+    pub(crate) fn read(&mut self) -> Condition {
         let number = |path: &PathBuf| sysfs::number::<f64>(SOURCE, path).ok();
         let hottest = self
             .zones
@@ -106,12 +107,18 @@ impl Machine {
         let clocks: Vec<f64> = self.cpu_clocks.iter().filter_map(number).collect();
         let cpu_mhz =
             (!clocks.is_empty()).then(|| clocks.iter().sum::<f64>() / clocks.len() as f64 * 1e-3);
+        let mode = self.mode.borrow().clone();
+        let profile = || {
+            let profile = sysfs::text(SOURCE, &self.profile).ok();
+            profile.filter(|mode| !mode.is_empty()).map(Into::into)
+        };
+        let mode = mode.or_else(profile);
         Condition {
             hottest,
             throttled: self.throttled(),
             cpu_mhz,
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
-            mode: self.mode.read(now),
+            mode,
         }
     }
 
@@ -141,93 +148,58 @@ fn is_cpu(name: &str) -> bool {
         .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// A devfreq device of a GPU, by the names Jetson boards and others give it.
-fn is_gpu(name: &str) -> bool {
-    ["gpu", "gp10b", "gv11b", "ga10b", "gb10b"]
-        .iter()
-        .any(|part| name.contains(part))
+/// Not the `PMIC` zone of Jetson boards: it reads a constant, 50 °C or 100 °C.
+fn is_a_sensor(name: &str) -> bool {
+    !name.to_ascii_lowercase().starts_with("pmic")
 }
 
-/// A cooling device that cools by lower clocks, and not by a fan.
-fn holds_clocks_back(kind: &str) -> bool {
-    [
-        "cpufreq",
-        "devfreq",
-        "Processor",
-        "cpu-balanced",
-        "gpu-balanced",
-    ]
-    .iter()
-    .any(|part| kind.contains(part))
+/// Parts of the names that Jetson boards and others give a GPU's devfreq device.
+const GPUS: [&str; 5] = ["gpu", "gp10b", "gv11b", "ga10b", "gb10b"];
+
+/// Parts of the types of cooling devices that cool by lower clocks, and not by a fan.
+const CLOCKS: [&str; 5] = [
+    "cpufreq",
+    "devfreq",
+    "Processor",
+    "cpu-balanced",
+    "gpu-balanced",
+];
+
+fn has_one(name: &str, parts: &[&str]) -> bool {
+    parts.iter().any(|part| name.contains(part))
 }
 
 /// Time between two questions for the power mode.
-const QUERY_INTERVAL: Duration = Duration::from_secs(60);
+const MODE_EVERY: Duration = Duration::from_secs(60);
 
 /// How long the first answer is waited for: nothing is measured yet.
-const FIRST_ANSWER: Duration = Duration::from_secs(2);
+const FIRST_MODE: Duration = Duration::from_secs(2);
 
-/// The board's power mode: `nvpmodel`'s, else the platform profile of ACPI. The program takes its time, so a thread asks it,
-/// and its answer is taken at a later reading.
-#[derive(Debug)]
-struct PowerMode {
-    nvpmodel: PathBuf,
-    profile: PathBuf,
-    asked_at: Instant,
-    question: Option<JoinHandle<Option<Arc<str>>>>,
-    /// None where the program had no answer at first: it is not started every minute for nothing.
-    known: Option<Arc<str>>,
+/// Asks `nvpmodel` for the power mode, now and every `period`, for as long as the receiver is there. The program takes its
+/// time, so a thread asks it; and not again where it has no answer at first.
+fn follow_mode(nvpmodel: PathBuf, period: Duration) -> watch::Receiver<Mode> {
+    let (newest, mode) = watch::channel(None);
+    let (answered, first) = mpsc::channel();
+    std::thread::spawn(move || {
+        while !newest.is_closed() {
+            if let Some(mode) = ask(&nvpmodel) {
+                newest.send_replace(Some(mode));
+            }
+            let _ = answered.send(());
+            if newest.borrow().is_none() {
+                return;
+            }
+            std::thread::sleep(period);
+        }
+    });
+    let _ = first.recv_timeout(FIRST_MODE);
+    mode
 }
 
-impl PowerMode {
-    fn new(nvpmodel: &Path, profile: PathBuf) -> Self {
-        let mut mode = Self {
-            nvpmodel: nvpmodel.to_owned(),
-            profile,
-            asked_at: Instant::now(),
-            question: None,
-            known: None,
-        };
-        mode.ask();
-        let until = std::time::Instant::now() + FIRST_ANSWER;
-        while mode.question.is_some() && std::time::Instant::now() < until {
-            std::thread::sleep(Duration::from_millis(5));
-            mode.take_answer();
-        }
-        mode
-    }
-
-    /// The mode as far as it is known; never waits.
-    fn read(&mut self, now: Instant) -> Option<Arc<str>> {
-        self.take_answer();
-        if self.known.is_none() {
-            let profile = sysfs::text(SOURCE, &self.profile).ok();
-            return profile.filter(|mode| !mode.is_empty()).map(Into::into);
-        }
-        if self.question.is_none() && now.saturating_duration_since(self.asked_at) >= QUERY_INTERVAL
-        {
-            self.asked_at = now;
-            self.ask();
-        }
-        self.known.clone()
-    }
-
-    fn ask(&mut self) {
-        let program = self.nvpmodel.clone();
-        self.question = Some(std::thread::spawn(move || {
-            let mut command = Command::new(program);
-            let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
-            mode_in(&String::from_utf8_lossy(&output.stdout)).map(Into::into)
-        }));
-    }
-
-    fn take_answer(&mut self) {
-        if let Some(question) = self.question.take_if(|question| question.is_finished())
-            && let Ok(Some(mode)) = question.join()
-        {
-            self.known = Some(mode);
-        }
-    }
+fn ask(nvpmodel: &Path) -> Mode {
+    let mut command = Command::new(nvpmodel);
+    let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
+    mode_in(&String::from_utf8_lossy(&output.stdout)).map(Into::into)
 }
 
 /// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, then its number.

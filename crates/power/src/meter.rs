@@ -35,16 +35,13 @@ pub trait Meter: Send {
     }
 }
 
-/// The name of [`NoMeter`].
-pub(crate) const NONE: &str = "none";
-
 /// No meter: it reads nothing, and clips carry no energy.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct NoMeter;
 
 impl Meter for NoMeter {
     fn source(&self) -> &str {
-        NONE
+        "none"
     }
 
     fn quality(&self) -> EnergyQuality {

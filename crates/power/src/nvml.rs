@@ -7,12 +7,11 @@
 mod driver;
 
 use crate::condition::Condition;
-use crate::config::PowerConfig;
 use crate::counter::Counter;
 use crate::error::MeterError;
 use crate::meter::Meter;
 use crate::reading::{Domain, Rail, Reading, Value};
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use tokio::time::Instant;
 
@@ -21,8 +20,8 @@ const SOURCE: &str = "nvml";
 /// Joules of one count of a card's energy counter, which counts millijoules.
 const UNIT: f64 = 1e-3;
 
-/// The cards of a machine, as the driver shows them: `Ok(None)` is what a card cannot tell, an error what it does not tell
-/// now.
+/// The cards of a machine, as the driver shows them: `Ok(None)` is what a card does not have, an error what it does not
+/// say now.
 trait Cards: Send {
     /// How many there are.
     fn count(&self) -> Result<u32, String>;
@@ -59,15 +58,6 @@ pub(crate) struct Nvml {
     /// Whether all of them count energy.
     count: bool,
     driver: Box<dyn Cards>,
-    total_from: Arc<str>,
-}
-
-impl std::fmt::Debug for Nvml {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Nvml")
-            .field("cards", &self.cards)
-            .finish_non_exhaustive()
-    }
 }
 
 impl Nvml {
@@ -75,8 +65,7 @@ impl Nvml {
     ///
     /// # Errors
     /// [`MeterError::Missing`] without a driver, without a card, or when no card reports its power.
-    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
-        config.check()?;
+    pub(crate) fn open() -> Result<Self, MeterError> {
         let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
         Self::with(Box::new(driver))
     }
@@ -110,24 +99,16 @@ impl Nvml {
             cards,
             count: all_count,
             driver,
-            total_from: "sum_of_rails: graphics cards only".into(),
         })
     }
 }
 
 fn missing(reason: String) -> MeterError {
-    MeterError::Missing {
-        source_name: SOURCE,
-        reason,
-    }
+    MeterError::missing(SOURCE, reason)
 }
 
 fn unreadable(card: u32, reason: String) -> MeterError {
-    MeterError::Unreadable {
-        source_name: SOURCE,
-        path: PathBuf::from(format!("card {card}")),
-        reason,
-    }
+    MeterError::unreadable(SOURCE, Path::new(&format!("card {card}")), reason)
 }
 
 impl Meter for Nvml {
@@ -138,18 +119,16 @@ impl Meter for Nvml {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.cards.len());
         let mut sum = 0.0;
-        let value = if self.count {
-            Value::Counter
-        } else {
-            Value::Power
+        let value = match self.count {
+            true => Value::Counter,
+            false => Value::Power,
         };
         for card in &mut self.cards {
-            let read = if self.count {
-                let energy = self.driver.energy_mj(card.index);
-                energy.map(|raw| raw.map(|raw| card.count(now, raw)))
-            } else {
-                let power = self.driver.power_mw(card.index);
-                power.map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3))
+            let read = match self.count {
+                true => (self.driver.energy_mj(card.index))
+                    .map(|raw| raw.map(|raw| card.count(now, raw))),
+                false => (self.driver.power_mw(card.index))
+                    .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)),
             };
             let lost = || "it no longer reads its power".to_owned();
             let read = read.and_then(|read| read.ok_or_else(lost));
@@ -165,7 +144,7 @@ impl Meter for Nvml {
         Ok(vec![Reading {
             at: None,
             values: [Some(value(sum)), Some(value(sum)), None, None],
-            total_from: Arc::clone(&self.total_from),
+            total_from: "sum_of_rails: graphics cards only".into(),
             rails,
         }])
     }

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+/// [`Reading::total_from`] of a board that no table names.
+const UNKNOWN_BOARD: &str = "sum_of_rails of an unknown board";
+
 /// Which rails of a board count for what.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -47,30 +50,20 @@ impl RailTable {
         found.map(|(domain, _)| domain)
     }
 
-    /// Refuses a table that would count a rail twice or has no total.
-    ///
-    /// # Errors
-    /// [`MeterError::Configuration`] that names the rail.
-    pub fn check(&self) -> Result<(), MeterError> {
-        let refuse = |reason: String| {
-            let key = "rails".to_owned();
-            Err(MeterError::Configuration { key, reason })
-        };
+    /// Why the table cannot be used, if it cannot: it would count a rail twice, or has no total.
+    pub(crate) fn fault(&self) -> Option<String> {
         if self.input.is_empty() && self.sum.is_empty() {
-            return refuse(
-                "name the rail of the whole board in `input`, or the rails to add up in `sum`"
-                    .to_owned(),
-            );
+            let fault =
+                "name the rail of the whole board in `input`, or the rails to add up in `sum`";
+            return Some(fault.to_owned());
         }
         if let Some(rail) = twice(self.sum.iter()) {
-            return refuse(format!("`{rail}` is in `sum` twice"));
+            return Some(format!("`{rail}` is in `sum` twice"));
         }
-        if let Some(rail) = twice(self.domains().into_iter().flat_map(|(_, rails)| rails)) {
-            return refuse(format!(
-                "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one"
-            ));
-        }
-        Ok(())
+        let rail = twice(self.domains().into_iter().flat_map(|(_, rails)| rails))?;
+        Some(format!(
+            "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one"
+        ))
     }
 }
 
@@ -94,30 +87,21 @@ pub struct RailMap {
     tables: Vec<RailTable>,
     /// Whether the input rail was ever read: a reading without it is a gap then, and not another rule.
     has_input: bool,
-    input_rail: Arc<str>,
-    sum_of_rails: Arc<str>,
-    unknown_board: Arc<str>,
 }
 
 impl RailMap {
     /// With the user's table, or the built-in ones.
     ///
     /// # Errors
-    /// [`MeterError::Configuration`] when the user's table makes no sense.
+    /// [`MeterError`] when the user's table makes no sense.
     pub fn new(user: Option<&RailTable>) -> Result<Self, MeterError> {
-        let tables = match user {
-            Some(table) => {
-                table.check()?;
-                vec![table.clone()]
-            }
-            None => built_in()?,
-        };
+        if let Some(fault) = user.and_then(RailTable::fault) {
+            return Err(MeterError::configuration("rails", fault));
+        }
+        let own = user.map(|table| vec![table.clone()]);
         Ok(Self {
-            tables,
+            tables: own.map_or_else(built_in, Ok)?,
             has_input: false,
-            input_rail: INPUT_RAIL.into(),
-            sum_of_rails: SUM_OF_RAILS.into(),
-            unknown_board: "sum_of_rails of an unknown board".into(),
         })
     }
 
@@ -147,14 +131,13 @@ impl RailMap {
             .cloned();
         self.has_input |= input.is_some();
         let (total, total_from) = if self.has_input {
-            (input.as_deref().and_then(watts), &self.input_rail)
+            (input.as_deref().and_then(watts), INPUT_RAIL)
         } else if let Some(table) = &table {
-            (added(&table.sum), &self.sum_of_rails)
+            (added(&table.sum), SUM_OF_RAILS)
         } else {
             let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
-            ((!rails.is_empty()).then_some(all), &self.unknown_board)
+            ((!rails.is_empty()).then_some(all), UNKNOWN_BOARD)
         };
-        let total_from = Arc::clone(total_from);
         let mut values = Values::default();
         values[Domain::Total as usize] = total.map(Value::Power);
         for (domain, names) in table.iter().flat_map(RailTable::domains) {
@@ -176,7 +159,7 @@ impl RailMap {
         Reading {
             at: None,
             values,
-            total_from,
+            total_from: total_from.into(),
             rails,
         }
     }

@@ -97,7 +97,6 @@ impl Zone {
 #[derive(Debug)]
 pub(crate) struct Rapl {
     zones: Vec<Zone>,
-    total_from: Arc<str>,
     platform: bool,
 }
 
@@ -105,22 +104,19 @@ impl Rapl {
     /// Finds the counters under `{sysfs}/class/powercap`.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is none, [`MeterError::Permission`] where this user may not
-    /// read them (they are for root alone since CVE-2020-8694), [`MeterError::Unreadable`] otherwise.
+    /// [`MeterError::Missing`] where there is none, [`MeterError::Failed`] where they cannot be read: they are for root
+    /// alone since CVE-2020-8694.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
-        config.check()?;
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
         let mut platform = zones.iter().any(|z| z.kind == Kind::Platform);
         if !platform && !zones.iter().any(|z| z.kind == Kind::Package) {
-            return Err(MeterError::Missing {
-                source_name: SOURCE,
-                reason: format!(
-                    "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
-                     the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
-                    root.display()
-                ),
-            });
+            let reason = format!(
+                "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
+                 the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
+                root.display()
+            );
+            return Err(MeterError::missing(SOURCE, reason));
         }
         if platform {
             read(&mut zones, Instant::now())?;
@@ -133,11 +129,7 @@ impl Rapl {
                 );
             }
         }
-        Ok(Self {
-            zones,
-            total_from: if platform { INPUT_RAIL } else { SUM_OF_RAILS }.into(),
-            platform,
-        })
+        Ok(Self { zones, platform })
     }
 
     /// Whether the zone is added up into the total.
@@ -223,10 +215,14 @@ impl Meter for Rapl {
                 value: Value::Counter(joules),
             });
         }
+        let total_from = match self.platform {
+            true => INPUT_RAIL,
+            false => SUM_OF_RAILS,
+        };
         Ok(vec![Reading {
             at: None,
             values: sums.map(|sum| sum.map(Value::Counter)),
-            total_from: Arc::clone(&self.total_from),
+            total_from: total_from.into(),
             rails,
         }])
     }

@@ -1,5 +1,6 @@
 //! A reading of a power meter: watts or joules by domain and rail.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use tokio::time::Instant;
 
@@ -55,14 +56,6 @@ impl Value {
         }
     }
 
-    /// The counted energy, if that is what was read, joules.
-    pub const fn joules(self) -> Option<f64> {
-        match self {
-            Self::Power(_) => None,
-            Self::Counter(joules) => Some(joules),
-        }
-    }
-
     /// Mean power from `before`, read `seconds` earlier, until this; of power, what was read last.
     pub(crate) fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
         match (before, self) {
@@ -99,7 +92,7 @@ pub struct Reading {
     /// By domain.
     pub values: Values,
     /// How the total came about: `input_rail`, `sum_of_rails`, or a formula in words.
-    pub total_from: Arc<str>,
+    pub total_from: Cow<'static, str>,
     /// Rail by rail, for people.
     pub rails: Vec<Rail>,
 }

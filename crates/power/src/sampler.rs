@@ -2,13 +2,12 @@
 
 use crate::account::Account;
 use crate::choose;
-use crate::condition::Condition;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::machine::Machine;
 use crate::measurement::CameraEnergy;
-use crate::meter::{Meter, NONE, NoMeter};
-use crate::reading::{Domain, Reading};
+use crate::meter::{Meter, NoMeter};
+use crate::reading::Domain;
 use albireo_wire::{DomainWatts, EnergyQuality};
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -83,8 +82,6 @@ impl MeterCost {
 /// What the sampler and its handles share. A lock is held for microseconds and never over a reading.
 #[derive(Debug)]
 struct Shared {
-    source: String,
-    quality: EnergyQuality,
     interval: Duration,
     account: Mutex<Account>,
 }
@@ -105,12 +102,10 @@ impl PowerHandle {
     fn new(meter: &dyn Meter, interval: Duration) -> (Self, watch::Sender<Option<Instant>>) {
         let interval = interval.max(Duration::from_millis(1));
         let (announce, newest) = watch::channel(None);
-        let (source, quality) = (meter.source(), meter.quality());
+        let account = Account::new(meter.source(), meter.quality(), interval);
         let shared = Arc::new(Shared {
-            source: source.to_owned(),
-            quality,
             interval,
-            account: Mutex::new(Account::new(source, quality, interval)),
+            account: Mutex::new(account),
         });
         (Self { shared, newest }, announce)
     }
@@ -127,7 +122,7 @@ impl PowerHandle {
     /// Waits for the first sample at or after `end`: not without a meter or once sampling has stopped, not longer than
     /// `patience`, and not longer than two intervals, for the meter may have failed.
     pub(crate) async fn sampled(&self, end: Instant, patience: Duration) {
-        if self.shared.source == NONE {
+        if self.account().quality == EnergyQuality::Unavailable {
             return;
         }
         let limit = end + 2 * self.shared.interval + Duration::from_millis(50);
@@ -141,37 +136,31 @@ impl PowerHandle {
     pub fn snapshot(&self) -> PowerSnapshot {
         let account = self.account();
         let history = &account.history;
-        let named = || {
-            Domain::ALL
-                .into_iter()
-                .map(|domain| domain.as_str().to_owned())
-        };
-        let known = || named().zip(Domain::ALL).filter(|(_, it)| history.has(*it));
-        let sum = |domain: Domain| history.totals().sums[domain as usize];
         let present = history.present(Instant::now());
-        let watts = named().zip(present.map(|sample| sample.watts).unwrap_or_default());
-        let watts: Vec<_> = watts
-            .filter_map(|(domain, watts)| {
-                Some(DomainWatts {
-                    domain,
-                    watts: watts?,
-                })
-            })
-            .collect();
+        let (mut watts, mut joules, mut covered_s) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+        for domain in Domain::ALL {
+            let (name, sum) = (domain.as_str(), history.totals().sums[domain as usize]);
+            if history.has(domain) {
+                joules.insert(name.to_owned(), sum.joules);
+                covered_s.insert(name.to_owned(), sum.covered_s);
+            }
+            if let Some(now) = present.and_then(|sample| sample.watts[domain as usize]) {
+                let domain = name.to_owned();
+                watts.push(DomainWatts { domain, watts: now });
+            }
+        }
         let cameras = history.totals().cameras.iter();
         let hottest = account.condition.hottest.clone();
         PowerSnapshot {
-            source: self.shared.source.clone(),
+            source: account.source.clone(),
             quality: match watts.is_empty() {
                 true => EnergyQuality::Unavailable,
-                false => self.shared.quality,
+                false => account.quality,
             },
-            meter_quality: self.shared.quality,
+            meter_quality: account.quality,
             watts,
-            joules: known().map(|(name, it)| (name, sum(it).joules)).collect(),
-            covered_s: known()
-                .map(|(name, it)| (name, sum(it).covered_s))
-                .collect(),
+            joules,
+            covered_s,
             sampled_s: history.sampled_s(),
             saved_detector_s: cameras.map(|(_, camera)| camera.saved_s).sum(),
             detector_watts: account.detector.watts(),
@@ -179,11 +168,6 @@ impl PowerHandle {
             failed_reads: account.failed_reads,
             hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
         }
-    }
-
-    /// The source's name: `rapl`, `estimate`, `none`, …
-    pub fn source(&self) -> &str {
-        &self.shared.source
     }
 }
 
@@ -225,6 +209,7 @@ fn launch(
     let sensors = Sensors {
         meter,
         machine,
+        began: Instant::now(),
         condition_at: None,
         cpu: Duration::ZERO,
     };
@@ -237,39 +222,42 @@ fn launch(
 struct Sensors {
     meter: Box<dyn Meter>,
     machine: Option<Machine>,
+    began: Instant,
     condition_at: Option<Instant>,
     /// CPU time spent in [`read`](Self::read) so far.
     cpu: Duration,
 }
 
-struct Read {
-    readings: Result<Vec<Reading>, MeterError>,
-    condition: Option<Condition>,
-    /// The middle of the reading.
-    at: Instant,
-}
-
 impl Sensors {
-    fn read(&mut self) -> Read {
+    /// Reads them into the account.
+    fn read(&mut self, account: &Mutex<Account>) -> Result<(), MeterError> {
         let cpu = thread_cpu();
         let before = Instant::now();
         // A panic is a bug in a meter; its next reading may be one that it can read.
-        let polled = catch_unwind(AssertUnwindSafe(|| self.meter.poll(before)));
-        let readings =
-            polled.unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
-        let at = before + before.elapsed() / 2;
+        let readings = catch_unwind(AssertUnwindSafe(|| self.meter.poll(before)))
+            .unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
+        let middle = before + before.elapsed() / 2;
         let is_due = |last: Instant| before.saturating_duration_since(last) >= CONDITION_EVERY;
         let condition = self.condition_at.is_none_or(is_due).then(|| {
             self.condition_at = Some(before);
-            let machine = self.machine.as_mut().map(|machine| machine.read(before));
+            let machine = self.machine.as_mut().map(Machine::read);
             self.meter.condition().and(machine.unwrap_or_default())
         });
         self.cpu += thread_cpu().saturating_sub(cpu);
-        Read {
-            readings,
-            condition,
-            at,
+        let mut account = account.lock();
+        account.cost = MeterCost {
+            polls: account.cost.polls + 1,
+            cpu: self.cpu + self.meter.other_cpu(),
+            elapsed: self.began.elapsed(),
+        };
+        if let Some(condition) = condition {
+            account.set_condition(condition);
         }
+        account.failed_reads += u64::from(readings.is_err());
+        for reading in readings? {
+            account.sampled(reading.at.unwrap_or(middle), &reading);
+        }
+        Ok(())
     }
 }
 
@@ -279,7 +267,6 @@ async fn sample(
     announce: watch::Sender<Option<Instant>>,
     shutdown: CancellationToken,
 ) {
-    let began = Instant::now();
     let mut ticks = tokio::time::interval(shared.interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut warned: Option<Instant> = None;
@@ -289,43 +276,22 @@ async fn sample(
             () = shutdown.cancelled() => break,
             _ = ticks.tick() => {}
         }
+        let sharing = Arc::clone(&shared);
         let reading = tokio::task::spawn_blocking(move || {
-            let read = sensors.read();
+            let read = sensors.read(&sharing.account);
             (sensors, read)
         });
         let Ok((returned, read)) = reading.await else {
-            tracing::error!(
-                source = shared.source,
-                "the power sampler ended: no more power figures"
-            );
+            tracing::error!("the power sampler ended: no more power figures");
             return;
         };
         sensors = returned;
-        let mut account = shared.account.lock();
-        account.cost.polls += 1;
-        account.cost.cpu = sensors.cpu + sensors.meter.other_cpu();
-        account.cost.elapsed = began.elapsed();
-        if let Some(condition) = read.condition {
-            account.set_condition(condition);
-        }
-        match read.readings {
-            Ok(readings) => {
-                for reading in readings {
-                    account.sampled(reading.at.unwrap_or(read.at), &reading);
-                }
-                let newest = account.history.newest();
-                drop(account);
-                announce.send_if_modified(|known| std::mem::replace(known, newest) != newest);
-            }
-            Err(error) => {
-                account.failed_reads += 1;
-                let failures = account.failed_reads;
-                drop(account);
-                if warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY) {
-                    tracing::warn!(%error, failures, "the power meter cannot be read now");
-                    warned = Some(Instant::now());
-                }
-            }
+        announce.send_replace(shared.account.lock().history.newest());
+        if let Err(error) = read
+            && warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY)
+        {
+            tracing::warn!(%error, "the power meter cannot be read now");
+            warned = Some(Instant::now());
         }
     }
     // Closing a meter may wait for its child process.

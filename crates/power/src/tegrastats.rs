@@ -5,16 +5,16 @@
 
 mod line;
 
-pub use line::TegrastatsLine;
+pub use line::tegrastats_rails;
 
 use crate::child::LineChild;
-use crate::condition::Condition;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::meter::Meter;
 use crate::rails::RailMap;
 use crate::reading::Reading;
 use crate::sysfs;
+use procfs::process::Process;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -29,42 +29,36 @@ const SILENCE: Duration = Duration::from_secs(5);
 
 /// `tegrastats`, running.
 #[derive(Debug)]
-pub struct Tegrastats {
+pub(crate) struct Tegrastats {
     child: LineChild,
     map: RailMap,
     program: PathBuf,
-    procfs: PathBuf,
     longest_silence: Duration,
     newest: Instant,
-    condition: Condition,
 }
 
 impl Tegrastats {
     /// Starts it and waits for its first line.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is no such program, [`MeterError::Permission`] when it prints
-    /// no rails for this user, [`MeterError::Unreadable`] when no line of it can be understood.
-    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
-        config.check()?;
-        let interval = config.interval_ms.to_string();
+    /// [`MeterError::Missing`] where there is no such program, [`MeterError::Failed`] when no line of it can be
+    /// understood, or it prints no rails for this user.
+    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let program = config.tegrastats.clone();
-        let arguments = ["--interval".to_owned(), interval];
+        let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
         let child = LineChild::start(&program, &arguments).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => MeterError::Missing {
-                source_name: SOURCE,
-                reason: format!("no program `{}` (Jetson boards have it)", program.display()),
-            },
+            std::io::ErrorKind::NotFound => {
+                let reason = format!("no program `{}` (Jetson boards have it)", program.display());
+                MeterError::missing(SOURCE, reason)
+            }
             _ => sysfs::failure(SOURCE, &program, &error),
         })?;
         let mut meter = Self {
             child,
             map: RailMap::new(config.rails.as_ref())?,
             program,
-            procfs: config.procfs.clone(),
             longest_silence: SILENCE.max(Duration::from_millis(20 * config.interval_ms)),
             newest: Instant::now(),
-            condition: Condition::default(),
         };
         meter.first_line()?;
         Ok(meter)
@@ -72,31 +66,21 @@ impl Tegrastats {
 
     fn first_line(&mut self) -> Result<(), MeterError> {
         let Some(line) = self.child.first_line(FIRST_LINE) else {
-            let why = self.child.trouble().unwrap_or("it prints nothing");
-            return Err(self.unreadable(why.to_owned()));
+            return Err(self.unreadable(self.child.trouble().unwrap_or("it prints nothing")));
         };
-        let Some(line) = TegrastatsLine::parse(&line) else {
-            return Err(self.unreadable("it does not print lines of tegrastats".to_owned()));
+        let Some(rails) = tegrastats_rails(&line) else {
+            return Err(self.unreadable("it does not print lines of tegrastats"));
         };
-        if line.rails.is_empty() {
-            return Err(MeterError::Permission {
-                source_name: SOURCE,
-                path: self.program.clone(),
-                remedy: "it prints no power rails for this user; run as root, or let power.tegrastats name a script \
-                         that runs `exec sudo -n tegrastats \"$@\"`, allowed in sudoers without a password"
-                    .to_owned(),
-            });
+        if rails.is_empty() {
+            let remedy = "it prints no power rails for this user; run as root, or let power.tegrastats name a script \
+                          that runs `exec sudo -n tegrastats \"$@\"`, allowed in sudoers without a password";
+            return Err(MeterError::forbidden(SOURCE, &self.program, remedy));
         }
-        self.condition = line.condition();
         Ok(())
     }
 
-    fn unreadable(&self, reason: String) -> MeterError {
-        MeterError::Unreadable {
-            source_name: SOURCE,
-            path: self.program.clone(),
-            reason,
-        }
+    fn unreadable(&self, reason: &str) -> MeterError {
+        MeterError::unreadable(SOURCE, &self.program, reason)
     }
 }
 
@@ -108,13 +92,12 @@ impl Meter for Tegrastats {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut readings = Vec::new();
         for (at, text) in self.child.take(self.longest_silence) {
-            let Some(line) = TegrastatsLine::parse(&text) else {
+            let Some(rails) = tegrastats_rails(&text) else {
                 continue;
             };
             self.newest = at;
-            self.condition = line.condition();
-            if !line.rails.is_empty() {
-                let mut reading = self.map.reading(&line.rails);
+            if !rails.is_empty() {
+                let mut reading = self.map.reading(&rails);
                 reading.at = Some(at);
                 readings.push(reading);
             }
@@ -122,31 +105,19 @@ impl Meter for Tegrastats {
         let silent = now.saturating_duration_since(self.newest);
         if readings.is_empty() && silent > Duration::from_secs(1) {
             let why = self.child.trouble().unwrap_or("it stalls");
-            let text = format!("no line for {:.1} s: {why}", silent.as_secs_f64());
-            return Err(self.unreadable(text));
+            let seconds = silent.as_secs_f64();
+            return Err(self.unreadable(&format!("no line for {seconds:.1} s: {why}")));
         }
         Ok(readings)
     }
 
-    fn condition(&mut self) -> Condition {
-        self.condition.clone()
-    }
-
     /// That of the program since its last start.
     fn other_cpu(&self) -> Duration {
-        let program = self.child.process().and_then(|process| {
-            let stat = self.procfs.join(process.to_string()).join("stat");
-            cpu_of(&std::fs::read_to_string(stat).ok()?)
-        });
-        program.unwrap_or_default()
+        let stat = (self.child.process())
+            .and_then(|id| Process::new(i32::try_from(id).ok()?).ok()?.stat().ok());
+        stat.map_or(Duration::ZERO, |stat| {
+            let ticks = (stat.utime + stat.stime) as f64;
+            Duration::from_secs_f64(ticks / procfs::ticks_per_second() as f64)
+        })
     }
-}
-
-/// User and system time in `/proc/PID/stat` (fields 14 and 15, in ticks of 10 ms).
-fn cpu_of(stat: &str) -> Option<Duration> {
-    let (_, after_name) = stat.rsplit_once(')')?;
-    let mut fields = after_name.split_ascii_whitespace().skip(11);
-    let user: u64 = fields.next()?.parse().ok()?;
-    let system: u64 = fields.next()?.parse().ok()?;
-    Some(Duration::from_millis(10 * (user + system)))
 }

@@ -6,8 +6,8 @@
 //! - Nothing is assumed before the first sample or after the last.
 
 use crate::reading::{Domain, Reading, Value, Values};
+use std::borrow::Cow;
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -69,7 +69,7 @@ impl Totals {
 pub(crate) struct Sample {
     pub at: Instant,
     /// How the total came about.
-    pub total_from: Arc<str>,
+    pub total_from: Cow<'static, str>,
     /// Power by domain; of a counter, the mean since the sample before.
     pub watts: [Option<f64>; Domain::ALL.len()],
     values: Values,
@@ -122,7 +122,7 @@ impl History {
         }
         self.recent.push_back(Sample {
             at,
-            total_from: Arc::clone(&reading.total_from),
+            total_from: reading.total_from.clone(),
             watts,
             values: reading.values,
             totals: self.totals.clone(),

@@ -9,7 +9,7 @@ mod page;
 mod problem;
 mod serve;
 
-pub use auth::{Caller, TokenError, token_file_fault};
+pub use auth::{Caller, token_file_fault};
 pub use caller::*;
 pub use error::HttpError;
 pub use index::{Route, routes};

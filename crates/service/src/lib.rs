@@ -9,7 +9,7 @@ pub mod logging;
 pub mod metrics;
 pub mod notify;
 pub mod panics;
-pub mod process;
+mod process;
 pub mod rate_limit;
 pub mod readiness;
 pub mod session;

@@ -5,6 +5,7 @@ mod tail;
 pub use tail::{LogLine, conceal, last_lines, lines_after};
 
 use crate::config::{LogConfig, LogFormat, check_level};
+use std::fmt::Display;
 use std::io::IsTerminal;
 use tracing::Subscriber;
 use tracing_subscriber::filter::ParseError;
@@ -25,17 +26,8 @@ const QUIET: [&str; 6] = [
 
 /// Why there is no log.
 #[derive(Debug, thiserror::Error)]
-pub enum LogError {
-    /// `log.level` is no list of directives.
-    #[error("log.level: {0}")]
-    Level(#[from] ParseError),
-    /// `RUST_LOG` is no list of directives.
-    #[error("environment variable RUST_LOG: {0}")]
-    Variable(String),
-    /// A log was set up before.
-    #[error("the log cannot be set up: {0}")]
-    Taken(String),
-}
+#[error("{0}")]
+pub struct LogError(String);
 
 /// Sends the log to standard error, as the configuration wants it, and panics with it. `RUST_LOG`, as other programs
 /// have it, goes before `log.level`. The last lines are kept in memory from level `info` on, also where standard error is
@@ -47,13 +39,14 @@ pub fn start(config: &LogConfig) -> Result<(), LogError> {
     let variable = std::env::var("RUST_LOG")
         .ok()
         .filter(|variable| !variable.is_empty());
+    let wrong = |what: &str, why: &dyn Display| LogError(format!("{what}: {why}"));
     if let Some(variable) = &variable {
-        check_level(variable).map_err(LogError::Variable)?;
+        check_level(variable).map_err(|why| wrong("environment variable RUST_LOG", &why))?;
     }
     let level = variable.as_deref().unwrap_or(&config.level);
-    subscriber(level, config.format)?
-        .try_init()
-        .map_err(|error| LogError::Taken(error.to_string()))?;
+    let log = subscriber(level, config.format).map_err(|why| wrong("log.level", &why))?;
+    log.try_init()
+        .map_err(|why| wrong("the log cannot be set up", &why))?;
     crate::panics::log_panics();
     Ok(())
 }

@@ -48,11 +48,10 @@ impl MetricsPage {
 
     /// What the process uses.
     pub fn process(&mut self) {
-        for figure in process::figures() {
-            if figure.counter {
-                self.counter(&format!("{}_total", figure.name), figure.help, figure.value);
-            } else {
-                self.gauge(figure.name, figure.help, figure.value);
+        for (name, help, value) in process::figures() {
+            match name.ends_with("_total") {
+                true => self.counter(name, help, value),
+                false => self.gauge(name, help, value),
             }
         }
     }

@@ -2,7 +2,7 @@
 //! well. Without a manager nothing is sent.
 //!
 //! Two rules. A service that waits for others (a router, a database) counts as started after a while: a manager that
-//! killed it would bring nobody closer. And the watchdog is fed by the task that checks the service's real health, on
+//! killed it would help nothing. And the watchdog is fed by the task that checks the service's real health, on
 //! the runtime everything else runs on: workers that hang, a lock that is never given back, or a part that has been
 //! broken for too long all end the feeding, and the manager restarts the service.
 

@@ -3,21 +3,11 @@
 use procfs::process::{LimitValue, Process};
 use procfs::{ProcResult, boot_time_secs, page_size, ticks_per_second};
 
-/// One figure of the process.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProcessFigure {
-    /// Its name, without the `_total` of counters.
-    pub name: &'static str,
-    /// What it says.
-    pub help: &'static str,
-    /// Whether it only grows.
-    pub counter: bool,
-    /// Its value.
-    pub value: f64,
-}
+/// Name, help and value of one figure. A name that ends in `_total` is that of a counter.
+pub(crate) type ProcessFigure = (&'static str, &'static str, f64);
 
 /// What the process uses now; nothing where that cannot be read (a procfs that is hidden).
-pub fn figures() -> Vec<ProcessFigure> {
+pub(crate) fn figures() -> Vec<ProcessFigure> {
     read().unwrap_or_default()
 }
 
@@ -29,9 +19,9 @@ fn read() -> ProcResult<Vec<ProcessFigure>> {
         LimitValue::Value(most) => most as f64,
         LimitValue::Unlimited => f64::INFINITY,
     };
-    let figures = [
+    Ok(vec![
         (
-            "process_cpu_seconds",
+            "process_cpu_seconds_total",
             "Processor time the process has used",
             (stat.utime + stat.stime) as f64 / ticks,
         ),
@@ -56,14 +46,7 @@ fn read() -> ProcResult<Vec<ProcessFigure>> {
             "When the process started, seconds since the Unix epoch",
             boot_time_secs()? as f64 + stat.starttime as f64 / ticks,
         ),
-    ];
-    let named = figures.map(|(name, help, value)| ProcessFigure {
-        name,
-        help,
-        counter: name == "process_cpu_seconds",
-        value,
-    });
-    Ok(named.to_vec())
+    ])
 }
 
 #[cfg(test)]
@@ -74,13 +57,13 @@ mod tests {
     fn this_process_has_all_of_them() {
         // Processor time is counted in ticks of 10 ms: it takes a while to have used one.
         let begun = std::time::Instant::now();
-        while figures().first().is_some_and(|cpu| cpu.value == 0.0) {
+        while figures().first().is_some_and(|(.., cpu)| *cpu == 0.0) {
             assert!(begun.elapsed().as_secs() < 60, "no processor time");
         }
         let figures = figures();
         assert_eq!(figures.len(), 6, "{figures:?}");
         assert!(
-            figures.iter().all(|figure| figure.value > 0.0),
+            figures.iter().all(|(.., value)| *value > 0.0),
             "{figures:?}"
         );
     }

@@ -13,30 +13,11 @@ use std::sync::Arc;
 use tokio::sync::watch;
 use tokio::time::{Duration, Instant};
 
-/// What a fault means for the service as a whole.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Effect {
-    /// The service does what it is there for, but a part of it does not work.
-    Degraded,
-    /// The service does not do what it is there for.
-    NotReady,
-}
-
-impl Effect {
-    /// Its word in JSON.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Degraded => "degraded",
-            Self::NotReady => "not_ready",
-        }
-    }
-}
-
 /// What is wrong with a part.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// What it means for the service.
-    pub effect: Effect,
+    /// The state in which it leaves the service: degraded or not ready.
+    pub effect: HealthState,
     /// What is wrong, for people. No number that moves by itself belongs here: each new text is a change.
     pub reason: String,
 }
@@ -45,7 +26,7 @@ impl Fault {
     /// A fault the service works beside.
     pub fn degraded(reason: impl Into<String>) -> Self {
         Self {
-            effect: Effect::Degraded,
+            effect: HealthState::Degraded,
             reason: reason.into(),
         }
     }
@@ -53,7 +34,7 @@ impl Fault {
     /// A fault that keeps the service from its work.
     pub fn not_ready(reason: impl Into<String>) -> Self {
         Self {
-            effect: Effect::NotReady,
+            effect: HealthState::NotReady,
             reason: reason.into(),
         }
     }
@@ -82,11 +63,8 @@ pub struct Health {
 impl Health {
     /// The worst effect of all faults.
     pub fn state(&self) -> HealthState {
-        match self.faults.iter().map(|fault| fault.fault.effect).max() {
-            None => HealthState::Ready,
-            Some(Effect::Degraded) => HealthState::Degraded,
-            Some(Effect::NotReady) => HealthState::NotReady,
-        }
+        let effects = self.faults.iter().map(|fault| fault.fault.effect);
+        effects.max().unwrap_or(HealthState::Ready)
     }
 
     /// Whether the service does what it is there for, if perhaps with a part missing.

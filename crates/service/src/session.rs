@@ -12,35 +12,18 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_
 
 /// Why there is no session.
 #[derive(Debug, thiserror::Error)]
-pub enum SessionError {
-    /// A section makes no sense to Zenoh: that does not pass by itself.
-    #[error("[{section}] {reason}")]
-    Configuration {
-        /// The section: `zenoh` or `uplink`.
-        section: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// An endpoint cannot be reached or listened on.
-    #[error("{what} ({place}): {reason}")]
-    NotOpened {
-        /// What is missing.
-        what: &'static str,
-        /// The endpoints that were tried, or the file that names them.
-        place: String,
-        /// What Zenoh says.
-        reason: String,
-    },
-    /// The thread that opens it ended without an answer.
-    #[error("opening the Zenoh session failed: {0}")]
-    Failed(#[from] tokio::task::JoinError),
+#[error("{0}")]
+pub struct SessionError(String);
+
+impl From<tokio::task::JoinError> for SessionError {
+    fn from(error: tokio::task::JoinError) -> Self {
+        Self(format!("opening the Zenoh session failed: {error}"))
+    }
 }
 
-impl SessionError {
-    fn zenoh(reason: String) -> Self {
-        let section = "zenoh";
-        Self::Configuration { section, reason }
-    }
+/// A section that makes no sense to Zenoh: that does not pass by itself.
+fn malformed(section: &str, reason: &str) -> SessionError {
+    SessionError(format!("[{section}] {reason}"))
 }
 
 /// Puts settings in Zenoh's own terms, as `("transport/link/tx/lease", 60000)`, into a configuration of it.
@@ -66,9 +49,7 @@ pub async fn open(
     max_payload_bytes: usize,
     waiting: impl Fn(&str),
 ) -> Result<Session, SessionError> {
-    let zenoh = config
-        .to_zenoh(max_payload_bytes)
-        .map_err(SessionError::zenoh)?;
+    let zenoh = (config.to_zenoh(max_payload_bytes)).map_err(|why| malformed("zenoh", &why))?;
     // Of what Zenoh is given, as a file of its own settings has a mode of its own.
     let is_client = zenoh
         .get_json("mode")
@@ -94,7 +75,8 @@ pub async fn open_patiently(
         set(&mut zenoh, settings)?;
         Ok(zenoh)
     });
-    attempts(config, zenoh.map_err(SessionError::zenoh)?, true, failed).await
+    let zenoh = zenoh.map_err(|why| malformed("zenoh", &why))?;
+    attempts(config, zenoh, true, failed).await
 }
 
 async fn attempts(
@@ -126,19 +108,14 @@ async fn attempts(
 /// # Errors
 /// When no router can be reached, or the configuration makes no sense to Zenoh.
 pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
-    let config = uplink
-        .to_zenoh(jittered(Duration::from_millis(1000)))
-        .map_err(|reason| SessionError::Configuration {
-            section: "uplink",
-            reason,
-        })?;
-    zenoh::open(config)
-        .wait()
-        .map_err(|error| SessionError::NotOpened {
-            what: "the hub's router cannot be reached",
-            place: uplink.connect.join(", "),
-            reason: plain(&error),
-        })
+    let config = uplink.to_zenoh(jittered(Duration::from_millis(1000)));
+    let config = config.map_err(|why| malformed("uplink", &why))?;
+    zenoh::open(config).wait().map_err(|error| {
+        let (place, reason) = (uplink.connect.join(", "), plain(&error));
+        SessionError(format!(
+            "the hub's router cannot be reached ({place}): {reason}"
+        ))
+    })
 }
 
 fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
@@ -146,11 +123,10 @@ fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
         Some(file) => format!("configuration file {}", file.display()),
         None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
     };
-    SessionError::NotOpened {
-        what: "Zenoh session not opened",
-        place,
-        reason: plain(error),
-    }
+    SessionError(format!(
+        "Zenoh session not opened ({place}): {}",
+        plain(error)
+    ))
 }
 
 /// Between half and one and a half of a pause, so that many nodes do not come together.

@@ -4,7 +4,8 @@
 mod tests;
 
 use crate::panics::message;
-use crate::readiness::{Effect, Fault, Readiness};
+use crate::readiness::{Fault, Readiness};
+use albireo_wire::HealthState;
 use futures_util::FutureExt;
 use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,7 +26,7 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// The longest of these pauses.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
-/// A task that has run so long since its restart counts as well again.
+/// A task that has run for this long since its restart counts as well again.
 const CALM: Duration = Duration::from_secs(60);
 
 /// How a task ended by itself: with the reason of its failure, if it has one.
@@ -116,7 +117,7 @@ impl Supervisor {
         &mut self,
         name: impl Into<String>,
         span: Span,
-        effect: Effect,
+        effect: HealthState,
         task: impl Fn() -> F + Send + Sync + 'static,
     ) where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,

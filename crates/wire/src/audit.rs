@@ -2,10 +2,12 @@
 
 use albireo_core::audit::{AuditRate, AuditSums};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// The audit's part of a clip report: results for skipped frames since the previous report. A frame at the end of a clip
 /// may be counted in the next report.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct AuditReport {
@@ -17,7 +19,6 @@ pub struct AuditReport {
     pub detector_us: u64,
     /// Estimate of what that time added, joules, which are among the clip's: the watts that a running detector adds on this
     /// machine times `detector_us`. Absent while it is not known what it adds.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub joules: Option<f64>,
     /// What was compared and what was missed.
     #[serde(skip_serializing_if = "AuditSums::is_empty")]
@@ -27,6 +28,7 @@ pub struct AuditReport {
 /// The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
 /// truth: a policy that keeps showing an object which the detector misses loses precision here although it may
 /// be right.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct AuditFigures {
     /// Skipped frames that were drawn.
@@ -42,10 +44,8 @@ pub struct AuditFigures {
     /// Boxes that were shown on them.
     pub shown: u64,
     /// Share of the detector's boxes that were shown; absent when it found none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recall: Option<AuditRate>,
     /// Share of the shown boxes that the detector confirms; absent when none was shown.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub precision: Option<AuditRate>,
 }
 

@@ -2,6 +2,7 @@
 
 use crate::{AuditReport, DroppedFrames, FrameStates, Threshold, ThresholdChange};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -42,6 +43,7 @@ pub enum EnergyQuality {
 pub const FULL_COVERAGE: f64 = 0.999;
 
 /// Energy of one domain of the board.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DomainEnergy {
     /// `total`, `gpu`, `cpu`, `io_mem`.
@@ -52,7 +54,6 @@ pub struct DomainEnergy {
     pub mean_watts: f64,
     /// Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
     /// without a sample inside the clip.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_watts: Option<f64>,
 }
 
@@ -61,24 +62,21 @@ pub struct DomainEnergy {
 /// Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
 /// extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
 /// compare such joules with others or divide them by the clip's duration. `edp` is then absent.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipEnergy {
     /// Joules of this clip, its share by the time the detector ran for its camera; absent when
     /// [`EnergyQuality::Unavailable`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joules: Option<f64>,
     /// Joules of the whole node over the same time, of which `joules` is the clip's share. The same
     /// number when the node has one camera.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_joules: Option<f64>,
     /// Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, at
     /// most the detector's idle time, times the watts that a running detector adds on this machine. Absent until these
     /// watts are known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saved_joules_estimated: Option<f64>,
     /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
     /// without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edp: Option<f64>,
     /// Quality of the figures.
     pub quality: EnergyQuality,
@@ -128,6 +126,7 @@ pub enum ClipEnd {
 }
 
 /// The report of one clip.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipReport {
     /// Version.
@@ -146,7 +145,6 @@ pub struct ClipReport {
     pub part: u32,
     /// Running number of the node's reports: gaps show how many are missing. Absent if the node could not read the last
     /// number. The id does not depend on it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count: Option<u64>,
     /// Why it ended.
     pub ended_by: ClipEnd,
@@ -167,7 +165,6 @@ pub struct ClipReport {
     /// Policy.
     pub policy: String,
     /// Threshold at the end of the clip; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<Threshold>,
     /// Every value in force during the clip, in order: the one at the start, then the changes.
     pub threshold_changes: Vec<ThresholdChange>,
@@ -186,10 +183,8 @@ pub struct ClipReport {
     /// Energy.
     pub energy: ClipEnergy,
     /// The state of the board during the clip; absent if the board does not report it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardState>,
     /// What the audit found on skipped frames; absent without an audit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditReport>,
 }
 
@@ -201,27 +196,22 @@ const fn is_zero(number: &u32) -> bool {
 
 /// The state of the board during a clip, as far as the board reports it: the energy of a clip depends on
 /// it.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct BoardState {
     /// Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
     /// changed.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub power_mode: Option<String>,
     /// Highest temperature of any sensor, °C.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub hottest_celsius: Option<f64>,
     /// The sensor that read it.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub hottest_sensor: Option<String>,
     /// Whether heat, current or power throttled the clocks at any time; absent if the board does not report it.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub throttled: Option<bool>,
     /// Mean clock of the CPU cores, MHz.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub cpu_mhz: Option<f64>,
     /// Mean clock of the GPU, MHz.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gpu_mhz: Option<f64>,
 }
 

@@ -3,9 +3,11 @@
 use crate::TargetReport;
 use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, Threshold};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// The counters of a camera, once per second.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CountersMessage {
     /// Version.
@@ -29,17 +31,14 @@ pub struct CountersMessage {
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// Threshold in force; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<Threshold>,
     /// Power now by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
     /// Quality of the watts.
     pub power_quality: EnergyQuality,
     /// The target of the node; absent without a target.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// What the audit has found since the node started; absent without an audit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
 }
 

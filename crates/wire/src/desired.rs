@@ -4,6 +4,7 @@
 use crate::version::VERSION;
 use crate::{Target, Threshold};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other.
@@ -52,6 +53,7 @@ pub struct PullRequest {
 }
 
 /// The answer with a node's desired setting.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Desired {
     /// Version.
@@ -59,11 +61,9 @@ pub struct Desired {
     /// Number of the desired setting; a lower one never replaces a higher. 0 when there never was one.
     pub revision: u64,
     /// The setting; absent when none is desired.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub setting: Option<DesiredSetting>,
     /// How much longer the node is watched, seconds: until then it sends counters once per second. Absent if it is not
     /// watched.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watched_for_s: Option<u32>,
     /// The hub missed a status: send the full one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]

@@ -4,46 +4,43 @@ use crate::Threshold;
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, CallCause, FrameState};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// What a camera may add to a frame, in the attachment of its sample.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAttachment {
     /// Version.
     pub v: u32,
     /// Sequence number, one more for each frame. Without it frames are numbered by arrival.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seq: Option<u64>,
     /// Numbering that `seq` belongs to: a sender that restarts uses another number, such as its start time in
     /// nanoseconds, and then loses no frame.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<u64>,
     /// Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub t_ns: Option<u64>,
     /// Clip the frame belongs to. Without it clips are fixed time windows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<String>,
     /// Columns of a raw picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<u32>,
     /// Rows of a raw picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
 }
 
 /// The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
 /// `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
+#[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAnswer {
     /// Version.
     pub v: u32,
     /// Why the frame will not be processed; absent when it will be.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }
 
 /// One box of a [`DetectionsMessage`].
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct BoxMessage {
     /// Left, top, right, bottom in pixels of the source picture, clipped to it.
@@ -56,13 +53,13 @@ pub struct BoxMessage {
     /// Origin of the box.
     pub source: BoxSource,
     /// Object the box belongs to.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<ObjectId>,
     /// Whether the object is confirmed.
     pub confirmed: bool,
 }
 
 /// Time of each step of one frame, milliseconds. A step that did not happen is absent.
+#[skip_serializing_none]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Latency {
     /// From reception to the answer, before it is written as JSON and published; without the time in Zenoh.
@@ -70,19 +67,17 @@ pub struct Latency {
     /// Waiting in the ring for the camera's loop.
     pub waiting: f64,
     /// Picture decoding.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decode: Option<f64>,
     /// The empty-scene screen, with its preprocessing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub screen: Option<f64>,
     /// The detector: queue, letterbox, model and head.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<f64>,
     /// The policy itself.
     pub policy: f64,
 }
 
 /// The state and boxes of one frame.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DetectionsMessage {
     /// Version.
@@ -102,13 +97,10 @@ pub struct DetectionsMessage {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
     /// Why the detector was called, also if it was not available; absent on a frame that did not need it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cause: Option<CallCause>,
     /// Largest uncertainty τ before the decision; absent without objects.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_max: Option<f64>,
     /// Threshold in force; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<Threshold>,
     /// Columns of the picture.
     pub width: u32,

@@ -13,6 +13,7 @@ pub use compression::{BatchCompression, REPORT_DICTIONARY, decompress_batch};
 use crate::version::{MessageError, VERSION};
 use crate::{ClipReport, Desired};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -92,6 +93,7 @@ pub struct RefusedReport {
 }
 
 /// The acknowledgement of a batch, sent after the hub's commit: every report of it is stored, but those that are refused.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportAnswer {
     /// Version.
@@ -108,7 +110,6 @@ pub struct ReportAnswer {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<(u64, u64)>,
     /// What the hub desires of the node, so that a lost notice costs one report.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub desired: Option<Desired>,
 }
 
@@ -138,6 +139,7 @@ pub enum RefusalReason {
 }
 
 /// The answer when a batch was not taken, sent as an error reply. Nothing of it is acknowledged.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportRefusal {
     /// Version.
@@ -147,6 +149,5 @@ pub struct ReportRefusal {
     /// The same in words.
     pub detail: String,
     /// When to try again, milliseconds.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry_after_ms: Option<u64>,
 }

@@ -3,11 +3,13 @@
 use crate::version::{MessageError, VERSION};
 use crate::{EnergyQuality, NodeTarget, Threshold};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,
 /// the node sends a [`Heartbeat`] instead.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
@@ -27,7 +29,6 @@ pub struct StatusMessage {
     /// Revision of the desired value that is in force; 0 when none is.
     pub revision: u64,
     /// The full status, if something in it changed since the last message.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full: Option<Box<NodeStatus>>,
 }
 
@@ -70,8 +71,8 @@ impl Heartbeat {
     }
 }
 
-/// Whether a node works as it should.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+/// Whether a node works as it should, from best to worst.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthState {
     /// Every part works.
@@ -92,6 +93,7 @@ pub struct HealthStatus {
 }
 
 /// Everything a hub shows of a node between reports.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeStatus {
     /// Version of the program.
@@ -106,7 +108,6 @@ pub struct NodeStatus {
     /// Detector model: file name.
     pub model: String,
     /// Execution provider that really runs it; absent until the model is loaded.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub provider: Option<String>,
     /// Where power figures come from: `rapl`, `estimate`, …
     pub power_source: String,
@@ -117,13 +118,10 @@ pub struct NodeStatus {
     /// The outbox.
     pub outbox: OutboxStatus,
     /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<RefusedDesired>,
     /// Its target; absent without a target.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<NodeTarget>,
     /// Why it has no target any more, in words, if it had one since its start.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target_off: Option<String>,
 }
 
@@ -161,6 +159,7 @@ pub enum SettingSource {
 }
 
 /// One camera of a [`NodeStatus`].
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraStatus {
     /// Its name.
@@ -168,7 +167,6 @@ pub struct CameraStatus {
     /// Whether frames come.
     pub state: CameraState,
     /// Threshold in force; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<Threshold>,
     /// Who set it.
     pub threshold_source: SettingSource,

@@ -4,6 +4,7 @@ use crate::version::current_version;
 use crate::{SettingSource, Threshold};
 use albireo_core::target::{KnobRange, Target, TargetState, TargetStatus};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for
@@ -15,42 +16,36 @@ pub struct TargetMessage {
     #[serde(default = "current_version")]
     pub v: u32,
     /// The target; null for none: the threshold then stays where it is.
-    #[serde(deserialize_with = "required")]
+    // It may be null and may not be missing.
+    #[serde(deserialize_with = "Option::deserialize")]
     pub target: Option<Target>,
 }
 
-/// An `Option` that may be null and may not be missing.
-fn required<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Target>, D::Error> {
-    Option::deserialize(deserializer)
-}
-
 /// The target of a node and its state.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TargetReport {
     /// Version.
     pub v: u32,
     /// The target; null for none.
+    #[serialize_always]
     pub target: Option<Target>,
     /// Who set it, or switched it off.
     pub source: SettingSource,
     /// Why there is none any more, in words.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off: Option<String>,
     /// The values between which the threshold is moved; absent without a target.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<KnobRange>,
     /// The threshold in force; absent without a target.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<Threshold>,
     /// What is measured and why the threshold has its value; absent without a target and before the first second.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<TargetState>,
     /// The same in words.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 
 /// The target in a node's status, without the figures that change all the time.
+#[skip_serializing_none]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeTarget {
     /// The target.
@@ -58,10 +53,8 @@ pub struct NodeTarget {
     /// Who set it.
     pub source: SettingSource,
     /// Why the threshold has its value; absent before the first second.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub status: Option<TargetStatus>,
     /// The measured value when the status was created.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actual: Option<f64>,
 }
 

@@ -16,12 +16,11 @@ use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};
 use albireo_power::PowerHandle;
-use albireo_service::readiness::Effect;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
-use albireo_wire::{CameraKeys, stream_of_token, stream_tokens};
+use albireo_wire::{CameraKeys, HealthState, stream_of_token, stream_tokens};
 use std::any::Any;
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -120,7 +119,7 @@ impl Cameras<'_> {
         self.tasks.restarting(
             format!("camera {name}"),
             tracing::info_span!("camera", name),
-            Effect::NotReady,
+            HealthState::NotReady,
             move || {
                 let camera = shared.camera(slot, Arc::clone(&parts));
                 let stop = stop.clone();
@@ -248,7 +247,7 @@ impl Cameras<'_> {
         self.tasks.restarting(
             format!("source {name}"),
             tracing::info_span!("source", camera = name),
-            Effect::Degraded,
+            HealthState::Degraded,
             move || Arc::clone(&source).run(feed.clone(), stop.clone()),
         );
         Ok(())

@@ -16,9 +16,9 @@ use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::notify::ServiceState;
-use albireo_service::readiness::{Effect, Fault, Readiness};
+use albireo_service::readiness::{Fault, Readiness};
 use albireo_vision::detector::DetectorStatus;
-use albireo_wire::EnergyQuality;
+use albireo_wire::{EnergyQuality, HealthState};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -76,7 +76,7 @@ pub(crate) fn service_state(
             ZENOH => fault.subject == ZENOH_SESSION,
             _ => false,
         };
-        own && fault.fault.effect == Effect::NotReady && fault.lasted >= stuck_after
+        own && fault.fault.effect == HealthState::NotReady && fault.lasted >= stuck_after
     });
     let reasons: Vec<_> = (health.status().reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
@@ -148,10 +148,11 @@ pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
     let power = power.clone();
     let begun = tokio::time::Instant::now();
     board.readiness.probe(POWER, "", move || {
-        let silent = power.source() != "none"
+        let now = power.snapshot();
+        let silent = now.meter_quality != EnergyQuality::Unavailable
             && begun.elapsed() > FIRST_SAMPLE
-            && power.snapshot().quality == EnergyQuality::Unavailable;
-        silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
+            && now.quality == EnergyQuality::Unavailable;
+        silent.then(|| Fault::degraded(format!("{} gives no samples", now.source)))
     });
 }
 
@@ -233,7 +234,7 @@ mod tests {
         let stuck = service_state(&readiness, &lost, limit).stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();
-        assert_eq!(fault.effect, Effect::NotReady);
+        assert_eq!(fault.effect, HealthState::NotReady);
         assert!(fault.reason.contains("the GPU is lost"), "{fault:?}");
     }
 }

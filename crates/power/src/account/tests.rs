@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::reading::{Value, Values};
+use crate::tests::ms;
 use proptest::prelude::*;
 
 fn reading(values: &[(Domain, Value)]) -> Reading {
@@ -15,10 +16,6 @@ fn reading(values: &[(Domain, Value)]) -> Reading {
         total_from: "sum_of_rails".into(),
         rails: Vec::new(),
     }
-}
-
-fn ms(ms: u64) -> Duration {
-    Duration::from_millis(ms)
 }
 
 fn account(interval: u64) -> Account {

@@ -1,13 +1,10 @@
 //! Promises of the division of energy and of what is saved of the detector's time.
 
 use super::*;
+use crate::tests::ms;
 
 const FRONT: u64 = 0;
 const REAR: u64 = 1;
-
-fn ms(ms: u64) -> Duration {
-    Duration::from_millis(ms)
-}
 
 fn two_cameras() -> Attribution {
     let mut cameras = Attribution::default();

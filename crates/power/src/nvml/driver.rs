@@ -68,19 +68,13 @@ impl Cards for Driver {
             | ThrottleReasons::SW_THERMAL_SLOWDOWN
             | ThrottleReasons::HW_THERMAL_SLOWDOWN
             | ThrottleReasons::HW_POWER_BRAKE_SLOWDOWN;
-        let celsius = self
-            .ask(card, |device| device.temperature(TemperatureSensor::Gpu))
-            .unwrap_or_default();
-        let reasons = self
-            .ask(card, |device| device.current_throttle_reasons())
-            .unwrap_or_default();
-        let clock = self
-            .ask(card, |device| device.clock_info(Clock::SM))
-            .unwrap_or_default();
+        let celsius = self.ask(card, |device| device.temperature(TemperatureSensor::Gpu));
+        let reasons = self.ask(card, |device| device.current_throttle_reasons());
+        let clock = self.ask(card, |device| device.clock_info(Clock::SM));
         Condition {
-            hottest: celsius.map(|c| ("gpu".into(), f64::from(c))),
-            throttled: reasons.map(|r| r.intersects(held_back)),
-            gpu_mhz: clock.map(f64::from),
+            hottest: (celsius.unwrap_or_default()).map(|c| ("gpu".into(), f64::from(c))),
+            throttled: (reasons.unwrap_or_default()).map(|r| r.intersects(held_back)),
+            gpu_mhz: clock.unwrap_or_default().map(f64::from),
             ..Condition::default()
         }
     }

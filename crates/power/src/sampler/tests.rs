@@ -3,8 +3,9 @@
 use super::*;
 use crate::account::{Energy, Measured};
 use crate::config::PowerSource;
-use crate::reading::Value;
-use std::path::Path;
+use crate::reading::{Reading, Value};
+use crate::tests::Tree;
+use rstest::rstest;
 
 /// A meter that follows a curve of power over the seconds since it was made.
 struct Curve<F>(Instant, F);
@@ -225,87 +226,54 @@ async fn a_meter_that_panics_is_counted_and_read_again() {
 }
 
 /// What a board's, a PC's and a laptop's trees hold, with more files than most have.
-fn tree(root: &Path) {
-    let write = |file: String, text: &str| {
-        let path = root.join(file);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, text).unwrap();
-    };
-    for chip in 1..=2 {
-        let file = |name: String| format!("class/hwmon/hwmon{chip}/{name}");
-        write(file("name".to_owned()), "ina3221\n");
-        for channel in 1..=3 {
-            write(
-                file(format!("in{channel}_label")),
-                &format!("RAIL{chip}{channel}\n"),
-            );
-            write(file(format!("in{channel}_input")), "5000\n");
-            write(file(format!("curr{channel}_input")), "1200\n");
+fn tree() -> Tree {
+    let tree = Tree::default();
+    for chip in ["hwmon1", "hwmon2"] {
+        let rail = (chip, 5000, 1200);
+        tree.ina3221(chip, &[rail, rail, rail]);
+    }
+    for package in ["intel-rapl:0", "intel-rapl:1"] {
+        tree.rapl(package, package, 123_456_789_012);
+        for (sub, name) in ["core", "uncore", "dram"].into_iter().enumerate() {
+            let zone = format!("{package}/{package}:{sub}");
+            tree.rapl(&zone, name, 123_456_789_012);
         }
     }
-    for package in 0..2 {
-        let zones = [
-            ("", "package"),
-            (":0", "core"),
-            (":1", "uncore"),
-            (":2", "dram"),
-        ];
-        for (sub, name) in zones {
-            let top = format!("class/powercap/intel-rapl:{package}");
-            let zone = match sub {
-                "" => top,
-                sub => format!("{top}/intel-rapl:{package}{sub}"),
-            };
-            let label = if sub.is_empty() {
-                format!("{name}-{package}")
-            } else {
-                name.to_owned()
-            };
-            write(format!("{zone}/name"), &label);
-            write(format!("{zone}/energy_uj"), "123456789012\n");
-            write(format!("{zone}/max_energy_range_uj"), "262143328850\n");
-        }
-    }
+    tree.rapl("intel-rapl:0", "package-0", 123_456_789_012);
     for zone in 0..10 {
-        write(
-            format!("class/thermal/thermal_zone{zone}/type"),
-            "cpu-thermal\n",
-        );
-        write(format!("class/thermal/thermal_zone{zone}/temp"), "45000\n");
+        let zone = format!("sys/class/thermal/thermal_zone{zone}");
+        tree.write(format!("{zone}/type"), "cpu-thermal");
+        tree.write(format!("{zone}/temp"), "45000");
     }
     for cpu in 0..8 {
-        let file = format!("devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq");
-        write(file, "1500000\n");
+        let file = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq");
+        tree.write(file, "1500000");
     }
-    write("proc/stat".to_owned(), "cpu 100 0 100 800 0 0 0 0 0 0\n");
+    tree.write("proc/stat", "cpu 100 0 100 800 0 0 0 0 0 0");
+    tree
 }
 
-#[test]
-fn each_source_of_files_takes_less_than_half_a_percent_of_a_core_at_ten_samples_a_second() {
-    let folder = tempfile::tempdir().unwrap();
-    tree(folder.path());
-    for source in [PowerSource::Ina, PowerSource::Rapl, PowerSource::Estimate] {
-        let config = PowerConfig {
-            source,
-            sysfs: folder.path().to_owned(),
-            procfs: folder.path().join("proc"),
-            nvpmodel: folder.path().join("nvpmodel"),
-            ..PowerConfig::default()
-        };
-        let mut meter = choose::open(&config).unwrap();
-        let mut machine = Machine::new(&config);
-        let seconds = 30;
-        let before = thread_cpu();
-        for _ in 0..seconds {
-            // Once a second the machine's condition, ten times the meter, as the sampler does.
-            machine.read(Instant::now());
-            for _ in 0..10 {
-                meter.poll(Instant::now()).unwrap();
-            }
+#[rstest]
+fn each_source_of_files_takes_less_than_half_a_percent_of_a_core_at_ten_samples_a_second(
+    #[values(PowerSource::Ina, PowerSource::Rapl, PowerSource::Estimate)] source: PowerSource,
+) {
+    let tree = tree();
+    let config = PowerConfig {
+        source,
+        ..tree.config()
+    };
+    let mut meter = choose::open(&config).unwrap();
+    let mut machine = Machine::new(&config);
+    let seconds = 30;
+    let before = thread_cpu();
+    for _ in 0..seconds {
+        // Once a second the machine's condition, ten times the meter, as the sampler does.
+        machine.read();
+        for _ in 0..10 {
+            meter.poll(Instant::now()).unwrap();
         }
-        let cpu = thread_cpu().saturating_sub(before) + meter.other_cpu();
-        let share = cpu.as_secs_f64() / f64::from(seconds);
-        println!("{}: {:.3} % of one core", source.as_str(), share * 100.0);
-        assert!(share < 0.005, "{}: {share}", source.as_str());
     }
+    let cpu = thread_cpu().saturating_sub(before) + meter.other_cpu();
+    let share = cpu.as_secs_f64() / f64::from(seconds);
+    assert!(share < 0.005, "{}: {share}", source.as_str());
 }

@@ -1,72 +1,25 @@
-//! One line of `tegrastats`, in any release from L4T R32 to R39.
+//! The power rails in one line of `tegrastats`, of any release from L4T R32 to R39.
 //!
 //! Power is `RAIL current/average` in milliwatts without a unit (R32), with `mW` (R34 to R38), or with a
 //! third value, the maximum (R39). Only the first is used: the average runs since the program started.
 
-use crate::condition::{Condition, is_a_sensor};
 use crate::rails::RailWatts;
-use std::sync::Arc;
 
-/// The figures of one line.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TegrastatsLine {
-    /// Rails in the order they are printed.
-    pub rails: Vec<RailWatts>,
-    /// Sensors that are on and their temperatures, °C.
-    pub temperatures: Vec<(String, f64)>,
-    /// Mean clock of the cores that are on, MHz.
-    pub cpu_mhz: Option<f64>,
-    /// GPU clock, MHz; the mean of several.
-    pub gpu_mhz: Option<f64>,
-}
-
-impl TegrastatsLine {
-    /// The board's condition, besides power.
-    pub fn condition(&self) -> Condition {
-        let hottest = self
-            .temperatures
-            .iter()
-            .filter(|(name, _)| is_a_sensor(name))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(name, celsius)| (Arc::from(name.as_str()), *celsius));
-        Condition {
-            hottest,
-            cpu_mhz: self.cpu_mhz,
-            gpu_mhz: self.gpu_mhz,
-            ..Condition::default()
-        }
-    }
-
-    /// Reads a line. None for one that is not of `tegrastats`: it must have the memory in use.
-    pub fn parse(line: &str) -> Option<Self> {
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        if !words.contains(&"RAM") {
-            return None;
-        }
-        let mut found = Self::default();
-        for (i, word) in words.iter().enumerate() {
-            if let Some(temperature) = temperature(word) {
-                found.temperatures.push(temperature);
-                continue;
-            }
-            let Some(value) = words.get(i + 1) else { break };
-            match *word {
-                "CPU" | "cpu" if value.starts_with('[') => found.cpu_mhz = cores(value),
-                "GR3D_FREQ" | "GR3D" => found.gpu_mhz = clock(value),
-                "NC" => {}
-                name if is_name(name) => {
-                    if let Some(watts) = watts(value) {
-                        found.rails.push(RailWatts {
-                            name: name.into(),
-                            watts,
-                        });
-                    }
-                }
-                _ => {}
-            }
-        }
-        Some(found)
-    }
+/// The rails of a line, in the order they are printed. None for a line of another program: one of `tegrastats` has the
+/// memory in use.
+pub fn tegrastats_rails(line: &str) -> Option<Vec<RailWatts>> {
+    let words: Vec<&str> = line.split_ascii_whitespace().collect();
+    let names = words.iter().zip(words.iter().skip(1));
+    let rails = names.filter(|(name, _)| is_name(name) && **name != "NC");
+    words.contains(&"RAM").then(|| {
+        rails
+            .filter_map(|(name, value)| {
+                let watts = watts(value)?;
+                let name = (*name).into();
+                Some(RailWatts { name, watts })
+            })
+            .collect()
+    })
 }
 
 fn is_name(word: &str) -> bool {
@@ -76,46 +29,68 @@ fn is_name(word: &str) -> bool {
 
 /// The first of `2399mW/2399mW`, `5139mW/5139mW/5139mW`, `18401/18525`, `2171mW`, in watts.
 fn watts(word: &str) -> Option<f64> {
-    let mut parts = word.split('/');
-    let current = parts.next()?;
-    let rest: Vec<&str> = parts.collect();
     let milliwatts = |text: &str| text.strip_suffix("mW").unwrap_or(text).parse::<i64>().ok();
+    let values: Option<Vec<i64>> = word.split('/').map(milliwatts).collect();
     // A number alone without a unit is a clock (`APE 150`), and `RAM 1282/62795MB` is no power.
-    if rest.len() > 2 || (rest.is_empty() && !current.ends_with("mW")) {
-        return None;
+    match values?[..] {
+        [current] if word.ends_with("mW") => Some(current),
+        [current, _] | [current, _, _] => Some(current),
+        _ => None,
     }
-    if !rest.iter().all(|text| milliwatts(text).is_some()) {
-        return None;
-    }
-    Some(milliwatts(current)? as f64 / 1e3)
-}
-
-/// `cpu@45.6C`, `cpu@52.9C/53.1C`. A sensor that is power-gated reads -256 °C and is left out.
-fn temperature(word: &str) -> Option<(String, f64)> {
-    let (name, value) = word.split_once('@')?;
-    let current = value.split('/').next()?.strip_suffix('C')?;
-    let celsius: f64 = current.parse().ok()?;
-    (is_name(name) && celsius > -200.0).then(|| (name.to_ascii_lowercase(), celsius))
-}
-
-/// `[5%@729,off,7%@1100]`, `[17%,13%]@408`: mean clock of the cores that are on.
-fn cores(word: &str) -> Option<f64> {
-    let (list, after) = word.trim_start_matches('[').split_once(']')?;
-    let clocks = mean(list.split(',').filter_map(clock));
-    clocks.or_else(|| after.strip_prefix('@')?.parse().ok())
-}
-
-/// `63%@621`, `0%@[1300,1300]`, `@[314,314,314]`; `63%` and `off` say nothing of the clock.
-fn clock(word: &str) -> Option<f64> {
-    let (_, clock) = word.split_once('@')?;
-    let clocks = clock.trim_start_matches('[').trim_end_matches(']');
-    mean(clocks.split(',').filter_map(|mhz| mhz.parse().ok()))
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, n), v| (sum + v, n + 1));
-    (count > 0).then(|| sum / f64::from(count))
+    .map(|milliwatts| milliwatts as f64 / 1e3)
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    fn rail(text: &str) -> Option<f64> {
+        let rails = tegrastats_rails(&format!("RAM 1/2MB {text}")).unwrap();
+        rails.first().map(|rail| rail.watts)
+    }
+
+    #[rstest]
+    #[case::two_values_without_a_unit("GPU 18401/18525", Some(18.401))]
+    #[case::two_values("VDD_IN 4915mW/4000mW", Some(4.915))]
+    #[case::a_maximum_too("VIN 87426mW/43713mW/87426mW", Some(87.426))]
+    #[case::one_value("VDD_GPU_SOC 2171mW", Some(2.171))]
+    #[case::below_zero("VDD_CPU_CV -398mW/-398mW", Some(-0.398))]
+    #[case::a_trailing_space("VDD_IN 1mW/1mW ", Some(0.001))]
+    #[case::no_value("VDD_IN", None)]
+    #[case::no_number("VDD_IN mW/mW", None)]
+    #[case::four_values("VDD_IN 1mW/2mW/3mW/4mW", None)]
+    #[case::memory("SWAP 479/3427MB (cached 3MB)", None)]
+    #[case::a_clock("APE 150", None)]
+    #[case::clock_and_unit("VIC_FREQ 729", None)]
+    #[case::load("MTS fg 0% bg 10%", None)]
+    #[case::load_and_clock("NVENC 79%@166", None)]
+    #[case::cores("CPU [10%@1000,off,30%@2000]", None)]
+    #[case::temperature("cpu@42.5C gpu@38C/44.1C", None)]
+    #[case::not_connected("NC 0mW/0mW", None)]
+    #[case::of_a_later_release("FUTURE_TOKEN value", None)]
+    fn a_rail_is_a_name_and_its_power_now(#[case] text: &str, #[case] watts: Option<f64>) {
+        assert_eq!(rail(text), watts);
+    }
+
+    #[rstest]
+    fn a_line_of_another_program_is_refused(
+        #[values(
+            "",
+            "sudo: a password is required",
+            "VDD_IN 4915mW/4915mW",
+            "\u{fffd}\u{0}"
+        )]
+        text: &str,
+    ) {
+        assert_eq!(tegrastats_rails(text), None);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_makes_it_fail(text in "RAM (\\PC{0,40} ){0,8}[A-Z@/%,\\[\\]mWC0-9.-]{0,60}") {
+            let rails = tegrastats_rails(&text).unwrap();
+            proptest::prop_assert!(rails.iter().all(|rail| rail.watts.is_finite()));
+        }
+    }
+}

@@ -6,7 +6,7 @@ use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-/// A token has at least so many characters.
+/// Fewest characters of a token.
 const LEAST_TOKEN: usize = 16;
 
 /// A secret that is not shown when printed for debugging.
@@ -63,7 +63,7 @@ pub struct HttpConfig {
     /// A request other than the event stream that takes longer is answered with an error. No setting.
     #[serde(skip)]
     pub timeout_ms: u64,
-    /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed. No setting.
+    /// A connection that sends nothing, or reads nothing, for this long is closed. No setting.
     #[serde(skip)]
     pub idle_timeout_ms: u64,
     /// Connections at a time. When all are taken, the oldest is closed for a new one. No setting:

@@ -11,7 +11,7 @@ use std::path::Path;
 /// What environment variables begin with. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
 const PREFIX: &str = "ALBIREO_";
 
-/// Most things that are told to be wrong with the form of a configuration.
+/// The most findings that are reported about the form of a configuration.
 const MOST_FINDINGS: usize = 100;
 
 /// A configuration that [`load`] can read: all settings of one service.

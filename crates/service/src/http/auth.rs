@@ -11,7 +11,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use parking_lot::RwLock;
 use std::net::{Ipv4Addr, Ipv6Addr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use subtle::ConstantTimeEq;
@@ -33,14 +33,6 @@ const OPEN: [&str; 6] = [
 /// Whether a path is open to all.
 fn is_open(path: &str) -> bool {
     OPEN.contains(&path) || path.starts_with("/docs/") || path.starts_with(super::page::ASSETS)
-}
-
-/// Why a token file cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[error("token_file {file}: {fault}")]
-pub struct TokenError {
-    file: PathBuf,
-    fault: String,
 }
 
 /// Decides who may pass.
@@ -91,7 +83,7 @@ impl Guard {
         listener: &TcpListener,
     ) -> Result<Self, HttpError> {
         let address = listener.local_addr().map_err(HttpError::Listener)?;
-        let tokens = read_tokens(config, named)?;
+        let tokens = read_tokens(config, named).map_err(HttpError::Token)?;
         let rule = if !tokens.is_empty() {
             Rule::Tokens(RwLock::new(tokens))
         } else if config.allow_unauthenticated {
@@ -131,7 +123,6 @@ impl Guard {
                     }
                 }
                 Ok(Err(error)) => {
-                    let error = error.to_string();
                     if fault.as_ref() != Some(&error) {
                         tracing::error!(error, "the tokens that were good stay in force");
                         fault = Some(error);
@@ -231,10 +222,7 @@ fn log_wrong_token() {
     LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
 }
 
-fn read_tokens(
-    config: &HttpConfig,
-    named: &[NamedToken],
-) -> Result<Vec<(Caller, Token)>, TokenError> {
+fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, String> {
     let own = ("token", Role::Tune, &config.token, &config.token_file);
     let named = (named.iter()).map(|one| (&*one.name, one.role, &one.token, &one.token_file));
     let mut tokens = Vec::new();
@@ -254,19 +242,16 @@ fn read_tokens(
 
 /// Why no token can be read from a file, if none can.
 pub fn token_file_fault(file: &Path) -> Option<String> {
-    read(file).err().map(|error| error.to_string())
+    read(file).err()
 }
 
-fn read(file: &Path) -> Result<Token, TokenError> {
-    let wrong = |fault| TokenError {
-        file: file.to_owned(),
-        fault,
-    };
-    let text = std::fs::read_to_string(file).map_err(|error| wrong(error.to_string()))?;
+fn read(file: &Path) -> Result<Token, String> {
+    let wrong = |fault: &dyn std::fmt::Display| format!("token_file {}: {fault}", file.display());
+    let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
     match token.fault() {
         None => Ok(token),
-        Some(fault) => Err(wrong(format!("the first line {fault}"))),
+        Some(fault) => Err(wrong(&format!("the first line {fault}"))),
     }
 }
 

@@ -1,6 +1,5 @@
 //! Errors that keep the HTTP interface from being served.
 
-use super::TokenError;
 use std::net::SocketAddr;
 
 /// Why the interface cannot be served.
@@ -16,8 +15,8 @@ pub enum HttpError {
         address: SocketAddr,
     },
     /// The token cannot be read.
-    #[error(transparent)]
-    Token(#[from] TokenError),
+    #[error("{0}")]
+    Token(String),
     /// The listener does not work.
     #[error("the HTTP listener failed: {0}")]
     Listener(std::io::Error),

@@ -84,7 +84,7 @@ async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response,
 
 /// An embedded file, compressed as it was built where the client takes that; `None` when there is none of that name.
 fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Response> {
-    let told = [
+    let common = [
         (CONTENT_TYPE, media_type(name)?),
         (CACHE_CONTROL, caching),
         (VARY, "accept-encoding"),
@@ -94,8 +94,8 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         .then(|| Built::get(&format!("{name}.gz")))
         .flatten();
     Some(match packed {
-        Some(packed) => (told, [(CONTENT_ENCODING, "gzip")], packed.data).into_response(),
-        None => (told, Built::get(name)?.data).into_response(),
+        Some(packed) => (common, [(CONTENT_ENCODING, "gzip")], packed.data).into_response(),
+        None => (common, Built::get(name)?.data).into_response(),
     })
 }
 

@@ -28,10 +28,15 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     let mut supervisor = Supervisor::new(readiness.clone(), tally.clone(), shutdown.clone());
     let (started, starts) = unbounded_channel();
     let (number, stop) = (AtomicU32::new(0), shutdown.clone());
-    supervisor.restarting("camera/front", Span::none(), Effect::NotReady, move || {
-        let _ = started.send(Instant::now());
-        what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
-    });
+    supervisor.restarting(
+        "camera/front",
+        Span::none(),
+        HealthState::NotReady,
+        move || {
+            let _ = started.send(Instant::now());
+            what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
+        },
+    );
     let watching = tokio::spawn(async move {
         let ended = supervisor.watch().await;
         supervisor.finish().await;
@@ -64,10 +69,10 @@ async fn a_task_that_panics_is_counted_named_and_restarted() {
     changes.changed().await.unwrap();
     let status = changes.borrow_and_update().clone();
     assert_eq!(status.state, HealthState::NotReady);
-    let told = &status.reasons[PART];
+    let reported = &status.reasons[PART];
     assert!(
-        told.contains("camera/front: panicked: index out of bounds"),
-        "{told}"
+        reported.contains("camera/front: panicked: index out of bounds"),
+        "{reported}"
     );
     assert_eq!(bench.tally.counts(), counts(1, 0));
 
@@ -102,8 +107,8 @@ async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
     }
     let start = bench.starts.recv().await.unwrap();
     assert_eq!(start - last, LONGEST_PAUSE);
-    let told = &bench.readiness.health().status().reasons[PART];
-    assert!(told.contains("camera/front: "), "{told}");
+    let reported = &bench.readiness.health().status().reasons[PART];
+    assert!(reported.contains("camera/front: "), "{reported}");
     bench.shutdown.cancel();
     assert_eq!(bench.watching.await.unwrap(), Ok(()));
 }
@@ -115,10 +120,10 @@ async fn a_task_that_ends_before_the_shutdown_has_failed() {
         bench.starts.recv().await.unwrap();
     }
     // The third run may have ended by now.
-    let told = bench.tally.counts();
+    let reported = bench.tally.counts();
     assert!(
-        told[0].1.failures >= 2 && told[0].1.restarts == 2,
-        "{told:?}"
+        reported[0].1.failures >= 2 && reported[0].1.restarts == 2,
+        "{reported:?}"
     );
     bench.shutdown.cancel();
     assert_eq!(bench.watching.await.unwrap(), Ok(()));

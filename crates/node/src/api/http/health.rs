@@ -47,7 +47,10 @@ impl From<PartFault> for Reason {
         Self {
             part: fault.part.into_owned(),
             subject: (!fault.subject.is_empty()).then(|| fault.subject.into_owned()),
-            effect: fault.fault.effect.as_str(),
+            effect: match fault.fault.effect {
+                HealthState::NotReady => "not_ready",
+                _ => "degraded",
+            },
             reason: fault.fault.reason,
             since_s: albireo_service::clock::seconds(fault.lasted),
         }
