@@ -24,19 +24,17 @@ pub mod frames;
 mod hub;
 mod man;
 mod node;
-mod node_config;
 mod power;
 #[cfg(feature = "eval")]
 mod progress;
 mod publish;
-mod rate;
 #[cfg(feature = "eval")]
 pub mod replay;
 #[cfg(feature = "hub")]
 mod router;
 #[cfg(feature = "simulate")]
 mod simulate;
-mod size;
+mod values;
 mod variables;
 
 use albireo_vision::detector::end_all_sessions;

@@ -148,7 +148,7 @@ impl Manager {
         let mut buffer = [0; 4096];
         let length = timeout(PATIENCE, self.socket.recv(&mut buffer))
             .await
-            .unwrap_or_else(|_| panic!("nothing more was told: {:?}\n{}", self.heard, self.log()))
+            .unwrap_or_else(|_| panic!("nothing more came: {:?}\n{}", self.heard, self.log()))
             .unwrap();
         let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
         self.heard.extend(text.lines().map(str::to_owned));

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// All that the method depends on, with what its dependencies bring. Whoever adds a name here puts it into every program
+/// All that the method depends on, with what its dependencies bring. A name that is added here is in every program
 /// that embeds the method: an API, command-line, runtime, network or file crate does not belong here.
 const METHOD: &str = "albireo-core approx bytemuck matrixmultiply nalgebra num-complex num-integer num-rational num-traits \
     rawpointer safe_arch simba typenum wide itoa memchr serde serde_core serde_derive serde_json strsim zmij thiserror \

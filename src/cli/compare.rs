@@ -81,7 +81,7 @@ pub(super) struct Arguments {
     #[arg(long, help_heading = PLAYING, default_value_t = 20.0, value_parser = above_zero)]
     seconds: f64,
     /// Frames per second of a source that has none of its own
-    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = super::rate::parse_rate)]
+    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = super::values::parse_rate)]
     rate: Option<f64>,
     /// Play this many times as fast as the clip's own rate
     #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor, conflicts_with = "unpaced")]
@@ -187,7 +187,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// The node's configuration and what is compared, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
-    let mut config = super::node_config::load(arguments.config.as_deref())?;
+    let mut config = super::node::configuration(arguments.config.as_deref())?;
     if let Some(model) = &arguments.detector {
         config.detector.model.clone_from(model);
         config.screen.model = None;

@@ -5,8 +5,8 @@ mod hub;
 mod show;
 
 use super::replay::{
-    ClipIds, FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, close,
-    open_session, publish,
+    FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, close, open_session,
+    publish,
 };
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
     /// Frames per second
-    #[arg(long, value_name = "FPS", default_value_t = 10.0, value_parser = super::rate::parse_rate)]
+    #[arg(long, value_name = "FPS", default_value_t = 10.0, value_parser = super::values::parse_rate)]
     rate: f64,
     /// A video file, a folder of pictures, or a tar archive of such folders; `demo` is demo/road.tar
     #[arg(long, value_name = "FILE", default_value = "demo")]
@@ -179,9 +179,8 @@ async fn camera(
         .clip
         .open(Some(arguments.rate), VideoEncoding::default())?;
     let options = PublishOptions {
-        rate: Rate::PerSecond(arguments.rate),
+        rate: Some(Rate::PerSecond(arguments.rate)),
         repeat: true,
-        clip: ClipIds::OfSource,
         ..PublishOptions::default()
     };
     let key = config.keys()?.camera(CAMERA)?.frame();

@@ -1,6 +1,6 @@
 //! `albireo detect`: says what a detector is, and runs it on pictures.
 
-use super::size::parse_size;
+use super::values::parse_size;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{

@@ -58,7 +58,7 @@ enum What {
         #[arg(long)]
         detections: PathBuf,
         /// Size of the pictures, which the files do not say.
-        #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::size::parse_size)]
+        #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::values::parse_size)]
         size: PictureSize,
         /// Frames per second.
         #[arg(long, default_value_t = bdd100k::BDD100K_FRAME_RATE)]

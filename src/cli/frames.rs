@@ -3,8 +3,6 @@
 mod sender;
 mod session;
 
-#[cfg(feature = "eval")]
-pub(crate) use sender::SentFrame;
 pub use sender::{FrameSender, OutgoingFrame, Pacing};
 pub(crate) use session::close;
 #[cfg(feature = "eval")]

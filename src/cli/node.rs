@@ -4,7 +4,7 @@ use super::block_on;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use anyhow::Context;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
@@ -29,7 +29,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config = super::node_config::load(arguments.config.as_deref())?;
+    let config = configuration(arguments.config.as_deref())?;
     logging::start(&config.log)?;
     let file = arguments.config.as_ref();
     tracing::info!(
@@ -41,6 +41,15 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "starting"
     );
     block_on(serve(config))
+}
+
+/// The configuration of `file`, or the defaults, with what the environment overrides.
+pub(super) fn configuration(file: Option<&Path>) -> anyhow::Result<NodeConfig> {
+    #[cfg_attr(not(feature = "development"), expect(unused_mut))]
+    let mut config: NodeConfig = albireo_service::config::load(file)?;
+    #[cfg(feature = "development")]
+    super::development::apply(&mut config)?;
+    Ok(config)
 }
 
 async fn serve(config: NodeConfig) -> anyhow::Result<()> {

@@ -27,7 +27,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config = super::node_config::load(arguments.config.as_deref())?;
+    let config = super::node::configuration(arguments.config.as_deref())?;
     let found = survey(&config.power);
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&found)?);

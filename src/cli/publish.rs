@@ -52,7 +52,7 @@ pub(super) struct Arguments {
     #[command(flatten)]
     target: FrameTarget,
     /// Frames per second, at most
-    #[arg(long, value_name = "FPS", value_parser = super::rate::parse_rate)]
+    #[arg(long, value_name = "FPS", value_parser = super::values::parse_rate)]
     rate: Option<f64>,
     /// How an RTSP camera sends its packets
     #[arg(long, value_enum, default_value_t)]

@@ -9,7 +9,7 @@ pub use super::frames::{
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Video, VideoEncoding,
 };
-pub use publish::{ClipIds, PublishOptions, Rate, Sent, publish};
+pub use publish::{PublishOptions, Rate, Sent, publish};
 
 use super::frames::{FrameTarget, NOBODY};
 use super::progress;
@@ -19,9 +19,6 @@ use indicatif::HumanBytes;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-
-/// Heading of the help.
-const CLIPS: &str = "Clips";
 
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
@@ -55,65 +52,12 @@ pub struct ReplayArguments {
     #[arg(long)]
     pub every: bool,
 
-    /// Frames per second, or `max` for as fast as possible [default: the source's own]
-    #[arg(long, value_name = "FPS", value_parser = parse_rate)]
-    pub rate: Option<Rate>,
-    /// Begin again at the end, until stopped
-    #[arg(long = "loop")]
-    pub repeat: bool,
-    /// Stop after this many frames
-    #[arg(long, value_name = "COUNT")]
-    pub frames: Option<u64>,
-    /// Clip id; numbered when there is more than one clip [default: the source's name]
-    #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
-    pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip a pass, or one a folder of an archive]
-    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
-    pub clip_seconds: Option<f64>,
-    /// Name no clips: the node cuts by its own time window
-    #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
-    pub no_clip: bool,
+    /// What is sent, and how.
+    #[command(flatten)]
+    pub options: PublishOptions,
     /// How a video's frames are encoded
     #[arg(long, value_enum, default_value_t)]
     pub encoding: VideoEncoding,
-}
-
-fn parse_rate(text: &str) -> Result<Rate, String> {
-    if text == "max" {
-        return Ok(Rate::Unpaced);
-    }
-    super::rate::parse_rate(text)
-        .map(Rate::PerSecond)
-        .map_err(|_| {
-            let (least, most) = (super::rate::LEAST, super::rate::MOST);
-            format!("must be `max` or a number from {least} to {most}")
-        })
-}
-
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
-        _ => Err("must be a number above 0".to_owned()),
-    }
-}
-
-impl ReplayArguments {
-    /// What is sent of `source`.
-    pub fn publish_options(&self) -> PublishOptions {
-        let clip = match &self.clip {
-            _ if self.no_clip => ClipIds::None,
-            Some(name) => ClipIds::Given(name.clone()),
-            None => ClipIds::OfSource,
-        };
-        PublishOptions {
-            rate: self.rate.unwrap_or_default(),
-            repeat: self.repeat,
-            frames: self.frames,
-            clip,
-            clip_seconds: self.clip_seconds,
-            first_sequence: 0,
-        }
-    }
 }
 
 /// How long it may take until it is known who listens.
@@ -125,12 +69,12 @@ const LISTENERS: Duration = Duration::from_secs(2);
 /// When the source cannot be read, the node cannot be reached, or no node subscribes in time.
 pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
     let key = arguments.target.frame_key()?;
-    let rate = match arguments.rate {
+    let options = &arguments.options;
+    let rate = match options.rate {
         Some(Rate::PerSecond(rate)) => Some(rate),
         _ => None,
     };
     let source = arguments.source.open(rate, arguments.encoding)?;
-    let options = arguments.publish_options();
     let (session, sender) = tokio::select! {
         connected = connect(&arguments, &key) => connected?,
         () = shutdown.cancelled() => return Ok(Sent::default()),
@@ -145,7 +89,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let sent = publish(
         source,
         &sender,
-        &options,
+        options,
         |sent| {
             bar.set_position(sent.frames);
             bar.set_message(HumanBytes(sent.bytes).to_string());
@@ -241,7 +185,7 @@ mod tests {
 
     #[test]
     fn rates_that_make_no_sense_are_refused() {
-        let rate = |text| parse(&["demo", "--rate", text]).map(|parsed| parsed.rate);
+        let rate = |text| parse(&["demo", "--rate", text]).map(|parsed| parsed.options.rate);
         assert_eq!(rate("12.5").unwrap(), Some(Rate::PerSecond(12.5)));
         assert_eq!(rate("max").unwrap(), Some(Rate::Unpaced));
         for text in ["0", "-1", "1e-30", "nan", "inf", "fast"] {

@@ -3,7 +3,7 @@
 use super::PATIENCE;
 use super::clip::LoadedClip;
 use crate::cli::replay::{
-    ClipIds, FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
+    FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
 };
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
@@ -181,7 +181,7 @@ impl Player {
             let options = PublishOptions {
                 repeat: true,
                 frames: Some(warm_up),
-                clip: ClipIds::Given(WARM_UP.to_owned()),
+                clip: Some(WARM_UP.to_owned()),
                 ..PublishOptions::default()
             };
             let told = |sent| progress(sent, "warm-up");
@@ -189,7 +189,7 @@ impl Player {
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
-            clip: ClipIds::Given(MEASURED.to_owned()),
+            clip: Some(MEASURED.to_owned()),
             first_sequence: warm_up,
             ..PublishOptions::default()
         };
@@ -218,7 +218,7 @@ impl Player {
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
         let options = PublishOptions {
-            rate: self.rate.map_or(Rate::Unpaced, Rate::PerSecond),
+            rate: Some(self.rate.map_or(Rate::Unpaced, Rate::PerSecond)),
             ..options
         };
         let clip = Box::new(self.clip.clone());

@@ -2,7 +2,7 @@
 
 use super::video::{PassArguments, look_at};
 use super::{JUDGED, WRITTEN};
-use crate::cli::rate::parse_rate;
+use crate::cli::values::parse_rate;
 use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::footage::SourceName;

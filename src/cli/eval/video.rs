@@ -2,7 +2,7 @@
 
 use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
 use crate::cli::progress;
-use crate::cli::rate::parse_rate;
+use crate::cli::values::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{FrameSource, PictureFolder, SourceName, Thinned, VideoEncoding};

@@ -42,15 +42,6 @@ pub struct OutgoingFrame {
     pub attachment: FrameAttachment,
 }
 
-/// What became of a frame that was sent.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum SentFrame {
-    /// It went out, or was taken.
-    Gone,
-    /// The node does not process it, and says why.
-    Refused(String),
-}
-
 #[derive(Clone, Debug)]
 enum SendMode {
     Put(Arc<Publisher<'static>>),
@@ -186,12 +177,12 @@ impl FrameSender {
             .map_err(|error| anyhow!("a frame cannot be published: {error}"))
     }
 
-    /// Sends one frame.
+    /// Sends one frame; why the node does not process it, if it says so.
     ///
     /// # Errors
     /// When Zenoh refuses it, or no node takes it.
     #[cfg_attr(not(feature = "eval"), allow(dead_code))]
-    pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
+    pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<Option<String>> {
         match &self.mode {
             SendMode::Put(_) => {
                 let sender = self.clone();
@@ -199,7 +190,7 @@ impl FrameSender {
                 tokio::task::spawn_blocking(move || sender.put(&frame))
                     .await
                     .context("publishing a frame")??;
-                Ok(SentFrame::Gone)
+                Ok(None)
             }
             SendMode::Ask(querier) => self.ask(querier, &frame).await,
         }
@@ -210,7 +201,7 @@ impl FrameSender {
         &self,
         querier: &Arc<Querier<'static>>,
         frame: &OutgoingFrame,
-    ) -> anyhow::Result<SentFrame> {
+    ) -> anyhow::Result<Option<String>> {
         let until = Instant::now() + TURN;
         let attachment = self.attachment(frame)?;
         loop {
@@ -233,7 +224,7 @@ impl FrameSender {
                 if let Ok(sample) = reply.result() {
                     let answer: FrameAnswer = read(&sample.payload().to_bytes())
                         .context("the node's answer to a frame")?;
-                    return Ok(answer.refused.map_or(SentFrame::Gone, SentFrame::Refused));
+                    return Ok(answer.refused);
                 }
             }
             if Instant::now() >= until {

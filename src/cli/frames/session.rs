@@ -1,8 +1,10 @@
 //! The Zenoh session of a command that talks to a node.
 
+use albireo_service::session;
 use anyhow::anyhow;
 #[cfg(feature = "eval")]
 use anyhow::{Context, bail};
+use serde_json::json;
 use std::time::Duration;
 use zenoh::Config;
 use zenoh::session::Session;
@@ -13,6 +15,7 @@ pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 /// How long, in microseconds, a waiting put may find no room at all before Zenoh gives
 /// the connection up. Its own 5 s are short for a receiver that holds its sender back.
 const BLOCKED_MICROSECONDS: u64 = 120_000_000;
+const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
 /// Opens a session that knows no one but the given endpoints: a client of `connect` (of
 /// [`DEFAULT_ENDPOINT`] when both are empty), or a peer when there is something to listen on. Keeps
@@ -32,39 +35,23 @@ pub async fn open_session(
     };
     let mode = if listen.is_empty() { "client" } else { "peer" };
     let mut config = Config::default();
+    let patience_ms = u64::try_from(patience.as_millis()).unwrap_or(u64::MAX);
     let settings = [
-        ("mode", serde_json::json!(mode)),
-        ("connect/endpoints", serde_json::json!(connect)),
-        ("listen/endpoints", serde_json::json!(listen)),
-        (
-            "connect/timeout_ms",
-            serde_json::json!(u64::try_from(patience.as_millis()).unwrap_or(u64::MAX)),
-        ),
-        ("connect/exit_on_failure", serde_json::json!(true)),
-        ("scouting/multicast/enabled", serde_json::json!(false)),
-        ("scouting/gossip/enabled", serde_json::json!(false)),
-        ("transport/shared_memory/enabled", serde_json::json!(false)),
-        (
-            "transport/link/tx/queue/congestion_control/block/wait_before_close",
-            serde_json::json!(BLOCKED_MICROSECONDS),
-        ),
+        ("mode", json!(mode)),
+        ("connect/endpoints", json!(connect)),
+        ("listen/endpoints", json!(listen)),
+        ("connect/timeout_ms", json!(patience_ms)),
+        ("connect/exit_on_failure", json!(true)),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        ("transport/shared_memory/enabled", json!(false)),
+        (BLOCKED, json!(BLOCKED_MICROSECONDS)),
     ];
-    for (key, value) in settings {
-        config
-            .insert_json5(key, &value.to_string())
-            .map_err(|error| anyhow!("Zenoh does not take {value} for `{key}`: {error}"))?;
-    }
+    session::set(&mut config, &settings).map_err(|error| anyhow!("Zenoh does not take {error}"))?;
     zenoh::open(config).await.map_err(|error| {
-        anyhow!(
-            "no Zenoh session with {}: {}; is the node running, and does it listen there?",
-            connect
-                .iter()
-                .chain(listen)
-                .cloned()
-                .collect::<Vec<_>>()
-                .join(", "),
-            albireo_service::session::plain(&error)
-        )
+        let endpoints = [&connect, listen].concat().join(", ");
+        let error = session::plain(&error);
+        anyhow!("no Zenoh session with {endpoints}: {error}; is the node running, and does it listen there?")
     })
 }
 

@@ -1,10 +1,12 @@
 //! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
 
-use crate::cli::frames::{FrameSender, OutgoingFrame, SentFrame};
+use crate::cli::frames::{FrameSender, OutgoingFrame};
+use crate::cli::values;
 use albireo_eval::footage::{FrameSource, Stopper};
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, anyhow};
+use clap::Args;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -14,44 +16,58 @@ use tokio_util::sync::CancellationToken;
 const LONGEST_PERIOD: Duration = Duration::from_secs(1000);
 
 /// How fast frames are sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
-    /// At the source's own rate.
-    #[default]
-    Source,
     /// This many a second.
     PerSecond(f64),
     /// As fast as they are made and taken. Their capture times stay those of the source's own rate.
     Unpaced,
 }
 
-/// How clips are named.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum ClipIds {
-    /// Not at all.
-    #[default]
-    None,
-    /// As the source names them.
-    OfSource,
-    /// All alike.
-    Given(String),
-}
+/// Heading of the help.
+const CLIPS: &str = "Clips";
 
 /// What is sent of a source, and how.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Args, Clone, Debug, Default, PartialEq)]
 pub struct PublishOptions {
-    /// How fast.
-    pub rate: Rate,
-    /// Begin again at the end, forever.
+    /// Frames per second, or `max` for as fast as possible [default: the source's own]
+    #[arg(long, value_name = "FPS", value_parser = parse_rate)]
+    pub rate: Option<Rate>,
+    /// Begin again at the end, until stopped
+    #[arg(long = "loop")]
     pub repeat: bool,
-    /// Stop after this many frames.
+    /// Stop after this many frames
+    #[arg(long, value_name = "COUNT")]
     pub frames: Option<u64>,
-    /// The names of clips, numbered (`name-0001`) when there can be more than one of a name.
-    pub clip: ClipIds,
-    /// Begin a new clip after this many seconds of the source's time.
+    /// Clip id; numbered when there is more than one clip [default: the source's name]
+    #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
+    pub clip: Option<String>,
+    /// Begin a new clip after this many seconds [default: one clip a pass, or one a folder of an archive]
+    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
+    /// Name no clips: the node cuts by its own time window
+    #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
+    pub no_clip: bool,
     /// Sequence number of the first frame.
+    #[arg(skip)]
     pub first_sequence: u64,
+}
+
+fn parse_rate(text: &str) -> Result<Rate, String> {
+    if text == "max" {
+        return Ok(Rate::Unpaced);
+    }
+    values::parse_rate(text).map(Rate::PerSecond).map_err(|_| {
+        let (least, most) = (values::LEAST, values::MOST);
+        format!("must be `max` or a number from {least} to {most}")
+    })
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("must be a number above 0".to_owned()),
+    }
 }
 
 /// What was sent so far.
@@ -164,11 +180,9 @@ fn prepare(
 }
 
 /// Names clips.
-struct Clips {
-    ids: ClipIds,
+struct Clips<'a> {
+    options: &'a PublishOptions,
     source: String,
-    numbered: bool,
-    seconds: Option<f64>,
     begun: u64,
     present: Option<Present>,
 }
@@ -180,31 +194,24 @@ struct Present {
     since: f64,
 }
 
-impl Clips {
-    fn new(options: &PublishOptions, source: &str) -> Self {
-        Self {
-            ids: options.clip.clone(),
-            source: source.to_owned(),
-            numbered: options.repeat || options.clip_seconds.is_some(),
-            seconds: options.clip_seconds,
-            begun: 0,
-            present: None,
-        }
-    }
-
+impl Clips<'_> {
     /// The clip of the next frame: of pass `pass`, of the source's clip `of_source`, `seconds` after the first.
     fn next(&mut self, pass: u64, of_source: Option<String>, seconds: f64) -> Option<String> {
-        let (name, numbered) = match &self.ids {
-            ClipIds::None => return None,
-            ClipIds::Given(name) => (name, self.numbered || of_source.is_some()),
-            ClipIds::OfSource => (of_source.as_ref().unwrap_or(&self.source), self.numbered),
+        let options = self.options;
+        if options.no_clip {
+            return None;
+        }
+        let several = options.repeat || options.clip_seconds.is_some();
+        let (name, numbered) = match &options.clip {
+            Some(name) => (name, several || of_source.is_some()),
+            None => (of_source.as_ref().unwrap_or(&self.source), several),
         };
         let name = name.clone();
         let same = self.present.as_ref().is_some_and(|present| {
             // Frame times are computed: half a millisecond is no frame.
             let is_over = |most| seconds - present.since >= most - 0.0005;
             (present.pass, &present.of_source) == (pass, &of_source)
-                && !self.seconds.is_some_and(is_over)
+                && !options.clip_seconds.is_some_and(is_over)
         });
         if !same {
             self.present = Some(Present {
@@ -222,7 +229,7 @@ impl Clips {
 }
 
 /// Plays `source` into `send`, as [`publish`] does.
-async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
+async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
     source: Box<dyn FrameSource>,
     options: &PublishOptions,
     mut send: impl FnMut(OutgoingFrame) -> F,
@@ -230,15 +237,20 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
     let rate = match options.rate {
-        Rate::PerSecond(rate) => rate,
-        Rate::Source | Rate::Unpaced => source.rate(),
+        Some(Rate::PerSecond(rate)) => rate,
+        Some(Rate::Unpaced) | None => source.rate(),
     };
     // A rate that the source reports itself is not checked yet.
     let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
         .filter(|period| *period <= LONGEST_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
     let _stop = StopOnDrop(source.stopper());
-    let mut clips = Clips::new(options, source.name());
+    let mut clips = Clips {
+        options,
+        source: source.name().to_owned(),
+        begun: 0,
+        present: None,
+    };
     let mut prepared = prepare(source, options.repeat);
     let mut sent = Sent::default();
     let mut begun = None;
@@ -259,7 +271,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             due = Instant::now();
             (due, SystemTime::now())
         });
-        if options.rate != Rate::Unpaced {
+        if options.rate != Some(Rate::Unpaced) {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
@@ -284,12 +296,12 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             },
             picture,
         };
-        let became = tokio::select! {
+        let refused = tokio::select! {
             biased;
-            became = send(frame) => became?,
+            refused = send(frame) => refused?,
             () = shutdown.cancelled() => break,
         };
-        if let SentFrame::Refused(reason) = became {
+        if let Some(reason) = refused {
             sent.refused += 1;
             sent.first_refusal.get_or_insert(reason);
         }

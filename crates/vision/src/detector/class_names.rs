@@ -22,7 +22,7 @@ fn coco_categories() -> Vec<String> {
 }
 
 /// The names of the model's classes: those that were given, else those of its metadata, else the list that
-/// belongs to its head. `classes` is how many the outputs speak of, where they tell. An empty name is a class that
+/// belongs to its head. `classes` is how many the outputs have, where they say it. An empty name is a class that
 /// does not occur.
 ///
 /// # Errors

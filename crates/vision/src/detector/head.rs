@@ -53,7 +53,7 @@ pub struct Misfit {
 pub struct Head {
     /// Which head it is.
     pub name: HeadName,
-    /// How many classes the outputs' shapes speak of; `None` when they do not tell.
+    /// How many classes the outputs' shapes have; `None` when they do not say.
     pub classes: Option<usize>,
     /// The input that the model expects.
     pub input_format: InputFormat,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum HeadName {
-    /// As the model's metadata, or its outputs' names and shapes, tell.
+    /// By the model's metadata, or its outputs' names and shapes.
     Auto,
     /// YOLOv8, YOLO11, YOLO26 one-to-many: `[1, 4 + classes, anchors]`, suppression by us.
     Yolo,

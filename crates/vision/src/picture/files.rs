@@ -68,7 +68,7 @@ pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
     Ok(files)
 }
 
-/// The file's name with its numbers in so many digits that they compare by value.
+/// The file's name with its numbers padded, so that they compare by value.
 fn natural_key(file: &Path) -> (String, PathBuf) {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let is_digit = |byte: &u8| byte.is_ascii_digit();

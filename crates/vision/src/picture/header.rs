@@ -1,4 +1,4 @@
-//! What the first bytes of a JPEG or PNG file tell without decoding it.
+//! Reads format and size from the first bytes of a JPEG or PNG file, without decoding it.
 
 use super::limits::{check_payload, check_picture};
 use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat};

@@ -68,7 +68,7 @@ async fn played(
             async move {
                 tokio::time::sleep(wait).await;
                 frames.lock().unwrap().push((start.elapsed(), frame));
-                Ok(SentFrame::Gone)
+                Ok(None)
             }
         },
         |_| {},
@@ -85,9 +85,10 @@ fn at_once(_: u64) -> Duration {
 
 #[tokio::test(start_paused = true)]
 async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
-    for (rate, period) in [(Rate::Source, 100), (Rate::PerSecond(4.0), 250)] {
+    for (rate, period) in [(None, 100), (Some(Rate::PerSecond(4.0)), 250)] {
         let options = PublishOptions {
             rate,
+            no_clip: true,
             first_sequence: 7,
             ..PublishOptions::default()
         };
@@ -132,7 +133,7 @@ async fn a_loop_begins_a_clip_with_each_pass_and_stops_when_enough_is_sent() {
     let options = PublishOptions {
         repeat: true,
         frames: Some(7),
-        clip: ClipIds::Given("drive".to_owned()),
+        clip: Some("drive".to_owned()),
         ..PublishOptions::default()
     };
     let (frames, sent) = played(3, options, at_once).await;
@@ -149,10 +150,10 @@ async fn a_loop_begins_a_clip_with_each_pass_and_stops_when_enough_is_sent() {
 
 #[tokio::test(start_paused = true)]
 async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
-    for rate in [Rate::Source, Rate::Unpaced] {
+    for rate in [None, Some(Rate::Unpaced)] {
         let options = PublishOptions {
             rate,
-            clip: ClipIds::Given("c".to_owned()),
+            clip: Some("c".to_owned()),
             clip_seconds: Some(0.3),
             ..PublishOptions::default()
         };
@@ -165,7 +166,7 @@ async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
         assert_eq!(sent.clips, 3);
     }
     let one = PublishOptions {
-        clip: ClipIds::Given("c".to_owned()),
+        clip: Some("c".to_owned()),
         ..PublishOptions::default()
     };
     let (frames, _) = played(2, one, at_once).await;
@@ -174,21 +175,22 @@ async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
 
 #[tokio::test(start_paused = true)]
 async fn the_clips_of_a_source_are_kept_apart() {
-    let given = || ClipIds::Given("drive".to_owned());
-    for (ids, repeat, expected) in [
-        (ClipIds::OfSource, false, ["day", "night", ""]),
+    for (clip, no_clip, repeat, expected) in [
+        (None, false, false, ["day", "night", ""]),
+        (None, false, true, ["day-0001", "night-0002", "day-0003"]),
         (
-            ClipIds::OfSource,
-            true,
-            ["day-0001", "night-0002", "day-0003"],
+            Some("drive"),
+            false,
+            false,
+            ["drive-0001", "drive-0002", ""],
         ),
-        (given(), false, ["drive-0001", "drive-0002", ""]),
-        (ClipIds::None, true, ["", "", ""]),
+        (None, true, true, ["", "", ""]),
     ] {
         let options = PublishOptions {
             repeat,
             frames: Some(10),
-            clip: ids,
+            clip: clip.map(str::to_owned),
+            no_clip,
             ..PublishOptions::default()
         };
         let source = Box::new(Numbers {
@@ -200,12 +202,11 @@ async fn the_clips_of_a_source_are_kept_apart() {
         let send = |frame: OutgoingFrame| {
             let clip = frame.attachment.clip.unwrap_or_default();
             clips.lock().unwrap().push(clip);
-            async { Ok(SentFrame::Gone) }
+            async { Ok(None) }
         };
         let running = CancellationToken::new();
-        play(source, &options, send, |_| {}, &running)
-            .await
-            .unwrap();
+        let played = play(source, &options, send, |_| {}, &running);
+        played.await.unwrap();
         let [one, two, three] = expected;
         let rest = if repeat { vec![three; 2] } else { Vec::new() };
         assert_eq!(
@@ -225,7 +226,7 @@ async fn shutdown_ends_a_play_that_would_never_end() {
     let sent = play(
         numbers(3),
         &options,
-        |_| async { Ok(SentFrame::Gone) },
+        |_| async { Ok(None) },
         |sent| {
             if sent.frames == 20 {
                 shutdown.cancel();
@@ -248,7 +249,7 @@ async fn an_empty_source_is_no_endless_loop() {
     let error = play(
         numbers(0),
         &options,
-        |_| async { Ok(SentFrame::Gone) },
+        |_| async { Ok(None) },
         |_| {},
         &shutdown,
     )

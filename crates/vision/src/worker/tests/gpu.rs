@@ -33,8 +33,8 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(OUT_OF_MEMORY).leak();
     for (rebuilds, pause) in [(1, 100), (2, 200), (3, 400)] {
-        let told = stage.fail_with(words).await;
-        assert!(told.contains("there is not enough memory"), "{told}");
+        let reason = stage.fail_with(words).await;
+        assert!(reason.contains("there is not enough memory"), "{reason}");
         let status = stage.until_degraded().await;
         assert!(status.contains("CUDA failure 2: out of memory"), "{status}");
         pass(Duration::from_millis(pause)).await;
@@ -53,8 +53,11 @@ async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried()
     let words: &'static str = fault::in_words(LOST).leak();
     *stage.build_failure.lock() = words;
     stage.failing_builds.store(2, Ordering::SeqCst);
-    let told = stage.fail_with(words).await;
-    assert!(told.contains("the GPU is lost to this process"), "{told}");
+    let reason = stage.fail_with(words).await;
+    assert!(
+        reason.contains("the GPU is lost to this process"),
+        "{reason}"
+    );
     // One failed run is no proof: a new session may work.
     assert!(matches!(
         *stage.worker.status.borrow(),

@@ -25,10 +25,10 @@ fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
     assert_eq!(open.picture_input(wanted).unwrap().size, size);
     let error = open.picture_input(None).unwrap_err();
     assert!(error.contains("detector.input_size"), "{error}");
-    let told = with_metadata(open, &[("imgsz", "[384, 640]")]);
-    let own = told.picture_input(None).unwrap().size;
+    let read = with_metadata(open, &[("imgsz", "[384, 640]")]);
+    let own = read.picture_input(None).unwrap().size;
     assert_eq!(own, PictureSize::new(640, 384));
-    assert_eq!(told.picture_input(wanted).unwrap().size, size);
+    assert_eq!(read.picture_input(wanted).unwrap().size, size);
     let fixed = signature(&[1, 3, 640, 640], &[("output0", &[1, 84, 8400])]);
     let error = fixed.picture_input(wanted).unwrap_err();
     assert!(

@@ -1,4 +1,6 @@
-//! Frames a second as an argument.
+//! Values of arguments: a rate of frames, a size of pictures.
+
+use albireo_core::geometry::PictureSize;
 
 /// Fewest frames per second that anything here plays, sends or takes: one in 17 minutes. A period is computed from them, and
 /// one of a billion years is a slip of the finger.
@@ -15,6 +17,18 @@ pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads `1280x720`.
+pub(super) fn parse_size(text: &str) -> Result<PictureSize, String> {
+    let wrong = || format!("`{text}`: a size is columns x rows, such as 1280x720");
+    let (width, height) = text.split_once('x').ok_or_else(wrong)?;
+    let side = |text: &str| text.parse().map_err(|_| wrong());
+    let size = PictureSize::new(side(width)?, side(height)?);
+    if size.pixels() == 0 {
+        return Err(wrong());
+    }
+    Ok(size)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -25,6 +39,14 @@ mod tests {
         for text in ["0", "-1", "1e-30", "1e-4", "1001", "nan", "inf", "fast"] {
             let refused = parse_rate(text).unwrap_err();
             assert_eq!(refused, "must be a number from 0.001 to 1000", "{text}");
+        }
+    }
+
+    #[test]
+    fn sizes_are_columns_by_rows() {
+        assert_eq!(parse_size("640x360").unwrap(), PictureSize::new(640, 360));
+        for wrong in ["640", "x", "640x", "ax3", "-1x5", "0x5"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
         }
     }
 }
