@@ -71,7 +71,7 @@ impl Heartbeat {
     }
 }
 
-/// Whether a node works as it should, from best to worst.
+/// Whether a node works as it should.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthState {
