@@ -13,7 +13,7 @@ use albireo_node::state::board::Board;
 use albireo_power::tegrastats_rails;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
-use albireo_vision::detector::{DetectorStatus, Metadata};
+use albireo_vision::detector::Metadata;
 use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
 };
@@ -314,8 +314,7 @@ const CHANGES: [&str; 3] = [
 ];
 
 fn node_api() -> axum::Router {
-    let (_, status) = tokio::sync::watch::channel(DetectorStatus::Starting);
-    let board = Board::open(&NodeConfig::default(), status).expect("a board in memory");
+    let board = Board::open(&NodeConfig::default()).expect("a board in memory");
     let view = NodeView {
         board,
         limits: limits(),

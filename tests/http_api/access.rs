@@ -104,7 +104,7 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
 
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
-    let (board, _detector) = board("albireo", None);
+    let board = board("albireo", None);
     let view = view(&board, serde_json::Value::Null);
     let shutdown = CancellationToken::new();
     // Already over: a service that is not refused ends at once.

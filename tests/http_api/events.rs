@@ -93,7 +93,7 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     node.board.publish_counters(5);
     assert_eq!(events.expect("counters").await["frames"], 2);
     assert_eq!(events.expect("counters").await["frames"], 0);
-    node.detector.send_replace(DetectorStatus::Degraded {
+    node.board.set_detector_status(DetectorStatus::Degraded {
         reason: "it took too long".to_owned(),
         provider: ExecutionProvider::Cpu,
     });
@@ -144,7 +144,7 @@ async fn wrong_wishes_and_too_many_streams_are_refused() {
     // Once one is closed and its end noticed, there is a place again.
     drop(open.pop());
     until("a place is free again", async || {
-        node.detector.send_replace(DetectorStatus::Starting);
+        node.board.set_detector_status(DetectorStatus::Starting);
         node.get("/api/v1/events").await.status() == 200
     })
     .await;

@@ -116,7 +116,7 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
     node.ready();
     let ready = node.json("/readyz").await;
     assert_has(&ready, &json!({"provider": "cpu", "reasons": []}));
-    node.detector.send_replace(DetectorStatus::Degraded {
+    node.board.set_detector_status(DetectorStatus::Degraded {
         reason: "the run took longer than 2000 ms".to_owned(),
         provider: ExecutionProvider::Cpu,
     });

@@ -17,7 +17,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -26,7 +25,6 @@ pub(crate) const KNOB: Knob = Albireo::KNOB;
 /// A served node.
 pub(crate) struct Served {
     pub board: Arc<Board>,
-    pub detector: watch::Sender<DetectorStatus>,
     pub address: SocketAddr,
     pub client: Client,
     pub shutdown: CancellationToken,
@@ -34,11 +32,7 @@ pub(crate) struct Served {
 }
 
 /// A board with the cameras `front` and `rear`.
-pub(crate) fn board(
-    policy: &str,
-    state_dir: Option<&Path>,
-) -> (Arc<Board>, watch::Sender<DetectorStatus>) {
-    let (detector, detector_status) = watch::channel(DetectorStatus::Starting);
+pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
     let mut config = NodeConfig {
         cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),
         ..NodeConfig::default()
@@ -47,7 +41,7 @@ pub(crate) fn board(
     config.node.name = "car-7".to_owned();
     config.node.state_dir = state_dir.map(Path::to_owned);
     config.detector.providers = vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu];
-    (Board::open(&config, detector_status).unwrap(), detector)
+    Board::open(&config).unwrap()
 }
 
 /// What is served of a board.
@@ -78,7 +72,7 @@ impl Served {
     /// Over that board, as if configured as `shown`.
     pub(crate) async fn over(
         config: HttpConfig,
-        (board, detector): (Arc<Board>, watch::Sender<DetectorStatus>),
+        board: Arc<Board>,
         shown: Value,
     ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -90,7 +84,6 @@ impl Served {
         });
         Self {
             board,
-            detector,
             address,
             client: Client::new(),
             shutdown,
@@ -135,7 +128,7 @@ impl Served {
     }
 
     pub(crate) fn ready(&self) {
-        self.detector.send_replace(DetectorStatus::Ready {
+        self.board.set_detector_status(DetectorStatus::Ready {
             provider: ExecutionProvider::Cpu,
         });
     }

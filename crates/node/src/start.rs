@@ -8,7 +8,7 @@ use crate::config::NodeConfig;
 use crate::delivery::outbox::retry_disk;
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
 use crate::error::NodeError;
-use crate::state::board::Board;
+use crate::state::board::{Board, provider};
 use crate::state::counters::Counters;
 use crate::state::readiness;
 use albireo_core::policy::{Policy, PolicyConfigError};
@@ -56,7 +56,6 @@ pub struct Node {
 /// A node before it is started: its board can be shown already, and says that it is not ready.
 pub struct PreparedNode {
     board: Arc<Board>,
-    detector_status: watch::Sender<DetectorStatus>,
     policies: PolicyMaker,
 }
 
@@ -74,14 +73,12 @@ impl PreparedNode {
     /// # Errors
     /// When a name or the policy cannot be used.
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
-        let (detector_status, status) = watch::channel(DetectorStatus::Starting);
-        let board = Board::open(config, status)?;
+        let board = Board::open(config)?;
         let cameras = board.readiness.part(readiness::CAMERAS);
         cameras.not_ready("the cameras are not subscribed to yet");
         let policy = config.policy.clone();
         Ok(Self {
             board,
-            detector_status,
             policies: Arc::new(move |_| policy.build()),
         })
     }
@@ -127,7 +124,6 @@ impl PreparedNode {
     ) -> Result<Node, NodeError> {
         let Self {
             board,
-            detector_status,
             policies,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
@@ -169,7 +165,7 @@ impl PreparedNode {
         tasks.until_shutdown(
             "detector status",
             tracing::info_span!("detector_status"),
-            follow(detector.status(), detector_status),
+            follow(detector.status(), Arc::clone(&board)),
         );
         let worker = detector.clone();
         tasks.until_shutdown("detector", tracing::info_span!("detector"), async move {
@@ -289,7 +285,7 @@ impl Node {
 
     /// The execution provider that really runs the detector, as far as it is known.
     pub fn provider(&self) -> Option<&'static str> {
-        crate::api::http::provider(&self.detector.status().borrow())
+        provider(&self.detector.status().borrow())
     }
 
     /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
@@ -368,10 +364,11 @@ fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
     move |error| NodeError::Zenoh(format!("{what}: {}", session::plain(&error)))
 }
 
-/// Copies the detector's status to where the board reads it.
-async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<DetectorStatus>) {
+/// Copies the detector's status to the board.
+async fn follow(mut from: watch::Receiver<DetectorStatus>, to: Arc<Board>) {
     loop {
-        to.send_replace(from.borrow_and_update().clone());
+        let status = from.borrow_and_update().clone();
+        to.set_detector_status(status);
         if from.changed().await.is_err() {
             return;
         }

@@ -16,9 +16,7 @@ mod states;
 mod target;
 mod threshold;
 
-pub(crate) use health::provider;
-
-use crate::state::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
+use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::http::{self, Page, Problem, Route};
 use albireo_service::metrics::Counter;
 use albireo_vision::picture::FrameLimits;
@@ -127,7 +125,7 @@ fn bad_request(detail: String) -> Problem {
         ThresholdMessage,
         FrameEvent,
         ThresholdEvent,
-        events::DetectorEvent
+        DetectorEvent
     )),
     modifiers(&Security),
     security((), ("token" = []))

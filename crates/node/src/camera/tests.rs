@@ -14,7 +14,7 @@ use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_service::metrics::Counter;
-use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
+use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig};
@@ -48,8 +48,7 @@ impl Bench {
             audit,
             ..NodeConfig::default()
         };
-        let (_, status) = watch::channel(DetectorStatus::Starting);
-        let board = Board::open(&config, status).unwrap();
+        let board = Board::open(&config).unwrap();
         let camera = Arc::clone(board.camera("front").unwrap());
         let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
         let detector = DetectorHandle::start(&DetectorConfig {

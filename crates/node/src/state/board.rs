@@ -8,7 +8,8 @@ mod savings;
 mod threshold;
 
 pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
-pub use event::{Event, FrameEvent, News, ThresholdEvent};
+pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
+pub(crate) use event::provider;
 pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
 pub(crate) use savings::{Savings, Totals};
 #[cfg(test)]
@@ -36,7 +37,7 @@ use savings::Today;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
-use tokio::sync::{broadcast, watch};
+use tokio::sync::broadcast;
 use tokio::time::Instant;
 use uuid::Uuid;
 
@@ -72,7 +73,7 @@ pub struct Board {
     started: Instant,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
-    detector_status: watch::Receiver<DetectorStatus>,
+    detector: Arc<Mutex<DetectorStatus>>,
     meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
@@ -86,10 +87,7 @@ impl Board {
     ///
     /// # Errors
     /// What cannot be used: the state directory, or what a checked configuration does not have.
-    pub fn open(
-        config: &NodeConfig,
-        detector_status: watch::Receiver<DetectorStatus>,
-    ) -> Result<Arc<Self>, NodeError> {
+    pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Outbox::open(&config.outbox, directory)?;
         let settings = Settings::open(directory);
@@ -114,9 +112,10 @@ impl Board {
             .map(|camera| CameraBoard::new(config, camera, &*policy, shared.clone()).map(Arc::new));
         let cameras = cameras.collect::<Result<_, _>>()?;
         let readiness = Readiness::default();
-        let status = detector_status.clone();
+        let detector = Arc::new(Mutex::new(DetectorStatus::Starting));
+        let status = Arc::clone(&detector);
         readiness.probe(readiness::DETECTOR, "", move || {
-            readiness::of_detector(&status.borrow())
+            readiness::of_detector(&status.lock())
         });
         let (disk, reports, has_directory) = (outbox.clone(), outbox.clone(), directory.is_some());
         readiness.probe(readiness::DISK, "", move || {
@@ -142,7 +141,7 @@ impl Board {
             started,
             clips: Mutex::default(),
             events,
-            detector_status,
+            detector,
             meters: OnceLock::new(),
             power: Mutex::default(),
             started_ms,
@@ -240,7 +239,7 @@ impl Board {
             .collect()
     }
 
-    /// The present state as events: thresholds and counters of every camera.
+    /// The present state as events: the detector, and thresholds and counters of every camera.
     pub(crate) fn current(&self, t_ns: u64) -> Vec<Arc<Event>> {
         let current = |camera: &Arc<CameraBoard>| {
             let counters = News::Counters(Arc::new(self.counters(camera, t_ns)));
@@ -248,7 +247,9 @@ impl Board {
             let threshold = threshold.map(|threshold| camera.threshold_news(threshold));
             threshold.into_iter().chain([counters]).map(Event::new)
         };
-        self.cameras.iter().flat_map(current).collect()
+        let detector = News::Detector(DetectorEvent::new(&self.detector.lock()));
+        let cameras = self.cameras.iter().flat_map(current);
+        [Event::new(detector)].into_iter().chain(cameras).collect()
     }
 
     /// The present counter message of one camera.
@@ -295,12 +296,14 @@ impl Board {
 
     /// How the detector is doing now.
     pub(crate) fn detector_status(&self) -> DetectorStatus {
-        self.detector_status.borrow().clone()
+        self.detector.lock().clone()
     }
 
-    /// How the detector is doing, to wait for changes.
-    pub(crate) fn watch_detector(&self) -> watch::Receiver<DetectorStatus> {
-        self.detector_status.clone()
+    /// Takes note of how the detector is doing, and tells subscribers.
+    pub fn set_detector_status(&self, status: DetectorStatus) {
+        let news = News::Detector(DetectorEvent::new(&status));
+        *self.detector.lock() = status;
+        let _ = self.events.send(Event::new(news));
     }
 
     /// Writes the power figures; to be called by the sampling task.

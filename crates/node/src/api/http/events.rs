@@ -1,18 +1,16 @@
 //! What happens on the node, as server-sent events (WHATWG HTML, section 9.2).
 
-use super::health::provider;
 use super::{RouteState, bad_request, query};
 use crate::state::board::{Event, News};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
-use albireo_vision::detector::DetectorStatus;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::response::sse::{self, KeepAlive, Sse};
 use futures_util::Stream;
 use futures_util::stream;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -20,15 +18,14 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::{self, error::RecvError};
-use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
-use utoipa::{IntoParams, ToSchema};
+use utoipa::IntoParams;
 
 /// Event streams at a time: each holds a connection.
 pub(super) const MOST_STREAMS: usize = 64;
 
-/// Names of the events there are, beside those of [`News`].
-const DETECTOR: &str = "detector";
+/// Name of the event that there is beside those of [`News`].
 const LAGGED: &str = "lagged";
 
 /// Which events.
@@ -43,33 +40,6 @@ pub(super) struct Selection {
     types: Option<String>,
 }
 
-/// How the detector is doing.
-#[derive(Serialize, ToSchema)]
-pub(super) struct DetectorEvent {
-    /// `starting`, `ready` or `degraded`.
-    status: &'static str,
-    /// Execution provider that really runs it; absent while it starts.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    provider: Option<&'static str>,
-    /// What happened, when degraded.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    reason: Option<String>,
-}
-
-impl DetectorEvent {
-    fn new(status: &DetectorStatus) -> Self {
-        Self {
-            status: match status {
-                DetectorStatus::Starting => "starting",
-                DetectorStatus::Ready { .. } => "ready",
-                _ => "degraded",
-            },
-            provider: provider(status),
-            reason: status.fault().map(str::to_owned),
-        }
-    }
-}
-
 /// A stream's wishes and sources.
 struct Reader {
     camera: Option<String>,
@@ -77,7 +47,6 @@ struct Reader {
     /// The present state, sent before new events.
     first: VecDeque<sse::Event>,
     events: broadcast::Receiver<Arc<Event>>,
-    detector: watch::Receiver<DetectorStatus>,
     shutdown: CancellationToken,
     /// Given back when the stream ends.
     _place: OwnedSemaphorePermit,
@@ -99,18 +68,10 @@ impl Reader {
     }
 
     fn select(&self, happened: &Event) -> Option<sse::Event> {
-        let camera = self.camera.as_deref();
-        let about = camera.is_none_or(|camera| camera == happened.news.camera());
-        let name = happened.news.name();
+        let (camera, news) = (self.camera.as_deref(), &happened.news);
+        let about = camera.is_none() || news.camera().is_none() || camera == news.camera();
+        let name = news.name();
         (about && self.wants(name)).then(|| event(name, happened.json()))?
-    }
-
-    /// How the detector is doing, if that is wanted.
-    fn detector(&mut self) -> Option<sse::Event> {
-        let now = DetectorEvent::new(&self.detector.borrow_and_update());
-        let json = serde_json::to_string(&now);
-        self.wants(DETECTOR)
-            .then(|| event(DETECTOR, json.as_deref()))?
     }
 
     /// The next event to send; `None` when the node stops.
@@ -121,8 +82,6 @@ impl Reader {
             }
             let found = tokio::select! {
                 () = self.shutdown.cancelled() => return None,
-                // A detector that does not return keeps its last status.
-                Ok(()) = self.detector.changed() => self.detector(),
                 received = self.events.recv() => match received {
                     Ok(happened) => self.select(&happened),
                     Err(RecvError::Lagged(lost)) => {
@@ -149,7 +108,7 @@ fn wanted(
         .types
         .map(|types| types.split(',').map(str::to_owned).collect())
         .unwrap_or_default();
-    let known: Vec<&str> = News::NAMES.into_iter().chain([DETECTOR]).collect();
+    let known = News::NAMES;
     match types.iter().find(|name| !known.contains(&name.as_str())) {
         None => Ok((selection.camera, types)),
         Some(name) => {
@@ -196,15 +155,11 @@ pub(super) async fn stream(
         first: VecDeque::new(),
         // Before the first look at how things stand, so that no change falls between the two.
         events: board.subscribe(),
-        detector: board.watch_detector(),
         shutdown: shared.shutdown.clone(),
         _place: place,
     };
-    let mut first: VecDeque<_> = reader.detector().into_iter().collect();
-    for happened in board.current(unix_nanoseconds()) {
-        first.extend(reader.select(&happened));
-    }
-    reader.first = first;
+    let current = board.current(unix_nanoseconds());
+    reader.first = (current.iter()).filter_map(|happened| reader.select(happened)).collect();
     let events = stream::unfold(reader, |mut reader| async move {
         let event = reader.next().await?;
         Some((Ok(event), reader))

@@ -1,10 +1,9 @@
 //! Liveness and readiness of the node.
 
 use super::RouteState;
-use crate::state::board::Board;
+use crate::state::board::{Board, provider};
 use albireo_service::http::{self, Problem};
 use albireo_service::readiness::PartFault;
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_wire::HealthState;
 use axum::Json;
 use axum::extract::State;
@@ -86,11 +85,6 @@ pub(super) struct NotReady {
     problem: Problem,
     #[serde(flatten)]
     readiness: Readiness,
-}
-
-/// The provider in use by a status.
-pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
-    status.provider().map(ExecutionProvider::as_str)
 }
 
 /// How the node is now.

@@ -3,8 +3,7 @@
 mod cameras;
 
 use super::RouteState;
-use super::health::provider;
-use crate::state::board::Board;
+use crate::state::board::{Board, provider};
 use crate::state::readiness::PARTS;
 use albireo_service::metrics::MetricsPage;
 use albireo_vision::detector::DetectorStatus;

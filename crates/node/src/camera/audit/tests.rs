@@ -2,18 +2,15 @@ use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
-use albireo_vision::detector::DetectorStatus;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use std::sync::Arc;
-use tokio::sync::watch;
 
 fn audit() -> (Arc<Board>, CameraAudit) {
     let config = NodeConfig {
         cameras: vec![CameraConfig::named("front")],
         ..NodeConfig::default()
     };
-    let (_, status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::open(&config, status).unwrap();
+    let board = Board::open(&config).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
     let audit = CameraAudit::new(config.audit, camera);
     (board, audit)

@@ -30,6 +30,9 @@ const ACKNOWLEDGED: i64 = 2;
 /// Never to be sent again.
 const REFUSED: i64 = 3;
 
+/// Most bytes of reports in memory: some thousand.
+pub(super) const MEMORY_BYTES: u64 = 8 << 20;
+
 /// Databases of hubs that are remembered.
 const MOST_DATABASES: i64 = 16;
 
@@ -127,15 +130,17 @@ pub(super) struct Answered {
     pub(super) missing: Vec<(u64, u64)>,
 }
 
-/// The open table.
+/// The open table, and what is counted: that is written with each change.
 #[derive(Debug)]
 pub(super) struct Table {
     db: Connection,
+    most_bytes: u64,
+    pub(super) counters: Counters,
 }
 
 impl Table {
     /// Takes an open database, and makes the table in an empty one.
-    pub(super) fn new(db: Connection) -> Result<Self, TableError> {
+    pub(super) fn new(db: Connection, most_bytes: u64) -> Result<Self, TableError> {
         let application: i64 = db.pragma_query_value(None, "application_id", |row| row.get(0))?;
         let layout: i64 = db.pragma_query_value(None, "user_version", |row| row.get(0))?;
         let tables: i64 =
@@ -156,19 +161,23 @@ impl Table {
                  run that one until its reports are delivered, then move the file away"
             )));
         }
-        Ok(Self { db })
+        Ok(Self {
+            counters: Self::counters(&db)?,
+            db,
+            most_bytes,
+        })
     }
 
-    /// An empty table that no disk holds.
-    pub(super) fn in_memory() -> Result<Self, TableError> {
-        Self::new(Connection::open_in_memory()?)
+    /// An empty table that no disk holds, in which is counted on.
+    pub(super) fn in_memory(counters: Counters) -> Result<Self, TableError> {
+        Ok(Self {
+            counters,
+            ..Self::new(Connection::open_in_memory()?, MEMORY_BYTES)?
+        })
     }
 
-    /// What was counted.
-    pub(super) fn counters(&self) -> Result<Counters, TableError> {
-        let mut found = self
-            .db
-            .prepare("SELECT value FROM counter WHERE name = ?")?;
+    fn counters(db: &Connection) -> Result<Counters, TableError> {
+        let mut found = db.prepare("SELECT value FROM counter WHERE name = ?")?;
         let mut counter = |name: &str| match found.query_row([name], |row| row.get::<_, i64>(0)) {
             Err(rusqlite::Error::QueryReturnedNoRows) => Ok(0),
             found => found.map(i64::cast_unsigned),
@@ -180,14 +189,9 @@ impl Table {
         })
     }
 
-    /// Adds reports, with the state they have, and lets the oldest go until the table has at most `most_bytes`: what is
-    /// acknowledged first. How many went that no hub has.
-    pub(super) fn insert(
-        &mut self,
-        reports: &[StoredReport],
-        counters: &mut Counters,
-        most_bytes: u64,
-    ) -> Result<u64, TableError> {
+    /// Adds reports, with the state they have, and lets the oldest go until there is room: what is acknowledged first. How
+    /// many went that no hub has.
+    pub(super) fn insert(&mut self, reports: &[StoredReport]) -> Result<u64, TableError> {
         let transaction = self.db.transaction()?;
         {
             let mut insert = transaction.prepare_cached(
@@ -202,7 +206,7 @@ impl Table {
         }
         let mut lost = 0;
         for state in [REFUSED, ACKNOWLEDGED, AGAIN, WAITING] {
-            while used_bytes(&transaction)? > most_bytes {
+            while used_bytes(&transaction)? > self.most_bytes {
                 let deleted = remove_oldest(&transaction, state, 16)?;
                 if deleted == 0 {
                     break;
@@ -212,9 +216,13 @@ impl Table {
                 }
             }
         }
-        counters.lost += lost;
-        write_counters(&transaction, counters)?;
+        let counters = Counters {
+            lost: self.counters.lost + lost,
+            ..self.counters
+        };
+        write_counters(&transaction, &counters)?;
         transaction.commit()?;
+        self.counters = counters;
         Ok(lost)
     }
 
@@ -250,7 +258,6 @@ impl Table {
     pub(super) fn answered(
         &mut self,
         answered: &Answered,
-        counters: &Counters,
         now_ms: i64,
         kept_ms: i64,
     ) -> Result<(), TableError> {
@@ -284,7 +291,7 @@ impl Table {
              (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
             params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED],
         )?;
-        write_counters(&transaction, counters)?;
+        write_counters(&transaction, &self.counters)?;
         transaction.commit()?;
         Ok(())
     }

@@ -1,5 +1,6 @@
 use super::disk::FILE;
-use super::waiting::{BATCH_BYTES, MEMORY_BYTES, Waiting};
+use super::table::MEMORY_BYTES;
+use super::waiting::{BATCH_BYTES, Waiting};
 use super::*;
 use albireo_wire::{
     ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,

@@ -13,9 +13,6 @@ use uuid::Uuid;
 /// How long reports are kept for a hub that loses them, if there is room and a disk.
 const KEPT_MS: i64 = 7 * 86_400_000;
 
-/// Most bytes of reports in memory: some thousand.
-pub(super) const MEMORY_BYTES: u64 = 8 << 20;
-
 /// Most reports that are taken to memory from a file that cannot be written.
 const MOST_RESCUED: usize = 2000;
 
@@ -37,20 +34,7 @@ pub(super) struct Waiting {
     memory: Table,
     /// The file is set aside before it is opened again.
     damaged: bool,
-    counters: Counters,
     counts: OutboxCounts,
-}
-
-/// What was done on a table, and what was counted there afterwards.
-type Done<T> = Result<(T, Counters, (u64, u64)), TableError>;
-
-fn work_on<T>(
-    table: &mut Table,
-    mut counters: Counters,
-    work: impl FnOnce(&mut Table, &mut Counters) -> Result<T, TableError>,
-) -> Done<T> {
-    let done = work(table, &mut counters)?;
-    Ok((done, counters, table.waiting()?))
 }
 
 impl Waiting {
@@ -59,16 +43,16 @@ impl Waiting {
     /// # Errors
     /// When there is no memory for a table.
     pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
+        let counters = Counters {
+            // Without a disk this run is all that there is to be counted.
+            made: disk.is_none().then_some(0),
+            ..Counters::default()
+        };
         Ok(Self {
-            counters: Counters {
-                // Without a disk this run is all that there is to be counted.
-                made: disk.is_none().then_some(0),
-                ..Counters::default()
-            },
             disk,
             most_bytes,
             file: None,
-            memory: Table::in_memory()?,
+            memory: Table::in_memory(counters)?,
             damaged: false,
             counts: OutboxCounts::default(),
         })
@@ -98,16 +82,13 @@ impl Waiting {
                 "the file of clip reports is damaged and was set aside; those in it are not delivered"
             );
         }
-        let mut file = disk.open().and_then(Table::new)?;
+        let mut file = Table::new(disk.open()?, self.most_bytes)?;
         // What was counted since the start goes on from what was counted before.
-        let counters = self.counters.max(file.counters()?);
-        let (waiting, most) = (self.memory.all()?, self.most_bytes);
-        let done = work_on(&mut file, counters, |file, counters| {
-            file.insert(&waiting, counters, most)
-        })?;
-        self.memory = Table::in_memory()?;
+        file.counters = file.counters.max(self.memory.counters);
+        let lost = file.insert(&self.memory.all()?)?;
+        (self.counts.waiting, self.counts.again) = file.waiting()?;
+        self.memory = Table::in_memory(file.counters)?;
         self.file = Some(file);
-        let lost = self.count(done);
         self.lose(lost, now);
         if let Some(reason) = self.counts.failing.take() {
             tracing::info!(reason, "the state directory can be used again");
@@ -136,56 +117,56 @@ impl Waiting {
         let Some(file) = self.file.take() else {
             return;
         };
-        let mut counters = self.counters;
-        let kept = (file.due(true, MOST_RESCUED))
-            .and_then(|found| self.memory.insert(&found, &mut counters, MEMORY_BYTES));
+        self.memory.counters = file.counters;
+        let kept = (file.due(true, MOST_RESCUED)).and_then(|found| self.memory.insert(&found));
+        // None of them is lost by that: they are on the disk, and come back with it.
+        self.memory.counters = file.counters;
         if let Err(error) = kept {
             tracing::warn!(%error, "clip reports on the disk cannot be read now");
         }
     }
 
     /// Does `work` on the file, or in memory where that fails.
-    fn work<T: Default>(
-        &mut self,
-        work: impl Fn(&mut Table, &mut Counters, u64) -> Result<T, TableError>,
-    ) -> T {
-        let (most, counters) = (self.most_bytes, self.counters);
+    fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
+        let work = |table: &mut Table| Ok((work(table)?, table.waiting()?));
+        let mut done = None;
         if let Some((file, disk)) = self.file.as_mut().zip(self.disk.as_ref()) {
-            let done = (disk.check())
-                .and_then(|()| work_on(file, counters, |file, counted| work(file, counted, most)));
-            match done {
-                Ok(done) => return self.count(done),
+            match disk.check().and_then(|()| work(file)) {
+                Ok(worked) => done = Some(worked),
                 Err(error) => self.fail(&error),
             }
         }
-        let done = work_on(&mut self.memory, counters, |memory, counted| {
-            work(memory, counted, MEMORY_BYTES)
-        });
-        done.map(|done| self.count(done)).unwrap_or_else(|error| {
-            tracing::error!(%error, "clip reports cannot be kept in memory");
-            T::default()
-        })
+        match done.map_or_else(|| work(&mut self.memory), Ok) {
+            Ok((done, waiting)) => {
+                (self.counts.waiting, self.counts.again) = waiting;
+                done
+            }
+            Err(error) => {
+                tracing::error!(%error, "clip reports cannot be kept in memory");
+                T::default()
+            }
+        }
     }
 
-    fn count<T>(&mut self, done: (T, Counters, (u64, u64))) -> T {
-        let (done, counters, (waiting, again)) = done;
-        self.counters = counters;
-        (self.counts.waiting, self.counts.again) = (waiting, again);
-        done
+    /// What is counted, in the table that is in use.
+    fn counters(&mut self) -> &mut Counters {
+        let table = self.file.as_mut().unwrap_or(&mut self.memory);
+        &mut table.counters
     }
 
     /// Keeps reports, in order, and gives them their running counts.
     pub(super) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
         let mut rows = Vec::with_capacity(reports.len());
         for report in reports {
-            self.counters.made = self.counters.made.map(|made| made + 1);
-            report.count = self.counters.made;
+            let made = &mut self.counters().made;
+            *made = made.map(|made| made + 1);
+            report.count = *made;
             self.counts.kept += 1;
             // A report holds numbers and text: writing it cannot fail. An empty row would count as undeliverable.
             let json = serde_json::to_vec(report).unwrap_or_default();
             rows.push(StoredReport::new(report.id, report.count, json));
         }
-        let lost = self.work(|table, counters, most| table.insert(&rows, counters, most));
+        let lost = self.work(|table| table.insert(&rows));
         self.lose(lost, now);
     }
 
@@ -200,10 +181,10 @@ impl Waiting {
     /// `again` now. One that cannot be read is counted as undeliverable.
     pub(super) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
         loop {
-            let (reports, unreadable) = self.work(|table, _, _| read(table, node, again));
+            let (reports, unreadable) = self.work(|table| read(table, node, again));
             let is_end = unreadable.is_empty();
             if !is_end {
-                self.counters.undeliverable += unreadable.len() as u64;
+                self.counters().undeliverable += unreadable.len() as u64;
                 let refused = Answered {
                     refused: unreadable,
                     ..Answered::default()
@@ -232,7 +213,7 @@ impl Waiting {
             })
             .collect();
         let stored = (sent.len() - refused.len()) as u64;
-        self.counters.undeliverable += refused.len() as u64;
+        self.counters().undeliverable += refused.len() as u64;
         self.counts.acknowledged += stored;
         let answered = Answered {
             acknowledged: sent.difference(&refused).copied().collect(),
@@ -246,7 +227,7 @@ impl Waiting {
 
     fn conclude(&mut self, answered: &Answered, now: Now) {
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
-        self.work(|table, counters, _| table.answered(answered, counters, now.unix_ms, kept_ms));
+        self.work(|table| table.answered(answered, now.unix_ms, kept_ms));
     }
 
     #[cfg(test)]
@@ -257,10 +238,11 @@ impl Waiting {
     /// How it is.
     pub(super) fn counts(&self) -> OutboxCounts {
         let durable = self.file.is_some();
+        let counters = self.file.as_ref().unwrap_or(&self.memory).counters;
         OutboxCounts {
             in_memory: if durable { 0 } else { self.counts.waiting },
-            lost: self.counters.lost,
-            undeliverable: self.counters.undeliverable,
+            lost: counters.lost,
+            undeliverable: counters.undeliverable,
             durable,
             ..self.counts.clone()
         }

@@ -1,7 +1,7 @@
 //! Decides when a status is due, and writes it.
 
 use super::DesiredKeeper;
-use crate::state::board::Board;
+use crate::state::board::{Board, provider};
 use albireo_service::clock::Now;
 use albireo_wire::{
     CameraState, CameraStatus, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION,
@@ -119,7 +119,7 @@ impl StatusTeller {
             cameras: cameras.collect(),
             policy: board.policy.to_owned(),
             model: board.model.clone(),
-            provider: crate::api::http::provider(&board.detector_status()).map(str::to_owned),
+            provider: provider(&board.detector_status()).map(str::to_owned),
             power_source: power.source,
             power_quality: power.quality,
             health: board.readiness.health().status(),

@@ -5,11 +5,9 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, RingLimits};
 use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
-use albireo_vision::detector::DetectorStatus;
 use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
 use futures_util::FutureExt;
 use std::thread;
-use tokio::sync::watch;
 
 /// A receiver whose ring holds `capacity` frames, and the ring's other end.
 fn receiver(capacity: usize) -> (Arc<FrameReceiver>, Arc<Ring<SequencedFrame>>) {
@@ -17,8 +15,7 @@ fn receiver(capacity: usize) -> (Arc<FrameReceiver>, Arc<Ring<SequencedFrame>>) 
         cameras: vec![CameraConfig::named("front")],
         ..NodeConfig::default()
     };
-    let (_, status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::open(&config, status).unwrap();
+    let board = Board::open(&config).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
     let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
     let limits = FrameLimits::default();

@@ -1,5 +1,6 @@
 //! Events of a node, as they happen.
 
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
@@ -44,11 +45,14 @@ pub enum News {
     Counters(Arc<CountersMessage>),
     /// A threshold changed.
     Threshold(ThresholdEvent),
+    /// How the detector is doing.
+    Detector(DetectorEvent),
 }
 
 impl News {
     /// Names of all kinds, as [`News::name`] gives them.
-    pub(crate) const NAMES: [&'static str; 5] = ["frame", "late", "clip", "counters", "threshold"];
+    pub(crate) const NAMES: [&'static str; 6] =
+        ["frame", "late", "clip", "counters", "threshold", "detector"];
 
     /// The kind, as the `event:` line of a server-sent event has it.
     pub(crate) const fn name(&self) -> &'static str {
@@ -58,16 +62,18 @@ impl News {
             Self::Clip(_) => "clip",
             Self::Counters(_) => "counters",
             Self::Threshold(_) => "threshold",
+            Self::Detector(_) => "detector",
         }
     }
 
-    /// The camera it is about.
-    pub(crate) fn camera(&self) -> &str {
+    /// The camera it is about, if it is about one alone.
+    pub(crate) fn camera(&self) -> Option<&str> {
         match self {
-            Self::Frame(event) | Self::Late(event) => &event.camera,
-            Self::Clip(report) => &report.camera,
-            Self::Counters(message) => &message.camera,
-            Self::Threshold(event) => &event.camera,
+            Self::Frame(event) | Self::Late(event) => Some(&event.camera),
+            Self::Clip(report) => Some(&report.camera),
+            Self::Counters(message) => Some(&message.camera),
+            Self::Threshold(event) => Some(&event.camera),
+            Self::Detector(_) => None,
         }
     }
 }
@@ -92,4 +98,36 @@ pub struct ThresholdEvent {
     pub camera: Arc<str>,
     /// The threshold now.
     pub threshold: Threshold,
+}
+
+/// How the detector is doing.
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct DetectorEvent {
+    /// `starting`, `ready` or `degraded`.
+    status: &'static str,
+    /// Execution provider that really runs it; absent while it starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    provider: Option<&'static str>,
+    /// What happened, when degraded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<String>,
+}
+
+impl DetectorEvent {
+    pub(super) fn new(status: &DetectorStatus) -> Self {
+        Self {
+            status: match status {
+                DetectorStatus::Starting => "starting",
+                DetectorStatus::Ready { .. } => "ready",
+                _ => "degraded",
+            },
+            provider: provider(status),
+            reason: status.fault().map(str::to_owned),
+        }
+    }
+}
+
+/// The provider in use by a status.
+pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+    status.provider().map(ExecutionProvider::as_str)
 }

@@ -19,8 +19,7 @@ pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
 }
 
 pub(crate) fn board_of(config: &NodeConfig) -> Arc<Board> {
-    let (_, status) = watch::channel(DetectorStatus::Starting);
-    Board::open(config, status).unwrap()
+    Board::open(config).unwrap()
 }
 
 pub(crate) fn thresholds(board: &Board) -> Vec<f64> {
@@ -54,7 +53,7 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
         camera.answered(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
-        assert_eq!((event.news.name(), event.news.camera()), ("frame", "front"));
+        assert_eq!((event.news.name(), event.news.camera()), ("frame", Some("front")));
         let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
         assert_eq!(json["seq"], seq as u64);
         assert_eq!(json["camera"], "front");
@@ -118,13 +117,12 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
 
 #[test]
 fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
-    let (status, detector_status) = watch::channel(DetectorStatus::Starting);
-    let board = Board::open(&config(None, "albireo"), detector_status).unwrap();
+    let board = board(None, "albireo");
     let zenoh = board.readiness.part(readiness::ZENOH);
     zenoh.not_ready("the session is not open yet");
     let reasons = || board.readiness.health().status().reasons;
     assert_eq!(reasons().len(), 2);
-    status.send_replace(DetectorStatus::Ready {
+    board.set_detector_status(DetectorStatus::Ready {
         provider: ExecutionProvider::Cpu,
     });
     assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
@@ -132,7 +130,7 @@ fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
     assert!(board.readiness.health().is_ready());
     let provider = ExecutionProvider::Cpu;
     let reason = "a run took too long".to_owned();
-    status.send_replace(DetectorStatus::Degraded { reason, provider });
+    board.set_detector_status(DetectorStatus::Degraded { reason, provider });
     assert!(!board.readiness.health().is_ready());
 }
 

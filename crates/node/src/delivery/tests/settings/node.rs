@@ -6,13 +6,11 @@ use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusTeller, re
 use crate::state::board::tests::{config, thresholds};
 use crate::state::board::{Board, set_by_hand};
 use albireo_service::clock::Now;
-use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tokio::sync::watch;
 
 struct Started {
     board: Arc<Board>,
@@ -67,8 +65,7 @@ impl Node {
 
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = config(Some(&self.folder), "albireo");
-        let (_, status) = watch::channel(DetectorStatus::Starting);
-        let board = until_unlocked(|| Board::open(&config, status.clone()));
+        let board = until_unlocked(|| Board::open(&config));
         let mut schedule = Schedule::new(&OutboxConfig::default(), random, now.at);
         schedule.begin(now.at);
         self.started = Some(Started {
