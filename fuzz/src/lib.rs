@@ -6,7 +6,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_hub::config::HubConfig;
 use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::selector::Selector;
-use albireo_node::api::http::{NodeView, router};
+use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
 use albireo_node::state::board::Board;
@@ -314,13 +314,9 @@ const CHANGES: [&str; 3] = [
 ];
 
 fn node_api() -> axum::Router {
-    let board = Board::open(&NodeConfig::default()).expect("a board in memory");
-    let view = NodeView {
-        board,
-        limits: limits(),
-        config: Default::default(),
-    };
-    router(view, CancellationToken::new())
+    let config = NodeConfig::default();
+    let board = Board::open(&config).expect("a board in memory");
+    router(board, &config, CancellationToken::new())
 }
 
 /// The body of a request: the first byte chooses its route.

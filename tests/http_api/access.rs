@@ -1,6 +1,7 @@
-use super::served::{KNOB, Served, board, problem, view};
+use super::served::{KNOB, Served, board, problem};
 use crate::support::{assert_says, until};
 use albireo_node::api::http::router;
+use albireo_node::config::NodeConfig;
 use albireo_service::config::{HttpConfig, Token};
 use albireo_service::http::{self, HttpError};
 use reqwest::Method;
@@ -105,13 +106,11 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
     let board = board("albireo", None);
-    let view = view(&board, serde_json::Value::Null);
     let shutdown = CancellationToken::new();
     // Already over: a service that is not refused ends at once.
     shutdown.cancel();
-    http::run(&config, router(view, shutdown.clone()), listener, shutdown)
-        .await
-        .err()
+    let router = router(board, &NodeConfig::default(), shutdown.clone());
+    http::run(&config, router, listener, shutdown).await.err()
 }
 
 #[tokio::test]

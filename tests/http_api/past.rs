@@ -1,13 +1,12 @@
 //! A node's history: for a page that is opened later, and for diagnosis.
 
-use super::served::{Frames, Served, board, clip, frame};
+use super::served::{Frames, Served, clip, frame};
 #[cfg(feature = "hub")]
 use crate::support::{Ended, albireo};
 use crate::support::{assert_has, assert_says};
 use albireo_core::policy::FrameState;
-use albireo_node::config::NodeConfig;
 use albireo_node::state::board::PowerSnapshot;
-use albireo_service::config::{Token, without_secrets};
+use albireo_service::config::{HttpConfig, Token};
 use albireo_wire::{CallCause, EnergyQuality};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -188,10 +187,11 @@ fn untar(archive: &[u8]) -> BTreeMap<String, String> {
 #[tokio::test]
 async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
     let secret = "the-token-of-this-very-node";
-    let mut config = NodeConfig::default();
-    config.http.token = Some(Token::new(secret));
-    let shown = without_secrets(&config);
-    let node = Served::over(config.http, board("albireo", None), shown).await;
+    let config = HttpConfig {
+        token: Some(Token::new(secret)),
+        ..HttpConfig::default()
+    };
+    let node = Served::with(config).await;
     node.front().answered(frame(0, FrameState::I));
     node.board.record_clip(clip("front", 0));
     node.refused("/api/v1/diag", 401).await;

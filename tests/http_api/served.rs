@@ -2,13 +2,12 @@
 
 use albireo_core::policy::{Albireo, FrameState, Knob};
 use albireo_node::FrameRecord;
-use albireo_node::api::http::{NodeView, router};
+use albireo_node::api::http::router;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::state::board::{Board, CameraBoard};
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
-use albireo_vision::picture::FrameLimits;
 use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::{Value, json};
@@ -44,15 +43,6 @@ pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
     Board::open(&config).unwrap()
 }
 
-/// What is served of a board.
-pub(crate) fn view(board: &Arc<Board>, config: Value) -> NodeView {
-    NodeView {
-        board: Arc::clone(board),
-        limits: FrameLimits::default(),
-        config: Arc::new(config),
-    }
-}
-
 impl Served {
     /// With the default settings.
     pub(crate) async fn start() -> Self {
@@ -60,27 +50,28 @@ impl Served {
     }
 
     pub(crate) async fn with(config: HttpConfig) -> Self {
-        Self::over(config, board("albireo", None), Value::Null).await
+        Self::over(config, board("albireo", None)).await
     }
 
     /// Over a board with that state directory.
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
         let board = board("albireo", Some(state_dir));
-        Self::over(HttpConfig::default(), board, Value::Null).await
+        Self::over(HttpConfig::default(), board).await
     }
 
-    /// Over that board, as if configured as `shown`.
-    pub(crate) async fn over(
-        config: HttpConfig,
-        board: Arc<Board>,
-        shown: Value,
-    ) -> Self {
+    /// Over that board.
+    pub(crate) async fn over(http: HttpConfig, board: Arc<Board>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let shutdown = CancellationToken::new();
-        let (view, stop) = (view(&board, shown), shutdown.clone());
+        let config = NodeConfig {
+            http,
+            ..NodeConfig::default()
+        };
+        let (routed, stop) = (Arc::clone(&board), shutdown.clone());
         let task = tokio::spawn(async move {
-            http::run(&config, router(view, stop.clone()), listener, stop).await
+            let router = router(routed, &config, stop.clone());
+            http::run(&config.http, router, listener, stop).await
         });
         Self {
             board,

@@ -153,7 +153,7 @@ async fn an_unknown_camera_is_refused_with_the_names_of_the_known_ones() {
 
 #[tokio::test]
 async fn a_policy_without_a_threshold_says_so() {
-    let node = Served::over(HttpConfig::default(), board("vanilla", None), Value::Null).await;
+    let node = Served::over(HttpConfig::default(), board("vanilla", None)).await;
     for path in PATHS {
         let refused = problem(node.put(path, r#"{"u": 5e-4}"#).await, 409).await;
         assert_eq!(

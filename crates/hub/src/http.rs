@@ -27,7 +27,7 @@ use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
-use albireo_service::http::{self, Page, Problem, Route};
+use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
 use albireo_wire::CountersMessage;
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -36,8 +36,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
+use utoipa::OpenApi as _;
 use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
-use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -164,23 +164,10 @@ impl From<StoreError> for Problem {
         energy::Sort,
         Command
     )),
-    modifiers(&Security),
+    modifiers(&TokenSecurity),
     security((), ("token" = []))
 )]
 struct Description;
-
-struct Security;
-
-impl Modify for Security {
-    fn modify(&self, openapi: &mut OpenApi) {
-        use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
-        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
-        openapi
-            .components
-            .get_or_insert_default()
-            .add_security_scheme("token", SecurityScheme::Http(token));
-    }
-}
 
 fn described() -> (Router<HubView>, OpenApi) {
     let routes = OpenApiRouter::with_openapi(Description::openapi())

@@ -1,11 +1,10 @@
 //! The service: a node and its HTTP interface, from start to stop.
 
-use crate::api::http::{self, NodeView};
+use crate::api::http;
 use crate::config::NodeConfig;
 use crate::state::board::Board;
 use crate::state::readiness;
 use crate::{Node, NodeError, PreparedNode};
-use albireo_service::config::without_secrets;
 use albireo_service::http::{HttpError, Problem, run_with_tokens};
 use axum::http::{Method, StatusCode};
 use axum::routing::{any, get};
@@ -96,15 +95,10 @@ pub async fn run_prepared(
         what: "the listener has no address",
         source,
     })?;
-    let view = NodeView {
-        board: Arc::clone(prepared.board()),
-        limits: config.frame,
-        config: Arc::new(without_secrets(config)),
-    };
     let view_board = Arc::clone(prepared.board());
     // HTTP outlives the node, so that the counters can be read until the end.
     let serving = CancellationToken::new();
-    let router = http::router(view, serving.clone());
+    let router = http::router(Arc::clone(prepared.board()), config, serving.clone());
     // A separate task: nothing the node waits for may keep a health check waiting.
     let http = tokio::spawn(serve(config, router, listener, serving.clone()));
     // Without its interface a node cannot be watched or stopped: it ends.

@@ -122,10 +122,7 @@ impl PreparedNode {
         config: &NodeConfig,
         shutdown: CancellationToken,
     ) -> Result<Node, NodeError> {
-        let Self {
-            board,
-            policies,
-        } = self;
+        let Self { board, policies } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
         let zenoh = board.readiness.part(readiness::ZENOH);
         zenoh.not_ready("the session is not open yet");

@@ -4,19 +4,22 @@
 //! *not ready* (`/readyz` answers 503); one it works beside makes it *degraded* (`/readyz` answers 200 with the
 //! reasons). A part reports its faults as they come ([`Part`]), or is asked each time ([`Readiness::probe`]).
 
+use crate::clock::seconds;
 use albireo_wire::{HealthState, HealthStatus};
 use parking_lot::Mutex;
+use serde::{Serialize, Serializer};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 use tokio::sync::watch;
 use tokio::time::{Duration, Instant};
+use utoipa::ToSchema;
 
 /// What is wrong with a part.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Fault {
-    /// The state in which it leaves the service: degraded or not ready.
+    /// `not_ready` when the service cannot do its work, `degraded` when it works beside the fault.
     pub effect: HealthState,
     /// What is wrong, for people. No number that moves by itself belongs here: each new text is a change.
     pub reason: String,
@@ -40,17 +43,27 @@ impl Fault {
     }
 }
 
-/// One fault of a [`Health`].
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// What is wrong with one of the service's parts.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct PartFault {
     /// The part: `detector`, `zenoh`, …
+    #[schema(value_type = String)]
     pub part: Cow<'static, str>,
-    /// Which of several, where the part has several: a camera's name, a task's. Empty for the part itself.
+    /// Which of several: the name of a camera or a task. Absent where it is the part itself.
+    #[serde(skip_serializing_if = "str::is_empty")]
+    #[schema(value_type = Option<String>)]
     pub subject: Cow<'static, str>,
     /// What is wrong.
+    #[serde(flatten)]
     pub fault: Fault,
-    /// How long the part has been at fault, whatever the reasons were meanwhile.
+    /// Seconds since the part is at fault, whatever the reasons were meanwhile.
+    #[serde(rename = "since_s", serialize_with = "in_seconds")]
+    #[schema(value_type = f64)]
     pub lasted: Duration,
+}
+
+fn in_seconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(seconds(*time))
 }
 
 /// Everything that is wrong at one moment.

@@ -16,8 +16,10 @@ mod states;
 mod target;
 mod threshold;
 
+use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
-use albireo_service::http::{self, Page, Problem, Route};
+use albireo_service::config::without_secrets;
+use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
 use albireo_service::metrics::Counter;
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
@@ -32,26 +34,19 @@ use axum::routing::get;
 use std::sync::Arc;
 use tokio::sync::{Mutex, Semaphore};
 use tokio_util::sync::CancellationToken;
+use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
-use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
-
-/// What the routes look at.
-#[derive(Clone, Debug)]
-pub struct NodeView {
-    /// The live board.
-    pub board: Arc<Board>,
-    /// Limits for decoding the latest picture of a camera that does not send JPEG.
-    pub limits: FrameLimits,
-    /// The configuration as it may be shown: without its secrets.
-    pub config: Arc<serde_json::Value>,
-}
 
 /// What every handler gets.
 #[derive(Clone)]
 struct RouteState {
-    view: NodeView,
+    board: Arc<Board>,
+    /// Limits for decoding the latest picture of a camera that does not send JPEG.
+    limits: FrameLimits,
+    /// The configuration without its secrets.
+    config: Arc<serde_json::Value>,
     /// The right to decode a picture: memory holds one that is decoded, however many are asked for.
     decoding: Arc<Mutex<()>>,
     /// Pictures decoded to be shown.
@@ -64,17 +59,13 @@ struct RouteState {
 }
 
 impl RouteState {
-    fn board(&self) -> &Arc<Board> {
-        &self.view.board
-    }
-
     fn camera_names(&self) -> Vec<String> {
-        let cameras = self.board().cameras.iter();
+        let cameras = self.board.cameras.iter();
         cameras.map(|camera| camera.name().to_owned()).collect()
     }
 
     fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {
-        self.board().camera(name).ok_or_else(|| {
+        self.board.camera(name).ok_or_else(|| {
             let names = self.camera_names();
             let detail = format!(
                 "there is no camera `{name}`; there is: {}",
@@ -127,23 +118,10 @@ fn bad_request(detail: String) -> Problem {
         ThresholdEvent,
         DetectorEvent
     )),
-    modifiers(&Security),
+    modifiers(&TokenSecurity),
     security((), ("token" = []))
 )]
 struct Description;
-
-struct Security;
-
-impl Modify for Security {
-    fn modify(&self, openapi: &mut OpenApi) {
-        use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
-        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
-        openapi
-            .components
-            .get_or_insert_default()
-            .add_security_scheme("token", SecurityScheme::Http(token));
-    }
-}
 
 fn described() -> OpenApiRouter<RouteState> {
     OpenApiRouter::with_openapi(Description::openapi())
@@ -176,8 +154,8 @@ pub fn openapi() -> OpenApi {
     described().split_for_parts().1
 }
 
-/// All routes, with their description and the page.
-pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
+/// All routes of the node with this board and configuration, with their description and the page.
+pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToken) -> Router {
     let (router, openapi) = described().split_for_parts();
     #[cfg(feature = "swagger")]
     let router = router.merge(
@@ -194,7 +172,9 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
         )
         .with_state(RouteState {
-            view,
+            board,
+            limits: config.frame,
+            config: Arc::new(without_secrets(config)),
             decoding: Arc::default(),
             decoded: Counter::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),

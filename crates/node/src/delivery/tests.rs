@@ -42,43 +42,6 @@ fn run(simulation: Simulation, seed: u64, verbose: bool) -> Result<Run, String> 
     ran.map_err(|wrong| format!("seed {seed}: {wrong}\n  again: make simulate SEED={seed}"))
 }
 
-/// What many runs came to.
-#[derive(Default)]
-struct Summary {
-    seeds: u64,
-    node_hours: f64,
-    made: u64,
-    faults: BTreeMap<&'static str, u64>,
-    wrong: Vec<String>,
-}
-
-impl Summary {
-    fn add(&mut self, ran: Result<Run, String>) {
-        self.seeds += 1;
-        match ran {
-            Ok(run) => {
-                self.node_hours += run.node_hours;
-                self.made += run.made;
-                for (fault, times) in run.faults {
-                    *self.faults.entry(fault).or_default() += times;
-                }
-            }
-            Err(wrong) => self.wrong.push(wrong),
-        }
-    }
-
-    fn line(&self, what: &str, began: Instant) -> String {
-        let seconds = began.elapsed().as_secs_f64();
-        format!(
-            "{} seeds in {seconds:.0} s, {:.0} node-hours, {} {what}, {} seeds failed",
-            self.seeds,
-            self.node_hours,
-            self.made,
-            self.wrong.len()
-        )
-    }
-}
-
 /// Runs one of `share` of the seeds on all cores, until five have failed.
 fn run_seeds(simulation: Simulation, what: &str, share: u64) {
     let replayed = setting("ALBIREO_SEED");
@@ -86,37 +49,39 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
     let many = setting("ALBIREO_SEEDS").unwrap_or(1000).div_ceil(share);
     let many = replayed.map_or(many, |_| 1);
     let (began, next) = (Instant::now(), AtomicU64::new(first));
-    let summary = Mutex::new(Summary::default());
+    let (runs, wrong) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
     // Each takes some megabytes of memory for its files.
     let threads = std::thread::available_parallelism().map_or(1, |many| many.get().min(8));
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
-                loop {
+                while wrong.lock().unwrap().len() < 5 {
                     let seed = next.fetch_add(1, Ordering::Relaxed);
                     if seed >= first + many {
                         return;
                     }
-                    let ran = run(simulation, seed, replayed.is_some());
-                    let mut summary = summary.lock().unwrap();
-                    summary.add(ran);
-                    if summary.seeds.is_multiple_of(1000) {
-                        println!("{}", summary.line(what, began));
-                    }
-                    if summary.wrong.len() >= 5 {
-                        return;
+                    match run(simulation, seed, replayed.is_some()) {
+                        Ok(run) => runs.lock().unwrap().push(run),
+                        Err(one) => wrong.lock().unwrap().push(one),
                     }
                 }
             });
         }
     });
-    let summary = summary.into_inner().unwrap();
+    let (runs, wrong) = (runs.into_inner().unwrap(), wrong.into_inner().unwrap());
+    let mut faults = BTreeMap::<&str, u64>::new();
+    for (fault, times) in runs.iter().flat_map(|run| &run.faults) {
+        *faults.entry(fault).or_default() += times;
+    }
     println!(
-        "{}; faults: {:?}",
-        summary.line(what, began),
-        summary.faults
+        "{} seeds in {:.0} s, {:.0} node-hours, {} {what}, {} seeds failed; faults: {faults:?}",
+        runs.len(),
+        began.elapsed().as_secs_f64(),
+        runs.iter().map(|run| run.node_hours).sum::<f64>(),
+        runs.iter().map(|run| run.made).sum::<u64>(),
+        wrong.len()
     );
-    assert!(summary.wrong.is_empty(), "{}", summary.wrong.join("\n"));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]

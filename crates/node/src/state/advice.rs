@@ -144,37 +144,33 @@ fn one_digit_above(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::answer;
     use albireo_core::policy::{Albireo, ExpectedLoss, FrameState};
-    use albireo_wire::Latency;
 
-    fn message(state: FrameState, knob: Threshold, tau_max: Option<f64>) -> DetectionsMessage {
-        DetectionsMessage {
-            v: 1,
-            seq: 0,
-            t_ns: 0,
-            clip: String::new(),
-            state,
-            pending: false,
-            degraded: false,
-            cause: None,
-            tau_max,
-            threshold: Some(knob),
-            width: 720,
-            height: 576,
-            boxes: Vec::new(),
-            latency_ms: Latency::default(),
+    fn count(watch: &mut SkipWatch, state: FrameState, knob: &Knob, value: f64, tau: f64) -> bool {
+        let threshold = Some(Threshold::new(knob.name, value));
+        let mut message = DetectionsMessage::clone(&answer(0, state, false, threshold));
+        message.tau_max = Some(tau).filter(|tau| *tau > 0.0);
+        watch.count(&message)
+    }
+
+    /// The advice after frames that are all alike; without objects where `tau` is 0.
+    fn advice(state: FrameState, knob: &Knob, value: f64, tau: f64) -> Option<Advice> {
+        let mut watch = SkipWatch::default();
+        for _ in 0..1000 {
+            count(&mut watch, state, knob, value, tau);
         }
+        watch.advice(knob)
     }
 
     #[test]
     fn a_policy_that_skips_nothing_is_told_a_value_under_which_it_would() {
         let knob = Albireo::KNOB;
-        let value = Threshold::new(knob.name, 1e-4);
         let mut watch = SkipWatch::default();
         let mut clear = 0;
         for frame in 0..400_u32 {
             let tau = 1.9e-4 + 1e-6 * f64::from(frame % 10);
-            clear += u32::from(watch.count(&message(FrameState::I, value, Some(tau))));
+            clear += u32::from(count(&mut watch, FrameState::I, &knob, 1e-4, tau));
             assert_eq!(watch.advice(&knob).is_some(), frame >= 299);
         }
         assert_eq!(clear, 1, "it is told once");
@@ -185,10 +181,9 @@ mod tests {
             "no frame of 400 was skipped, though objects were followed in 400 of them; try u = 2e-4 (it is 1e-4)"
         );
         // Turned, it is another matter; and one skipped frame is enough to be silent.
-        let turned = Threshold::new(knob.name, 2e-4);
-        watch.count(&message(FrameState::P, turned, Some(1.9e-4)));
+        count(&mut watch, FrameState::P, &knob, 2e-4, 1.9e-4);
         for _ in 0..400 {
-            watch.count(&message(FrameState::I, turned, Some(3e-4)));
+            count(&mut watch, FrameState::I, &knob, 2e-4, 3e-4);
         }
         assert_eq!(watch.advice(&knob), None);
         assert_eq!(watch.advice_so_far(&knob), None);
@@ -196,44 +191,19 @@ mod tests {
 
     #[test]
     fn an_empty_street_says_nothing_of_the_threshold() {
-        let knob = Albireo::KNOB;
-        let mut watch = SkipWatch::default();
-        for _ in 0..1000 {
-            watch.count(&message(
-                FrameState::EI,
-                Threshold::new(knob.name, 3e-4),
-                None,
-            ));
-        }
-        assert_eq!(watch.advice(&knob), None);
+        assert_eq!(advice(FrameState::EI, &Albireo::KNOB, 3e-4, 0.0), None);
     }
 
     #[test]
     fn a_cap_that_calls_the_detector_is_not_blamed_on_the_threshold() {
-        let knob = Albireo::KNOB;
-        let mut watch = SkipWatch::default();
-        for _ in 0..400 {
-            watch.count(&message(
-                FrameState::I,
-                Threshold::new(knob.name, 1e-3),
-                Some(2e-4),
-            ));
-        }
-        assert_eq!(watch.advice(&knob), None);
+        assert_eq!(advice(FrameState::I, &Albireo::KNOB, 1e-3, 2e-4), None);
     }
 
     #[test]
     fn a_price_of_nothing_is_told_the_default() {
         let knob = ExpectedLoss::KNOB;
-        let mut watch = SkipWatch::default();
-        for _ in 0..400 {
-            watch.count(&message(
-                FrameState::I,
-                Threshold::new(knob.name, 0.0),
-                Some(0.1),
-            ));
-        }
-        assert_eq!(watch.advice(&knob).unwrap().attempt, knob.default);
+        let advice = advice(FrameState::I, &knob, 0.0, 0.1).unwrap();
+        assert_eq!(advice.attempt, knob.default);
     }
 
     #[test]

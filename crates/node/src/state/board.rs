@@ -8,9 +8,9 @@ mod savings;
 mod threshold;
 
 pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
-pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use event::provider;
-pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
+pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
+pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
 #[cfg(test)]
 pub(crate) use threshold::set_by_hand;

@@ -5,7 +5,9 @@ use super::Caller;
 use crate::config::Role;
 use axum::{Extension, Json};
 use serde::Serialize;
-use utoipa::ToSchema;
+use utoipa::openapi::OpenApi;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+use utoipa::{Modify, ToSchema};
 
 /// Who asks.
 #[derive(Debug, Serialize, ToSchema)]
@@ -31,4 +33,18 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {
         may_tune: tunes,
         name: caller.name.to_string(),
     })
+}
+
+/// Describes in an OpenAPI document that callers show a token.
+#[derive(Debug)]
+pub struct TokenSecurity;
+
+impl Modify for TokenSecurity {
+    fn modify(&self, openapi: &mut OpenApi) {
+        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        openapi
+            .components
+            .get_or_insert_default()
+            .add_security_scheme("token", SecurityScheme::Http(token));
+    }
 }

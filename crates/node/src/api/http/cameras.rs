@@ -115,11 +115,9 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
 /// `curl http://127.0.0.1:8080/api/v1/cameras`
 #[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
 pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
-    let cameras = shared.board().cameras.iter();
+    let cameras = shared.board.cameras.iter();
     Json(Cameras {
-        cameras: cameras
-            .map(|camera| entry(shared.board(), camera))
-            .collect(),
+        cameras: cameras.map(|camera| entry(&shared.board, camera)).collect(),
     })
 }
 
@@ -142,7 +140,7 @@ pub(super) async fn one(
     let snapshot = camera.snapshot();
     let skip_rate = significant(snapshot.skip_rate(), 4);
     Ok(Json(CameraDetail {
-        entry: entry(shared.board(), camera),
+        entry: entry(&shared.board, camera),
         version: env!("CARGO_PKG_VERSION"),
         policy: camera.policy,
         threshold: camera.threshold_in_force(),

@@ -5,8 +5,8 @@ use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use serde::de::DeserializeOwned;
-use serde_json::error::Category;
+use serde::de::{DeserializeOwned, IgnoredAny};
+use std::fmt::Display;
 
 /// Reads the message out of a request. `expected` says what it should be, in words.
 pub(super) fn message<T: DeserializeOwned>(
@@ -46,28 +46,17 @@ pub(super) fn message<T: DeserializeOwned>(
         };
         Problem::new(status, detail)
     })?;
-    let fault =
-        |status, what: &str| Problem::new(status, format!("the body must be {expected}: {what}"));
+    let fault = |status, what: &dyn Display| {
+        Problem::new(status, format!("the body must be {expected}: {what}"))
+    };
+    let no_json = |error| fault(StatusCode::BAD_REQUEST, &error);
+    serde_json::from_slice::<IgnoredAny>(&body).map_err(|error| no_json(error))?;
+    let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
     // Serde would also read a list of the fields' values.
-    if !body.trim_ascii_start().starts_with(b"{")
-        && serde_json::from_slice::<serde::de::IgnoredAny>(&body).is_ok()
-    {
-        return Err(fault(
-            StatusCode::UNPROCESSABLE_ENTITY,
-            "it is no JSON object",
-        ));
+    if !body.trim_ascii_start().starts_with(b"{") {
+        return Err(not_this(&"it is no JSON object"));
     }
-    serde_json::from_slice(&body).map_err(|error| {
-        // Of two fields where one is expected serde says that the syntax is wrong; it is only not this message. A number that
-        // is too large for any is no number.
-        let is_json = serde_json::from_slice::<serde_json::Value>(&body).is_ok();
-        let status = match error.classify() {
-            Category::Data => StatusCode::UNPROCESSABLE_ENTITY,
-            _ if is_json => StatusCode::UNPROCESSABLE_ENTITY,
-            Category::Syntax | Category::Eof | Category::Io => StatusCode::BAD_REQUEST,
-        };
-        fault(status, &error.to_string())
-    })
+    serde_json::from_slice(&body).map_err(|error| not_this(&error))
 }
 
 /// Changing writes a file, which may take a moment on a slow card: not on the runtime's own threads.

@@ -68,7 +68,7 @@ pub(super) async fn list(
     }
     let Selection { before, after, .. } = selection;
     // One more than requested shows whether there are more.
-    let board = shared.board();
+    let board = &shared.board;
     let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;
     clips.truncate(limit);

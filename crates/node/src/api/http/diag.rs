@@ -30,7 +30,7 @@ fn text(value: &impl Serialize) -> Vec<u8> {
 )]
 pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response, Problem> {
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
-    let board = shared.board();
+    let board = &shared.board;
     let name = board.node.clone();
     let about = json!({
         "program": "albireo node",
@@ -50,7 +50,7 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     let metrics = metrics::page(&shared).into_text();
     let files = [
         ("about.json", text(&about)),
-        ("configuration.json", text(&*shared.view.config)),
+        ("configuration.json", text(&*shared.config)),
         ("node.json", text(&overview)),
         ("cameras.json", text(&cameras)),
         ("frame-states.json", text(&counters)),

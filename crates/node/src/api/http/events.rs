@@ -17,8 +17,8 @@ use std::convert::Infallible;
 use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::broadcast::{self, error::RecvError};
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
@@ -148,7 +148,7 @@ pub(super) async fn stream(
                 format!("all {MOST_STREAMS} event streams are in use; close one and try again");
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
         })?;
-    let board = shared.board();
+    let board = &shared.board;
     let mut reader = Reader {
         camera,
         types,
@@ -159,7 +159,9 @@ pub(super) async fn stream(
         _place: place,
     };
     let current = board.current(unix_nanoseconds());
-    reader.first = (current.iter()).filter_map(|happened| reader.select(happened)).collect();
+    reader.first = (current.iter())
+        .filter_map(|happened| reader.select(happened))
+        .collect();
     let events = stream::unfold(reader, |mut reader| async move {
         let event = reader.next().await?;
         Some((Ok(event), reader))

@@ -25,37 +25,6 @@ pub(super) struct Health {
     uptime_s: f64,
 }
 
-/// What is wrong with one of the node's parts.
-#[derive(Serialize, ToSchema)]
-pub(super) struct Reason {
-    /// Which part: `detector`, `screen`, `cameras`, `power`, `outbox`, `zenoh`, `uplink`, `disk` or `tasks`.
-    part: String,
-    /// Which of several: the name of a camera or a task. Absent where it is the part itself.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    subject: Option<String>,
-    /// `not_ready` when the node cannot do its work, `degraded` when it works beside the fault.
-    effect: &'static str,
-    /// What is the matter.
-    reason: String,
-    /// Seconds since the part is at fault.
-    since_s: f64,
-}
-
-impl From<PartFault> for Reason {
-    fn from(fault: PartFault) -> Self {
-        Self {
-            part: fault.part.into_owned(),
-            subject: (!fault.subject.is_empty()).then(|| fault.subject.into_owned()),
-            effect: match fault.fault.effect {
-                HealthState::NotReady => "not_ready",
-                _ => "degraded",
-            },
-            reason: fault.fault.reason,
-            since_s: albireo_service::clock::seconds(fault.lasted),
-        }
-    }
-}
-
 /// Whether frames are processed as the configuration wants it, and by what.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Readiness {
@@ -75,7 +44,7 @@ pub(super) struct Readiness {
     /// Execution providers asked for, in order.
     requested_providers: Vec<&'static str>,
     /// What is wrong; empty when every part works.
-    reasons: Vec<Reason>,
+    reasons: Vec<PartFault>,
 }
 
 /// [`Readiness`] as a problem document.
@@ -98,7 +67,7 @@ pub(super) fn readiness(board: &Board) -> Readiness {
         model: board.model.clone(),
         provider: provider(&board.detector_status()),
         requested_providers: board.providers.iter().map(|name| name.as_str()).collect(),
-        reasons: health.faults.iter().cloned().map(Reason::from).collect(),
+        reasons: health.faults,
     }
 }
 
@@ -107,7 +76,7 @@ pub(super) fn readiness(board: &Board) -> Readiness {
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
 #[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
 pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
-    let board = shared.board();
+    let board = &shared.board;
     Json(Health {
         status: "ok",
         node: board.node.clone(),
@@ -128,11 +97,11 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
     )
 )]
 pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
-    let readiness = readiness(shared.board());
+    let readiness = readiness(&shared.board);
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let reasons = shared.board().readiness.health().status().reasons;
+    let reasons = shared.board.readiness.health().status().reasons;
     let words: Vec<_> = (reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
         .collect();

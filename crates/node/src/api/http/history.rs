@@ -1,7 +1,7 @@
 //! The recent past of a node, for a page that has just been opened.
 
 use super::{RouteState, bad_request, query};
-use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S};
+use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
 use albireo_wire::Threshold;
@@ -127,7 +127,7 @@ pub(super) struct PowerHistory {
 pub(super) async fn power(State(shared): State<RouteState>) -> Json<PowerHistory> {
     Json(PowerHistory {
         slot_s: SLOT_S,
-        slots: shared.board().power_past(),
+        slots: shared.board.power_past(),
     })
 }
 
@@ -141,17 +141,6 @@ pub(super) struct Values {
     values: Option<String>,
 }
 
-/// What one value would have skipped.
-#[derive(Serialize, ToSchema)]
-pub(super) struct ValueEstimate {
-    /// The value.
-    value: f64,
-    /// Frames without the detector.
-    skipped: usize,
-    /// Share of the frames.
-    skip_rate: f64,
-}
-
 /// What other thresholds would have skipped over the last minutes.
 #[derive(Serialize, ToSchema)]
 pub(super) struct SkipEstimates {
@@ -160,18 +149,10 @@ pub(super) struct SkipEstimates {
     /// Always true: under another value other frames would have been matched, so objects would have evolved differently.
     /// Recorded uncertainties are scaled by how they grew with the time since a call.
     estimated: bool,
-    /// Frames looked at.
-    frames: usize,
-    /// Time they took, seconds.
-    duration_s: f64,
-    /// Frames that really were answered without the detector.
-    skipped: usize,
-    /// Share of the frames, really.
-    skip_rate: f64,
+    #[serde(flatten)]
+    estimate: SkipEstimate,
     /// The threshold in force.
     threshold: Threshold,
-    /// What each value would have skipped, in the order asked for.
-    values: Vec<ValueEstimate>,
 }
 
 /// Most values of one question.
@@ -227,31 +208,15 @@ pub(super) async fn skip_estimate(
             .collect(),
     };
     // Some milliseconds of computing: not on a thread that frames wait for.
-    let camera = std::sync::Arc::clone(camera);
-    let computed = tokio::task::spawn_blocking(move || {
-        let estimate = camera.skip_estimate();
-        let values = values.into_iter().map(|value| {
-            let skipped = estimate.skipped_at(value);
-            ValueEstimate {
-                value,
-                skipped,
-                skip_rate: estimate.share(skipped),
-            }
-        });
-        let skipped = estimate.skipped();
-        Some(SkipEstimates {
-            camera: camera.name().to_owned(),
-            estimated: true,
-            frames: estimate.frames(),
-            duration_s: estimate.duration_s()?,
-            skipped,
-            skip_rate: estimate.share(skipped),
-            threshold,
-            values: values.collect(),
-        })
-    });
-    let Ok(Some(estimates)) = computed.await else {
+    let (name, camera) = (camera.name().to_owned(), std::sync::Arc::clone(camera));
+    let computed = tokio::task::spawn_blocking(move || camera.skip_estimate(&values));
+    let Ok(Some(estimate)) = computed.await else {
         return Err(cannot("no frame after a detector call is recorded yet"));
     };
-    Ok(Json(estimates))
+    Ok(Json(SkipEstimates {
+        camera: name,
+        estimated: true,
+        estimate,
+        threshold,
+    }))
 }

@@ -29,7 +29,7 @@ pub(super) struct Index {
 /// `curl http://127.0.0.1:8080/api/v1`
 #[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]
 pub(super) async fn index(State(shared): State<RouteState>) -> Json<Index> {
-    let board = shared.board();
+    let board = &shared.board;
     Json(Index {
         node: board.node.clone(),
         version: env!("CARGO_PKG_VERSION"),

@@ -24,7 +24,7 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
 
 /// All metrics, read from the board.
 pub(super) fn page(shared: &RouteState) -> MetricsPage {
-    let (mut page, board) = (MetricsPage::default(), shared.board());
+    let (mut page, board) = (MetricsPage::default(), &shared.board);
     page.process();
     page.counter(
         "albireo_shown_pictures_decoded_total",

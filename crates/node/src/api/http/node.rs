@@ -49,7 +49,7 @@ pub(super) struct EnergySinceStart {
 /// `curl http://127.0.0.1:8080/api/v1/node`
 #[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
-    let board = shared.board();
+    let board = &shared.board;
     let power = board.power();
     let (since_start, today) = board.savings();
     Json(NodeOverview {

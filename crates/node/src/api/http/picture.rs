@@ -33,7 +33,7 @@ pub(super) async fn jpeg(
         let detail = format!("no picture came from camera `{camera}` yet");
         Problem::new(StatusCode::NOT_FOUND, detail)
     };
-    let limits = shared.view.limits;
+    let limits = shared.limits;
     let mut frame = board.latest_frame().ok_or_else(missing)?;
     let file = if frame.is_made() {
         frame.jpeg(&limits)

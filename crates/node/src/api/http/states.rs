@@ -106,7 +106,7 @@ fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
 /// `curl http://127.0.0.1:8080/api/v1/frame-states`
 #[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
-    let board = shared.board();
+    let board = &shared.board;
     let cameras: Vec<_> = (board.cameras.iter())
         .map(|camera| (&**camera, camera.snapshot()))
         .collect();

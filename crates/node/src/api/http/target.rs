@@ -9,6 +9,7 @@ use axum::body::Bytes;
 use axum::extract::State;
 use axum::extract::rejection::BytesRejection;
 use axum::http::{HeaderMap, StatusCode};
+use std::sync::Arc;
 
 const EXPECTED: &str =
     "a JSON object such as {\"target\": {\"skip_rate\": 0.5}}, or {\"target\": null} for none";
@@ -18,7 +19,7 @@ const EXPECTED: &str =
 /// `curl http://127.0.0.1:8080/api/v1/target`
 #[utoipa::path(get, operation_id = "target", path = "/api/v1/target", tag = "threshold", responses((status = 200, body = TargetReport)))]
 pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> {
-    Json(shared.board().target.report())
+    Json(shared.board.target.report())
 }
 
 /// Sets a target instead of a threshold
@@ -45,9 +46,9 @@ pub(super) async fn put(
         let what = format!("version {} is not known here, only {VERSION}", message.v);
         return Err(refused(StatusCode::UNPROCESSABLE_ENTITY, what));
     }
-    let board = shared.board().clone();
+    let board = Arc::clone(&shared.board);
     off_the_runtime(move || board.set_target(message.target, SettingSource::Local))
         .await?
         .map_err(|error| refused(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()))?;
-    Ok(Json(shared.board().target.report()))
+    Ok(Json(shared.board.target.report()))
 }

@@ -49,6 +49,9 @@ pub(super) struct CameraThreshold {
     /// What the policy calls it, its range and its default; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
+    /// Whether a value changed while running holds after a restart; absent in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    survives_restart: Option<bool>,
 }
 
 /// The thresholds of a node.
@@ -65,20 +68,12 @@ pub(super) struct Thresholds {
     cameras: Vec<CameraThreshold>,
 }
 
-/// One camera's threshold, as read or as changed.
-#[derive(Serialize, ToSchema)]
-pub(super) struct OneThreshold {
-    #[serde(flatten)]
-    threshold: CameraThreshold,
-    /// Whether a value changed while running holds after a restart.
-    survives_restart: bool,
-}
-
 fn of(camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
         knob: camera.knob,
+        survives_restart: None,
     }
 }
 
@@ -93,11 +88,11 @@ fn thresholds(board: &Board) -> Thresholds {
     }
 }
 
-fn one_threshold(board: &Board, camera: &CameraBoard) -> OneThreshold {
-    OneThreshold {
-        threshold: of(camera),
-        survives_restart: board.outbox.counts().durable,
-    }
+fn one_threshold(board: &Board, camera: &CameraBoard) -> Json<CameraThreshold> {
+    Json(CameraThreshold {
+        survives_restart: Some(board.outbox.counts().durable),
+        ..of(camera)
+    })
 }
 
 /// Sets the threshold of these cameras to what a request says.
@@ -148,7 +143,7 @@ fn expected(knob: Option<Knob>) -> String {
 /// `curl http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(get, operation_id = "thresholds", path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
 pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds> {
-    Json(thresholds(shared.board()))
+    Json(thresholds(&shared.board))
 }
 
 /// Changes the threshold of all cameras, or of none
@@ -168,8 +163,8 @@ pub(super) async fn put_all(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Thresholds>, Problem> {
-    put(shared.board().cameras.to_vec(), &headers, body).await?;
-    Ok(Json(thresholds(shared.board())))
+    put(shared.board.cameras.to_vec(), &headers, body).await?;
+    Ok(Json(thresholds(&shared.board)))
 }
 
 /// A camera's threshold in force
@@ -179,16 +174,16 @@ pub(super) async fn put_all(
     get, operation_id = "camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold",
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
-        (status = 200, body = OneThreshold),
+        (status = 200, body = CameraThreshold),
         (status = 404, body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn get_one(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
-) -> Result<Json<OneThreshold>, Problem> {
+) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    Ok(Json(one_threshold(shared.board(), camera)))
+    Ok(one_threshold(&shared.board, camera))
 }
 
 /// Changes a camera's threshold
@@ -199,7 +194,7 @@ pub(super) async fn get_one(
     put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = NewThreshold,
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
-        (status = 200, body = OneThreshold),
+        (status = 200, body = CameraThreshold),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
     )
 )]
@@ -208,8 +203,8 @@ pub(super) async fn put_one(
     Path(camera): Path<String>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
-) -> Result<Json<OneThreshold>, Problem> {
+) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
     put(vec![Arc::clone(camera)], &headers, body).await?;
-    Ok(Json(one_threshold(shared.board(), camera)))
+    Ok(one_threshold(&shared.board, camera))
 }

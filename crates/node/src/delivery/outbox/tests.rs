@@ -2,9 +2,7 @@ use super::disk::FILE;
 use super::table::MEMORY_BYTES;
 use super::waiting::{BATCH_BYTES, Waiting};
 use super::*;
-use albireo_wire::{
-    ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,
-};
+use albireo_wire::{LARGEST_REPORT_BYTES, RefusedReport, VERSION};
 use futures_util::FutureExt;
 use rusqlite::Connection;
 use std::io::{Error, ErrorKind};
@@ -22,38 +20,10 @@ pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
         node: "n".into(),
         camera: "front".into(),
         clip: format!("window-{clip}"),
-        part: 0,
-        count: None,
-        ended_by: ClipEnd::Window,
-        started_ns: 0,
         duration_s: 1.0,
         frames: 30,
-        states: albireo_wire::FrameStates::default(),
-        skip_rate: 0.0,
-        degraded_frames: 0,
-        dropped: albireo_wire::DroppedFrames::default(),
         policy: "vanilla".into(),
-        threshold: None,
-        threshold_changes: Vec::new(),
-        model: "m.onnx".into(),
-        provider: "cpu".into(),
-        total_latency_ms: albireo_wire::Percentiles::default(),
-        detector_latency_ms: albireo_wire::Percentiles::default(),
-        detector_used_ms: 0.0,
-        energy: ClipEnergy {
-            joules: None,
-            node_joules: None,
-            saved_joules_estimated: None,
-            edp: None,
-            quality: EnergyQuality::Unavailable,
-            source: "none".into(),
-            total_from: String::new(),
-            samples: 0,
-            coverage: 0.0,
-            domains: Vec::new(),
-        },
-        board: None,
-        audit: None,
+        ..ClipReport::default()
     }
 }
 
@@ -151,6 +121,15 @@ fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
     for clip in clips {
         outbox.insert(&mut [report(clip)], Now::system());
     }
+}
+
+fn keep_large(outbox: &Outbox, clip: u64, bytes: usize) {
+    let policy = "x".repeat(bytes);
+    let report = ClipReport {
+        policy,
+        ..report(clip)
+    };
+    outbox.insert(&mut [report], Now::system());
 }
 
 fn batch(outbox: &Outbox) -> Option<ReportBatch> {
@@ -282,14 +261,17 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     }
 }
 
+/// A day in November 2026 or so many after it.
+fn at(days: i64) -> Now {
+    Now {
+        at: Instant::now(),
+        unix_ms: 1_795_000_000_000 + days * 86_400_000,
+    }
+}
+
 #[test]
 fn no_step_of_the_clock_costs_a_report() {
-    const DAY_MS: i64 = 86_400_000;
     let bench = Bench::new();
-    let at = |days: i64| Now {
-        at: Instant::now(),
-        unix_ms: 1_795_000_000_000 + days * DAY_MS,
-    };
     for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
         let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
         let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
@@ -315,14 +297,9 @@ fn no_step_of_the_clock_costs_a_report() {
 
 #[test]
 fn acknowledged_reports_are_kept_for_a_week() {
-    const DAY_MS: i64 = 86_400_000;
     let bench = Bench::new();
-    let mut waiting =
-        Waiting::new(Some(Box::new(StateFile::new(&bench.state()))), 64 << 20).unwrap();
-    let at = |day: i64| Now {
-        at: Instant::now(),
-        unix_ms: 1_795_000_000_000 + day * DAY_MS,
-    };
+    let disk = StateFile::new(&bench.state());
+    let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
     waiting.open(at(0)).unwrap();
     for day in 0..20_i64 {
         waiting.insert(&mut [report(day.unsigned_abs())], at(day));
@@ -481,9 +458,7 @@ fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
     let outbox = in_memory();
     let most = 40 * MEMORY_BYTES / 1_000_000;
     for clip in 0..most {
-        let mut one = report(clip);
-        one.policy = "x".repeat(50_000);
-        outbox.insert(&mut [one], Now::system());
+        keep_large(&outbox, clip, 50_000);
     }
     let counts = outbox.counts();
     assert!(!counts.durable && counts.lost > 0 && counts.waiting > most / 3);
@@ -568,9 +543,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..60 {
-            let mut one = report(clip);
-            one.policy = "x".repeat(50 << 10);
-            outbox.insert(&mut [one], Now::system());
+            keep_large(&outbox, clip, 50 << 10);
         }
         let mut sent = Vec::new();
         while let Some(batch) = batch(&outbox) {
@@ -587,11 +560,8 @@ fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..3 {
-            let mut one = report(clip);
-            if clip == 1 {
-                one.policy = "x".repeat(LARGEST_REPORT_BYTES);
-            }
-            outbox.insert(&mut [one], Now::system());
+            let bytes = if clip == 1 { LARGEST_REPORT_BYTES } else { 9 };
+            keep_large(&outbox, clip, bytes);
         }
         assert_eq!(drain(&outbox), ["window-0", "window-2"]);
         let counts = outbox.counts();

@@ -28,33 +28,98 @@ pub(super) struct Process {
     waiting: Vec<(Asker, Batch)>,
 }
 
-pub(super) struct Hub {
+/// The file of a hub's database, and another program on it; while the disk is full that keeps everybody out.
+pub(super) struct HubFile {
     file: PathBuf,
-    store: Store,
-    /// Another program on the same file; while the disk is full it keeps everybody out.
-    other: Connection,
+    pub(super) other: Connection,
     is_full: bool,
+}
+
+impl HubFile {
+    /// An empty one.
+    pub(super) fn new(folder: &Path) -> Self {
+        let file = folder.join("hub.db");
+        put(&file, &empty(folder));
+        Self {
+            other: Connection::open(&file).unwrap(),
+            file,
+            is_full: false,
+        }
+    }
+
+    pub(super) fn config(&self) -> DatabaseConfig {
+        database(&self.file)
+    }
+
+    /// From now on nothing can be written, or again.
+    pub(super) fn fill(&mut self, is_full: bool) {
+        if self.is_full != is_full {
+            let text = if is_full {
+                "BEGIN IMMEDIATE"
+            } else {
+                "ROLLBACK"
+            };
+            self.other.execute_batch(text).unwrap();
+            self.is_full = is_full;
+        }
+    }
+
+    /// A backup; none can be made while the disk is full.
+    pub(super) fn backup(&self) -> Option<Vec<u8>> {
+        (!self.is_full).then(|| image(&self.file))
+    }
+
+    /// Puts a database, and what its log holds beyond it, in its place; the hub is off.
+    pub(super) fn restore(&mut self, database: &[u8], log: &[u8]) {
+        let was_full = self.is_full;
+        self.fill(false);
+        self.other = Connection::open_in_memory().unwrap();
+        put(&self.file, database);
+        if !log.is_empty() {
+            std::fs::write(self.log_file(), log).unwrap();
+        }
+        self.other = Connection::open(&self.file).unwrap();
+        self.fill(was_full);
+    }
+
+    fn log_file(&self) -> PathBuf {
+        self.file.with_extension("db-wal")
+    }
+
+    /// What is in the file, and in its log.
+    pub(super) fn read(&self) -> (Vec<u8>, Vec<u8>) {
+        let log = std::fs::read(self.log_file()).unwrap_or_default();
+        (std::fs::read(&self.file).unwrap(), log)
+    }
+}
+
+pub(super) struct Hub {
+    pub(super) file: HubFile,
+    store: Store,
     history: HistoryConfig,
     pub(super) processes: [Process; 2],
 }
 
-fn open(file: &Path) -> Store {
-    let config = DatabaseConfig {
+fn database(file: &Path) -> DatabaseConfig {
+    DatabaseConfig {
         url: format!("sqlite:{}", file.display()),
         timeout_ms: 1,
         ..DatabaseConfig::default()
-    };
+    }
+}
+
+fn open(config: &DatabaseConfig) -> Store {
     let runtime = tokio::runtime::Builder::new_current_thread().build();
-    runtime.unwrap().block_on(Store::open(&config)).unwrap()
+    runtime.unwrap().block_on(Store::open(config)).unwrap()
 }
 
 /// An empty database.
-pub(super) fn empty(folder: &Path) -> Vec<u8> {
+fn empty(folder: &Path) -> Vec<u8> {
     static EMPTY: OnceLock<Vec<u8>> = OnceLock::new();
     EMPTY
         .get_or_init(|| {
             let file = folder.join("empty.db");
-            drop(open(&file));
+            drop(open(&database(&file)));
             image(&file)
         })
         .clone()
@@ -62,18 +127,14 @@ pub(super) fn empty(folder: &Path) -> Vec<u8> {
 
 impl Hub {
     pub(super) fn new(folder: &Path, identity: u64) -> Self {
-        let file = folder.join("hub.db");
-        put(&file, &empty(folder));
-        let other = Connection::open(&file).unwrap();
+        let file = HubFile::new(folder);
         let identity = Uuid::from_u64_pair(identity, identity).to_string();
         let named = "UPDATE hub_meta SET value = ? WHERE key = 'identity'";
-        other.execute(named, [identity]).unwrap();
+        file.other.execute(named, [identity]).unwrap();
         let years = 36_500;
         Self {
-            store: open(&file),
+            store: open(&file.config()),
             file,
-            other,
-            is_full: false,
             // Clips stay, to be counted in the end; of ids only those that are too old go.
             history: HistoryConfig {
                 clips_days: years,
@@ -98,19 +159,6 @@ impl Hub {
     pub(super) fn crash(&mut self, process: usize) {
         self.processes[process].recorder = None;
         self.processes[process].waiting.clear();
-    }
-
-    /// From now on nothing can be written, or again.
-    pub(super) fn fill(&mut self, is_full: bool) {
-        if self.is_full != is_full {
-            let text = if is_full {
-                "BEGIN IMMEDIATE"
-            } else {
-                "ROLLBACK"
-            };
-            self.other.execute_batch(text).unwrap();
-            self.is_full = is_full;
-        }
     }
 
     /// Takes a batch over, to be committed; `false` when nothing runs.
@@ -162,26 +210,11 @@ impl Hub {
         }
     }
 
-    /// A backup; none can be made while the disk is full.
-    pub(super) fn backup(&self) -> Option<Vec<u8>> {
-        (!self.is_full).then(|| image(&self.file))
-    }
-
-    /// Puts a backup in its place; all processes are off.
-    pub(super) fn restore(&mut self, backup: &[u8]) {
-        self.fill(false);
-        self.other = Connection::open_in_memory().unwrap();
-        put(&self.file, backup);
-        self.other = Connection::open(&self.file).unwrap();
-    }
-
     /// How often each report is stored.
     pub(super) fn stored(&self) -> BTreeMap<usize, u32> {
         let mut stored = BTreeMap::new();
-        let mut select = self
-            .other
-            .prepare("SELECT clip, frames FROM clips")
-            .unwrap();
+        let text = "SELECT clip, frames FROM clips";
+        let mut select = self.file.other.prepare(text).unwrap();
         let mut rows = select.query([]).unwrap();
         while let Some(row) = rows.next().unwrap() {
             let number: usize = row.get::<_, String>(0).unwrap().parse().unwrap();
@@ -198,7 +231,7 @@ impl Hub {
                 "SELECT COALESCE(sum({what}), 0), COALESCE(sum(frames), 0), COALESCE(sum(duration_us), 0) FROM {table}"
             );
             let read = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
-            self.other.query_row(&text, [], read).unwrap()
+            self.file.other.query_row(&text, [], read).unwrap()
         };
         let clips = sums("part = 0", "clips");
         // Under camera 0 are the sums of the fleet.
@@ -216,7 +249,7 @@ impl Hub {
             }
         }
         let number = |text: &str| {
-            self.other
+            (self.file.other)
                 .query_row(text, [], |row| row.get::<_, i64>(0))
                 .unwrap()
         };

@@ -170,7 +170,7 @@ impl Settings {
                     self.time.after(5 * SECOND, Event::HubOn);
                 }
             }
-            Event::HubDiskFree => self.hub.fill(false),
+            Event::HubDiskFree => self.hub.file.fill(false),
             Event::Tick => {
                 self.hub.tick(self.time.now(0));
                 self.notices();
@@ -190,7 +190,7 @@ impl Settings {
                     self.states.insert(at, state);
                 }
             }
-            Event::BackUp => self.backup = self.hub.backup().or_else(|| self.backup.take()),
+            Event::BackUp => self.backup = self.hub.file.backup().or_else(|| self.backup.take()),
             Event::Fault => self.fault(),
             Event::End => self.heal(),
         }
@@ -354,7 +354,7 @@ impl Settings {
                 self.hub.put(image);
             }
             5 => {
-                self.hub.fill(true);
+                self.hub.file.fill(true);
                 self.time.after(lasts, Event::HubDiskFree);
             }
             6 => {
@@ -363,7 +363,7 @@ impl Settings {
                 {
                     // Nobody puts a backup in place within the seconds by which revisions may run ahead of the time.
                     self.hub_crash(60 * SECOND);
-                    self.hub.fill(false);
+                    self.hub.file.fill(false);
                     self.hub.put(Some((backup, Vec::new())));
                     self.restored_ms = self.time.now_ms;
                 }
@@ -380,7 +380,7 @@ impl Settings {
     /// Nothing fails any more, and nobody is waited for.
     fn heal(&mut self) {
         (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
-        self.hub.fill(false);
+        self.hub.file.fill(false);
         let now = self.time.now(0);
         assert!(self.hub.switch_on(now));
         self.hub.tick(now);

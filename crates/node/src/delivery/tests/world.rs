@@ -189,13 +189,13 @@ impl World {
                     .is_full
                     .store(false, Ordering::Relaxed);
             }
-            Event::HubDiskFree => self.hub.fill(false),
+            Event::HubDiskFree => self.hub.file.fill(false),
             Event::KeepNode(at) => {
                 if let Some(state) = self.nodes[at].state() {
                     self.states.insert(at, state);
                 }
             }
-            Event::BackUp => self.backup = self.hub.backup().or_else(|| self.backup.take()),
+            Event::BackUp => self.backup = self.hub.file.backup().or_else(|| self.backup.take()),
             Event::Fault => self.fault(),
             Event::End => self.heal(),
         }
@@ -318,7 +318,7 @@ impl World {
             4 | 5 => self.copy_node(at, kind == 5),
             6 => return self.hub_crash(process),
             7 => {
-                self.hub.fill(true);
+                self.hub.file.fill(true);
                 self.time.after(lasts, Event::HubDiskFree);
             }
             8 => self.hub.processes[process].clock_ms = self.clock(self.far == Far::Hub),
@@ -378,7 +378,8 @@ impl World {
             self.hub_crash(process);
         }
         let before = self.hub.stored();
-        self.hub.restore(&backup);
+        self.hub.file.fill(false);
+        self.hub.file.restore(&backup, &[]);
         let after = self.hub.stored();
         let lost = before.into_keys().filter(|one| !after.contains_key(one));
         self.forgotten.extend(lost);
@@ -407,7 +408,7 @@ impl World {
     /// Nothing fails any more, and each node makes one report.
     fn heal(&mut self) {
         (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
-        self.hub.fill(false);
+        self.hub.file.fill(false);
         for process in 0..2 {
             if !self.hub.is_on(process) {
                 self.time.after(0, Event::HubOn(process));

@@ -363,11 +363,11 @@ impl CameraBoard {
         (history.frames(frames), history.slots(&now), now)
     }
 
-    /// What other thresholds would have skipped over the last frames.
-    pub(crate) fn skip_estimate(&self) -> SkipEstimate {
+    /// What these values of the threshold would have skipped over the last frames. Computes for some milliseconds.
+    pub(crate) fn skip_estimate(&self, values: &[f64]) -> Option<SkipEstimate> {
         let frames = self.history.lock().frames(usize::MAX);
         // After the lock: this takes longer than a frame may wait.
-        SkipEstimate::new(&frames, self.longest_pause)
+        SkipEstimate::of(&frames, self.longest_pause, values)
     }
 
     /// Keeps the newest picture for who wants to look.

@@ -53,7 +53,10 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
         camera.answered(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
-        assert_eq!((event.news.name(), event.news.camera()), ("frame", Some("front")));
+        assert_eq!(
+            (event.news.name(), event.news.camera()),
+            ("frame", Some("front"))
+        );
         let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
         assert_eq!(json["seq"], seq as u64);
         assert_eq!(json["camera"], "front");

@@ -1,9 +1,8 @@
 //! A simulated hub: its real orders, rollouts and database.
 
-use super::super::hub::empty;
-use super::super::node::{image, put};
+use super::super::hub::HubFile;
 use super::super::timeline::BEGIN;
-use albireo_hub::config::{DatabaseConfig, HistoryConfig, PresenceConfig, TuningConfig};
+use albireo_hub::config::{HistoryConfig, PresenceConfig, TuningConfig};
 use albireo_hub::desired::Desires;
 use albireo_hub::ingest::Recorder;
 use albireo_hub::presence::Fleet;
@@ -17,9 +16,8 @@ use albireo_hub::tuning::run::{Command, Kind, Phase, Run};
 use albireo_hub::tuning::selector::Selector;
 use albireo_service::clock::Now;
 use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage, Threshold};
-use rusqlite::Connection;
 use std::future::Future;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use tokio::runtime::{Builder, Runtime};
@@ -33,12 +31,9 @@ struct Running {
 }
 
 pub(super) struct Hub {
-    file: PathBuf,
+    pub(super) file: HubFile,
     runtime: Runtime,
     running: Option<Running>,
-    /// Another program on the same file; while the disk is full it keeps everybody out.
-    other: Connection,
-    is_full: bool,
 }
 
 /// What is desired of a node.
@@ -57,11 +52,8 @@ pub(super) type Image = (Vec<u8>, Vec<u8>);
 
 impl Hub {
     pub(super) fn new(folder: &Path) -> Self {
-        let file = folder.join("hub.db");
-        put(&file, &empty(folder));
         Self {
-            other: Connection::open(&file).unwrap(),
-            file,
+            file: HubFile::new(folder),
             // No limit of real time passes on a busy machine.
             runtime: Builder::new_current_thread()
                 .enable_time()
@@ -69,7 +61,6 @@ impl Hub {
                 .build()
                 .unwrap(),
             running: None,
-            is_full: false,
         }
     }
 
@@ -82,11 +73,7 @@ impl Hub {
         if self.is_on() {
             return true;
         }
-        let config = DatabaseConfig {
-            url: format!("sqlite:{}", self.file.display()),
-            timeout_ms: 1,
-            ..DatabaseConfig::default()
-        };
+        let config = self.file.config();
         let (sender, notices) = sync_channel(1000);
         let fleet = Arc::new(Fleet::new(&PresenceConfig::default()));
         let desires = Arc::new(Desires::default());
@@ -119,19 +106,6 @@ impl Hub {
 
     pub(super) fn crash(&mut self) {
         self.running = None;
-    }
-
-    /// From now on nothing can be written, or again.
-    pub(super) fn fill(&mut self, is_full: bool) {
-        if self.is_full != is_full {
-            let text = if is_full {
-                "BEGIN IMMEDIATE"
-            } else {
-                "ROLLBACK"
-            };
-            self.other.execute_batch(text).unwrap();
-            self.is_full = is_full;
-        }
     }
 
     /// Takes a status; whether the node is to be asked for a full one.
@@ -251,25 +225,25 @@ impl Hub {
     /// How many rollouts there were.
     pub(super) fn rollouts(&self) -> u64 {
         let text = "SELECT COALESCE(max(id), 0) FROM runs";
-        let many = self.other.query_row(text, [], |row| row.get::<_, i64>(0));
+        let many = self
+            .file
+            .other
+            .query_row(text, [], |row| row.get::<_, i64>(0));
         many.unwrap().unsigned_abs()
-    }
-
-    fn log(&self) -> Vec<u8> {
-        std::fs::read(self.file.with_extension("db-wal")).unwrap_or_default()
     }
 
     /// The file, and the length of its log.
     pub(super) fn commits(&self) -> (Vec<u8>, usize) {
-        (std::fs::read(&self.file).unwrap(), self.log().len())
+        let (file, log) = self.file.read();
+        (file, log.len())
     }
 
     /// The database after one of the commits since `before`, or as it was then: where a power cut may leave it. Nothing if the log
     /// was moved into the file meanwhile.
     pub(super) fn image_at_a_commit(&self, before: (Vec<u8>, usize), cut: u64) -> Option<Image> {
         let (file, begin) = before;
-        let mut log = self.log();
-        if file != std::fs::read(&self.file).unwrap() || begin < 32 || log.len() < begin {
+        let (now, mut log) = self.file.read();
+        if file != now || begin < 32 || log.len() < begin {
             return None;
         }
         // https://www.sqlite.org/fileformat2.html#walformat: a header of 32 bytes, then frames of 24 and a page; the frame of a
@@ -285,23 +259,11 @@ impl Hub {
         Some((file, log))
     }
 
-    /// A backup; none can be made while the disk is full.
-    pub(super) fn backup(&self) -> Option<Vec<u8>> {
-        (!self.is_full).then(|| image(&self.file))
-    }
-
     /// Puts a database in its place; the hub is off.
     pub(super) fn put(&mut self, image: Option<Image>) {
-        let Some((file, log)) = image else { return };
-        let was_full = self.is_full;
-        self.fill(false);
-        self.other = Connection::open_in_memory().unwrap();
-        put(&self.file, &file);
-        if !log.is_empty() {
-            std::fs::write(self.file.with_extension("db-wal"), log).unwrap();
+        if let Some((file, log)) = image {
+            self.file.restore(&file, &log);
         }
-        self.other = Connection::open(&self.file).unwrap();
-        self.fill(was_full);
     }
 
     /// What is desired of a node.
@@ -320,19 +282,23 @@ impl Hub {
                 origin: row.get(3)?,
             })
         };
-        self.other.query_row(text, [node], read).ok()
+        self.file.other.query_row(text, [node], read).ok()
     }
 
     /// Orders without an answer, rollouts that go on, and those whose nodes have not what became of them.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
         let text = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
-        let open: i64 = self.other.query_row(text, [], |row| row.get(0)).unwrap();
+        let open: i64 = self
+            .file
+            .other
+            .query_row(text, [], |row| row.get(0))
+            .unwrap();
         if open > 0 {
             wrong.push(format!("{open} orders are open"));
         }
         let text = "SELECT id, state, ended_ms IS NULL FROM runs";
-        let mut select = self.other.prepare(text).unwrap();
+        let mut select = self.file.other.prepare(text).unwrap();
         let mut rows = select.query([]).unwrap();
         while let Some(row) = rows.next().unwrap() {
             let (id, state): (i64, String) = (row.get(0).unwrap(), row.get(1).unwrap());

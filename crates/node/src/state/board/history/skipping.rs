@@ -9,56 +9,84 @@
 use super::PastFrame;
 use super::growth::{Aged, Growth, aged};
 use albireo_core::policy::CallCause;
+use serde::Serialize;
+use utoipa::ToSchema;
 
-/// What the recorded frames say of other thresholds.
-#[derive(Clone, Debug)]
+/// What one value would have skipped.
+#[derive(Debug, Serialize, ToSchema)]
+pub(crate) struct ValueEstimate {
+    /// The value.
+    value: f64,
+    /// Frames without the detector.
+    pub skipped: usize,
+    /// Share of the frames.
+    pub skip_rate: f64,
+}
+
+/// What other thresholds would have skipped over the last frames.
+#[derive(Debug, Serialize, ToSchema)]
 pub(crate) struct SkipEstimate {
-    frames: Vec<Aged>,
+    /// Frames looked at.
+    frames: usize,
+    /// Time they took, seconds.
+    duration_s: f64,
+    /// Frames that really were answered without the detector.
+    pub skipped: usize,
+    /// Share of the frames, really.
+    skip_rate: f64,
+    /// What each value would have skipped, in the order asked for.
+    pub values: Vec<ValueEstimate>,
+}
+
+impl SkipEstimate {
+    /// Under these values, from recorded frames, oldest first, of a policy with this longest skip run; `None` without a frame
+    /// after a detector call.
+    pub(crate) fn of(
+        frames: &[PastFrame],
+        longest_pause: Option<u32>,
+        values: &[f64],
+    ) -> Option<Self> {
+        let frames = aged(frames);
+        let record = Record {
+            growth: Growth::of(&frames),
+            longest_pause: longest_pause.unwrap_or(u32::MAX),
+            frames: &frames,
+        };
+        let (first, last) = (frames.first()?.frame, frames.last()?.frame);
+        let share = |skipped: usize| skipped as f64 / frames.len() as f64;
+        let is_skipped = |aged: &&Aged| aged.frame.state.is_skipped() && !aged.frame.degraded;
+        let skipped = frames.iter().filter(is_skipped).count();
+        let values = values.iter().map(|value| {
+            let skipped = record.skipped_at(*value);
+            ValueEstimate {
+                value: *value,
+                skipped,
+                skip_rate: share(skipped),
+            }
+        });
+        Some(Self {
+            frames: frames.len(),
+            duration_s: (last.at_ms - first.at_ms) as f64 / 1e3,
+            skipped,
+            skip_rate: share(skipped),
+            values: values.collect(),
+        })
+    }
+}
+
+struct Record<'a> {
+    frames: &'a [Aged],
     growth: Growth,
     longest_pause: u32,
 }
 
-impl SkipEstimate {
-    /// From recorded frames, oldest first, of a policy with this longest skip run.
-    pub(crate) fn new(frames: &[PastFrame], longest_pause: Option<u32>) -> Self {
-        let frames = aged(frames);
-        Self {
-            growth: Growth::of(&frames),
-            frames,
-            longest_pause: longest_pause.unwrap_or(u32::MAX),
-        }
-    }
-
-    /// Frames looked at.
-    pub(crate) fn frames(&self) -> usize {
-        self.frames.len()
-    }
-
-    /// Share of the frames, 0 to 1; 0 without frames.
-    pub(crate) fn share(&self, frames: usize) -> f64 {
-        frames as f64 / self.frames.len().max(1) as f64
-    }
-
-    /// Frames that really were answered without the detector.
-    pub(crate) fn skipped(&self) -> usize {
-        let frames = self.frames.iter().map(|aged| &aged.frame);
-        frames
-            .filter(|frame| frame.state.is_skipped() && !frame.degraded)
-            .count()
-    }
-
-    /// From the answer of the first of these frames to that of the last, seconds; `None` without frames.
-    pub(crate) fn duration_s(&self) -> Option<f64> {
-        let (first, last) = self.frames.first().zip(self.frames.last())?;
-        Some((last.frame.at_ms - first.frame.at_ms) as f64 / 1e3)
-    }
-
+impl Record<'_> {
     /// Frames that would have been answered without the detector under the threshold `u`.
-    pub(crate) fn skipped_at(&self, u: f64) -> usize {
+    fn skipped_at(&self, u: f64) -> usize {
         let limit = u.ln();
         let mut pause: u32 = 0;
         let mut skipped = 0;
-        for aged in &self.frames {
+        for aged in self.frames {
             pause = pause.saturating_add(aged.step);
             let calls = match (aged.frame.cause, aged.frame.tau_max) {
                 // Nothing that a threshold has a say in.

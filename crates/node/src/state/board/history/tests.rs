@@ -1,32 +1,22 @@
 use super::*;
+use crate::camera::answer;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
     Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide,
 };
-use albireo_wire::{Latency, Threshold};
+use albireo_wire::Threshold;
+use std::sync::Arc;
 
 fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
-    DetectionsMessage {
-        v: 1,
-        seq,
-        t_ns: 0,
-        clip: "c".to_owned(),
-        state: outcome.state,
-        pending: false,
-        degraded: outcome.degraded,
-        cause: outcome.cause,
-        tau_max: outcome.tau_max,
-        threshold: Some(Threshold::new("u", u)),
-        width: 4,
-        height: 3,
-        boxes: Vec::new(),
-        latency_ms: Latency {
-            total: 1.0,
-            detector: (!outcome.state.is_skipped()).then_some((seq % 100) as f64),
-            ..Latency::default()
-        },
-    }
+    let threshold = Some(Threshold::new("u", u));
+    let message = answer(seq, outcome.state, outcome.degraded, threshold);
+    let mut message = Arc::unwrap_or_clone(message);
+    message.cause = outcome.cause;
+    message.tau_max = outcome.tau_max;
+    let is_skipped = outcome.state.is_skipped();
+    message.latency_ms.detector = (!is_skipped).then_some((seq % 100) as f64);
+    message
 }
 
 /// Three objects that cross the picture, each at its own pace and size, and are gone for a while in between.
@@ -147,19 +137,11 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
     // They differ, or there would be nothing to estimate.
     assert!(truths[4] - truths[0] > 0.2, "{truths:?}");
     let (mut worst, mut naive_worst, mut near) = (0.0_f64, 0.0_f64, 0.0_f64);
-    println!(
-        "| recorded at | {} |",
-        values.map(|u| format!("{u:.0e}")).join(" | ")
-    );
     for (place, recorded) in values.into_iter().enumerate() {
-        let (history, _) = played(recorded, 6000);
-        let past = history.frames(usize::MAX);
-        let estimate = SkipEstimate::new(&past, longest);
-        let mut row = format!("| {recorded:.0e} |");
-        for (other, (value, truth)) in values.iter().zip(&truths).enumerate() {
-            let told = estimate.share(estimate.skipped_at(*value));
-            row += &format!(" {:.1} ({:.1}) |", told * 100.0, truth * 100.0);
-            let apart = (told - truth).abs();
+        let past = played(recorded, 6000).0.frames(usize::MAX);
+        let estimate = SkipEstimate::of(&past, longest, &values).unwrap();
+        for (other, (value, truth)) in estimate.values.iter().zip(&truths).enumerate() {
+            let apart = (value.skip_rate - truth).abs();
             worst = worst.max(apart);
             if other.abs_diff(place) <= 1 {
                 near = near.max(apart);
@@ -169,32 +151,27 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
                 .iter()
                 .filter(|frame| match (frame.cause, frame.tau_max) {
                     (Some(CallCause::Screen), _) => false,
-                    (_, tau) => tau.is_none_or(|tau| f64::from(tau) < *value),
+                    (_, tau) => tau.is_none_or(|tau| f64::from(tau) < values[other]),
                 });
             naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
         }
-        println!("{row}");
-        let (really, same) = (estimate.skipped(), estimate.skipped_at(recorded));
-        let apart = estimate.share(really.abs_diff(same));
+        let (really, same) = (estimate.skipped, estimate.values[place].skipped);
+        let apart = really.abs_diff(same) as f64 / past.len() as f64;
         assert!(apart < 0.01, "at the value itself: {really} and {same}");
     }
-    println!(
-        "worst {worst:.3}, to a neighbour {near:.3}; of the plain comparison {naive_worst:.3}"
-    );
     assert!(near < 0.15 && worst < 0.2, "{near} and {worst}");
     assert!(worst < naive_worst / 2.0, "{worst} and {naive_worst}");
-}
-
-#[test]
-fn without_frames_there_is_nothing_to_estimate_and_no_panic() {
-    let estimate = SkipEstimate::new(&[], None);
-    assert_eq!(estimate.share(estimate.skipped_at(1e-3)), 0.0);
-    assert_eq!(estimate.duration_s(), None);
+    assert!(SkipEstimate::of(&[], longest, &values).is_none());
 }
 
 #[test]
 fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
     let mut past = PowerPast::default();
+    for second in 0..100 {
+        past.add(PowerSnapshot::default(), Duration::from_secs(second));
+    }
+    assert_eq!(past.slots(&at(100)), [], "no source, no power");
+    past = PowerPast::default();
     let mut joules = 0.0;
     for second in 0..=7200_u64 {
         let snapshot = PowerSnapshot {
@@ -216,13 +193,4 @@ fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
     }
     let mean = slots.iter().map(|slot| slot.watts["total"]).sum::<f32>() / slots.len() as f32;
     assert!((6.9..7.1).contains(&mean), "{mean}");
-}
-
-#[test]
-fn without_a_source_there_is_no_power() {
-    let mut past = PowerPast::default();
-    for second in 0..100 {
-        past.add(PowerSnapshot::default(), Duration::from_secs(second));
-    }
-    assert_eq!(past.slots(&at(100)), []);
 }
