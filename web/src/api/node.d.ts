@@ -463,7 +463,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["OneThreshold"];
+                        "application/json": components["schemas"]["CameraThreshold"];
                     };
                 };
                 404: {
@@ -502,7 +502,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["OneThreshold"];
+                        "application/json": components["schemas"]["CameraThreshold"];
                     };
                 };
                 "4XX": {
@@ -1579,6 +1579,8 @@ export interface components {
             /** @description Camera. */
             camera: string;
             knob?: components["schemas"]["Knob"] | null;
+            /** @description Whether a value changed while running holds after a restart; absent in a list. */
+            survives_restart?: boolean | null;
         };
         /** @description The cameras of a node. */
         Cameras: {
@@ -2012,6 +2014,13 @@ export interface components {
              */
             saved_joules_estimated?: number | null;
         };
+        /** @description What is wrong with a part. */
+        Fault: {
+            /** @description `not_ready` when the service cannot do its work, `degraded` when it works beside the fault. */
+            effect: string;
+            /** @description What is wrong, for people. No number that moves by itself belongs here: each new text is a change. */
+            reason: string;
+        };
         /**
          * @description The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
          *     `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
@@ -2356,11 +2365,6 @@ export interface components {
          * @description Number of an object within a stream, from 0, never used twice.
          */
         ObjectId: number;
-        /** @description One camera's threshold, as read or as changed. */
-        OneThreshold: components["schemas"]["CameraThreshold"] & {
-            /** @description Whether a value changed while running holds after a restart. */
-            survives_restart: boolean;
-        };
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
             /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
@@ -2380,6 +2384,18 @@ export interface components {
              * @description Reports that wait.
              */
             waiting: number;
+        };
+        /** @description What is wrong with one of the service's parts. */
+        PartFault: components["schemas"]["Fault"] & {
+            /** @description The part: `detector`, `zenoh`, … */
+            part: string;
+            /**
+             * Format: double
+             * @description Seconds since the part is at fault, whatever the reasons were meanwhile.
+             */
+            since_s: number;
+            /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
+            subject?: string | null;
         };
         /** @description The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first. */
         PastFrames: {
@@ -2499,27 +2515,11 @@ export interface components {
             /** @description Whether frames are answered as wanted, perhaps with a part missing. */
             ready: boolean;
             /** @description What is wrong; empty when every part works. */
-            reasons: components["schemas"]["Reason"][];
+            reasons: components["schemas"]["PartFault"][];
             /** @description Execution providers asked for, in order. */
             requested_providers: string[];
             /** @description Whether every part works. */
             state: components["schemas"]["HealthState"];
-        };
-        /** @description What is wrong with one of the node's parts. */
-        Reason: {
-            /** @description `not_ready` when the node cannot do its work, `degraded` when it works beside the fault. */
-            effect: string;
-            /** @description Which part: `detector`, `screen`, `cameras`, `power`, `outbox`, `zenoh`, `uplink`, `disk` or `tasks`. */
-            part: string;
-            /** @description What is the matter. */
-            reason: string;
-            /**
-             * Format: double
-             * @description Seconds since the part is at fault.
-             */
-            since_s: number;
-            /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
-            subject?: string | null;
         };
         /** @description A desired value that a node did not take. */
         RefusedDesired: {
@@ -2661,20 +2661,13 @@ export interface components {
              */
             width: number;
         };
-        /** @description What other thresholds would have skipped over the last minutes. */
-        SkipEstimates: {
-            /** @description Camera. */
-            camera: string;
+        /** @description What other thresholds would have skipped over the last frames. */
+        SkipEstimate: {
             /**
              * Format: double
              * @description Time they took, seconds.
              */
             duration_s: number;
-            /**
-             * @description Always true: under another value other frames would have been matched, so objects would have evolved differently.
-             *     Recorded uncertainties are scaled by how they grew with the time since a call.
-             */
-            estimated: boolean;
             /** @description Frames looked at. */
             frames: number;
             /**
@@ -2684,10 +2677,20 @@ export interface components {
             skip_rate: number;
             /** @description Frames that really were answered without the detector. */
             skipped: number;
-            /** @description The threshold in force. */
-            threshold: components["schemas"]["Threshold"];
             /** @description What each value would have skipped, in the order asked for. */
             values: components["schemas"]["ValueEstimate"][];
+        };
+        /** @description What other thresholds would have skipped over the last minutes. */
+        SkipEstimates: components["schemas"]["SkipEstimate"] & {
+            /** @description Camera. */
+            camera: string;
+            /**
+             * @description Always true: under another value other frames would have been matched, so objects would have evolved differently.
+             *     Recorded uncertainties are scaled by how they grew with the time since a call.
+             */
+            estimated: boolean;
+            /** @description The threshold in force. */
+            threshold: components["schemas"]["Threshold"];
         };
         /**
          * @description A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,

@@ -5,7 +5,8 @@ use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use serde::de::{DeserializeOwned, IgnoredAny};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 use std::fmt::Display;
 
 /// Reads the message out of a request. `expected` says what it should be, in words.
@@ -50,7 +51,7 @@ pub(super) fn message<T: DeserializeOwned>(
         Problem::new(status, format!("the body must be {expected}: {what}"))
     };
     let no_json = |error| fault(StatusCode::BAD_REQUEST, &error);
-    serde_json::from_slice::<IgnoredAny>(&body).map_err(|error| no_json(error))?;
+    serde_json::from_slice::<Value>(&body).map_err(no_json)?;
     let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
     // Serde would also read a list of the fields' values.
     if !body.trim_ascii_start().starts_with(b"{") {
