@@ -1,4 +1,4 @@
-//! Connections that say nothing, or do not read: they are closed, and never shut out who asks.
+//! Connections that send or read nothing are closed, and never keep other clients out.
 
 use super::served::{Frames, Served, frame};
 use crate::support::Node;

@@ -2017,7 +2017,7 @@ export interface components {
         /** @description What is wrong with a part. */
         Fault: {
             /** @description `not_ready` when the service cannot do its work, `degraded` when it works beside the fault. */
-            effect: string;
+            effect: components["schemas"]["HealthState"];
             /** @description What is wrong, for people. No number that moves by itself belongs here: each new text is a change. */
             reason: string;
         };

@@ -52,7 +52,7 @@ const STALE: Duration = Duration::from_secs(300);
 /// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
-/// A session that served for so long ended for another reason than the one before.
+/// After a session that served this long, pauses between attempts start short again.
 const MIN_UPTIME: Duration = Duration::from_secs(10);
 
 /// What the uplink works with.
@@ -65,7 +65,7 @@ pub(crate) struct UplinkSetup {
     pub keys: NodeKeys,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
-    /// The local session, where the hub is found by it too; else a separate one is opened, and again when it is stale.
+    /// The local session, if the hub is reached over it; otherwise a separate one is opened, and again when it is stale.
     pub local: Option<Session>,
 }
 
@@ -294,7 +294,7 @@ impl Worker {
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
         }
-        // It is written down.
+        // It writes a file.
         let setup = Arc::clone(&self.setup);
         let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
         if taken.await.unwrap_or(false) {
@@ -304,10 +304,9 @@ impl Worker {
 
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
-        let message = (self.teller).due(Now::system(), &setup.board, &setup.desired);
-        match message {
-            Ok(Some(payload)) => status.put(payload).await,
-            _ => Ok(()),
+        match (self.teller).due(Now::system(), &setup.board, &setup.desired) {
+            Some(payload) => status.put(payload).await,
+            None => Ok(()),
         }
     }
 }

@@ -91,7 +91,7 @@ impl SkipWatch {
         self.is_clear().then(|| self.attempt(knob)).flatten()
     }
 
-    /// As [`Self::advice`], of however few frames: for a clip that is over.
+    /// As [`Self::advice`], from any number of frames: for a clip that is over.
     pub fn advice_so_far(&self, knob: &Knob) -> Option<Advice> {
         (!self.skipped && self.followed > 0)
             .then(|| self.attempt(knob))
@@ -173,7 +173,7 @@ mod tests {
             clear += u32::from(count(&mut watch, FrameState::I, &knob, 1e-4, tau));
             assert_eq!(watch.advice(&knob).is_some(), frame >= 299);
         }
-        assert_eq!(clear, 1, "it is told once");
+        assert_eq!(clear, 1, "it is given once");
         let advice = watch.advice(&knob).unwrap();
         assert_eq!(advice.attempt, 2e-4);
         assert_eq!(

@@ -299,7 +299,7 @@ impl Board {
         self.detector.lock().clone()
     }
 
-    /// Takes note of how the detector is doing, and tells subscribers.
+    /// Notes how the detector is doing, and reports it to subscribers.
     pub fn set_detector_status(&self, status: DetectorStatus) {
         let news = News::Detector(DetectorEvent::new(&status));
         *self.detector.lock() = status;

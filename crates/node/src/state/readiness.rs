@@ -43,7 +43,7 @@ pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
 pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 
-/// A meter may take so long for its first sample.
+/// A meter may take this long for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// How long lost clip reports are reported.

@@ -153,7 +153,7 @@ pub(super) async fn stream(
         camera,
         types,
         first: VecDeque::new(),
-        // Before the first look at how things stand, so that no change falls between the two.
+        // Before the present state is read, so that no change falls between the two.
         events: board.subscribe(),
         shutdown: shared.shutdown.clone(),
         _place: place,

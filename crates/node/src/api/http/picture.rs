@@ -39,8 +39,8 @@ pub(super) async fn jpeg(
         frame.jpeg(&limits)
     } else {
         let turn = Arc::clone(&shared.decoding).lock_owned().await;
-        // Made while this waited, or another has come. One that is not waited for any more is made to its end all the
-        // same, and is there for the next who asks.
+        // Made while this waited, or another has come. A picture that nobody waits for any more is
+        // finished all the same, for the next request.
         frame = board.latest_frame().ok_or_else(missing)?;
         let (picture, decoded) = (Arc::clone(&frame), shared.decoded.clone());
         let making = tokio::task::spawn_blocking(move || {

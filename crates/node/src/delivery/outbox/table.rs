@@ -39,10 +39,10 @@ const MOST_DATABASES: i64 = 16;
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TableError {
-    /// SQLite says no.
+    /// SQLite fails.
     #[error("{0}")]
     Sqlite(#[from] rusqlite::Error),
-    /// The file system says no.
+    /// The file system fails.
     #[error("{0}")]
     Io(#[from] std::io::Error),
     /// Another program's file, or one of another version.
@@ -285,7 +285,7 @@ impl Table {
         if let Some(database) = answered.database {
             take_database(&transaction, database, &answered.acknowledged)?;
         }
-        // The oldest alone are looked at, so that this costs no more than what goes.
+        // Only the oldest are examined, so that this costs no more than what is deleted.
         transaction.execute(
             "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
              (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",

@@ -261,7 +261,7 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     }
 }
 
-/// A day in November 2026 or so many after it.
+/// That many days after a day in November 2026.
 fn at(days: i64) -> Now {
     Now {
         at: Instant::now(),

@@ -169,22 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_knob_turned_at_the_node_ends_the_hubs_target_until_the_hub_desires_anew() {
-        let folder = tempfile::tempdir().unwrap();
-        let board = opened(folder.path());
-        let keeper = DesiredKeeper::open(&board.settings);
-        let half = Some(Target::SkipRate(0.5));
-        assert!(keeper.take(&with_target(3, half), &board));
-        set_by_hand(&board.cameras[1..], 0.01).unwrap();
-        assert_eq!(target(&board), None);
-        assert!(!keeper.take(&with_target(3, half), &board));
-        assert_eq!(target(&board), None);
-        assert!(keeper.take(&with_target(4, half), &board));
-        assert_eq!(target(&board), half);
-    }
-
-    #[test]
-    fn a_target_of_the_hub_is_there_after_a_restart() {
+    fn a_target_of_the_hub_survives_a_restart_and_ends_when_the_knob_is_turned_by_hand() {
         let folder = tempfile::tempdir().unwrap();
         let half = Some(Target::SkipRate(0.5));
         let before = opened(folder.path());
@@ -194,5 +179,11 @@ mod tests {
         let restarted = opened(folder.path());
         let keeper = DesiredKeeper::open(&restarted.settings);
         assert_eq!((target(&restarted), keeper.revision()), (half, 7));
+        // A knob turned at the node ends it, until the hub desires something new.
+        set_by_hand(&restarted.cameras[1..], 0.01).unwrap();
+        assert!(!keeper.take(&with_target(7, half), &restarted));
+        assert_eq!(target(&restarted), None);
+        assert!(keeper.take(&with_target(8, half), &restarted));
+        assert_eq!(target(&restarted), half);
     }
 }

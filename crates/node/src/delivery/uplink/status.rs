@@ -18,7 +18,7 @@ const EVERY: Duration = Duration::from_secs(30);
 /// Full statuses are not sent faster than this, whatever changes.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
-/// Decides when to report what.
+/// Decides when which status is due.
 pub(in crate::delivery) struct StatusTeller {
     labels: BTreeMap<String, String>,
     run: u32,
@@ -53,23 +53,20 @@ impl StatusTeller {
 
     /// The payload of a message, if one is due: in full at a change, and from time to time a heartbeat where nothing but
     /// numbers has changed.
-    ///
-    /// # Errors
-    /// None that can happen: a status can always be written.
     pub(in crate::delivery) fn due(
         &mut self,
         now: Now,
         board: &Board,
         desired: &DesiredKeeper,
-    ) -> Result<Option<Vec<u8>>, serde_json::Error> {
+    ) -> Option<Vec<u8>> {
         let since = self.told_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
-            return Ok(None);
+            return None;
         }
         let status = self.status(board, desired);
         let changed = !self.last.as_ref().is_some_and(|last| same(last, &status));
         if !changed && !self.full_due && since.is_some_and(|since| since < EVERY) {
-            return Ok(None);
+            return None;
         }
         let revision = desired.revision_in_force();
         let waiting = status.outbox.waiting;
@@ -79,7 +76,7 @@ impl StatusTeller {
         self.told_revision = Some(revision);
         self.told_at = Some(now.at);
         if short {
-            return Heartbeat { run, seq, waiting }.to_payload().map(Some);
+            return Heartbeat { run, seq, waiting }.to_payload().ok();
         }
         let message = StatusMessage {
             v: VERSION,
@@ -94,7 +91,8 @@ impl StatusTeller {
         };
         self.last = Some(status);
         self.full_due = false;
-        serde_json::to_vec(&message).map(Some)
+        // A status can always be written.
+        serde_json::to_vec(&message).ok()
     }
 
     fn status(&self, board: &Board, desired: &DesiredKeeper) -> NodeStatus {
@@ -136,7 +134,7 @@ fn nanoseconds(now: Now) -> u64 {
     now.unix_ms.unsigned_abs() * 1_000_000
 }
 
-/// Whether nothing changed that a full status is worth: what moves by itself is not.
+/// Whether a full status would say nothing new: figures that change all the time do not count.
 fn same(last: &NodeStatus, now: &NodeStatus) -> bool {
     let mut now = now.clone();
     now.outbox.waiting = last.outbox.waiting;
@@ -144,7 +142,7 @@ fn same(last: &NodeStatus, now: &NodeStatus) -> bool {
         && now_target.target == last_target.target
     {
         now_target.actual = last_target.actual;
-        // Between these it goes to and fro.
+        // The status alternates between these.
         let underway = [TargetStatus::Moving, TargetStatus::Held].map(Some);
         if underway.contains(&now_target.status) && underway.contains(&last_target.status) {
             now_target.status = last_target.status;

@@ -11,7 +11,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-/// Longest time that one word of the hub's holds.
+/// Longest time for which one message of the hub turns this on, seconds.
 const LONGEST: u32 = 3600;
 /// Questions for pictures that may wait; one more is not answered.
 const WAITING: usize = 4;
@@ -52,7 +52,7 @@ impl Watched {
         self.pictures.clear();
     }
 
-    /// Somebody watches for so long from now on.
+    /// Somebody watches for that many seconds from now on.
     pub(super) fn extend(&mut self, seconds: u32) {
         let until = Instant::now() + Duration::from_secs(seconds.min(LONGEST).into());
         self.until = Some(until);

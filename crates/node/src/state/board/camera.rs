@@ -370,7 +370,7 @@ impl CameraBoard {
         SkipEstimate::of(&frames, self.longest_pause, values)
     }
 
-    /// Keeps the newest picture for who wants to look.
+    /// Keeps the newest picture for viewers.
     pub fn set_latest_frame(&self, frame: LatestFrame) {
         *self.latest_frame.lock() = Some(Arc::new(frame));
     }

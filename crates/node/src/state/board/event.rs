@@ -5,7 +5,7 @@ use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
 
-/// An event that many read: its JSON is made once, by the first who wants it.
+/// An event with many readers: its JSON is made once, for the first of them.
 #[derive(Debug)]
 pub struct Event {
     /// What happened.

@@ -1,5 +1,4 @@
-//! What is shown of the past: the last frames one by one, and the last hour in pieces. Rings whose memory is bounded: a page
-//! that is opened now shows what happened before, and costs a node without viewers nothing more.
+//! Keeps the past that pages show: the last frames one by one, and the last hour in pieces, in bounded memory.
 
 mod growth;
 mod skipping;
@@ -80,7 +79,7 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// How long ago something was that happened so many milliseconds after the node's start.
+    /// How long ago something happened, from its time after the node's start.
     pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
         milliseconds(self.age).saturating_sub(at_ms)
     }

@@ -179,7 +179,7 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
 fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
     let reason = |board: &Board| board.readiness.health().status().reasons.remove("outbox");
     let folder = tempfile::tempdir().unwrap();
-    // Without a directory nothing is promised, and nothing told.
+    // Without a directory nothing is promised, so nothing is reported.
     assert_eq!(reason(&board(None, "albireo")), None);
     let sound = board(Some(&folder.path().join("state")), "albireo");
     assert_eq!(reason(&sound), None);

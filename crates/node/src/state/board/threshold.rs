@@ -1,4 +1,4 @@
-//! The threshold of a camera: set in one place for HTTP, Zenoh and the hub, told to subscribers, and kept over a restart.
+//! Sets the threshold of a camera for HTTP, Zenoh and the hub, reports it to subscribers, and keeps it over a restart.
 
 use super::camera::CameraBoard;
 use super::event::{Event, News, ThresholdEvent};
@@ -72,7 +72,7 @@ pub(super) fn kept(
 }
 
 /// Sets the threshold of these cameras, or of none: it is checked for all before the first is changed. It holds from each
-/// camera's next frame on, is kept in the state directory and told to subscribers. Where it cannot be kept it holds all
+/// camera's next frame on, is kept in the state directory and reported to subscribers. Where it cannot be kept it holds all
 /// the same, and the log says so. Writes small files.
 ///
 /// # Errors
@@ -177,7 +177,7 @@ impl CameraBoard {
         }
     }
 
-    /// Puts a value into force and tells subscribers, in one order for both; the value before.
+    /// Puts a value into force and reports it to subscribers, in one order for both; returns the value before.
     fn turn(&self, knob: &Knob, value: f64) -> Option<f64> {
         let mut before = None;
         self.threshold.send_modify(|in_force| {

@@ -109,7 +109,7 @@ impl Node {
         if pulls {
             node.asked = Some(question);
         }
-        (status.unwrap(), pulls)
+        (status, pulls)
     }
 
     /// The hub has something for it.

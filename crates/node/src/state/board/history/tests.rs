@@ -38,7 +38,7 @@ fn scene(index: u64) -> Vec<Detection> {
     objects.into_iter().flatten().collect()
 }
 
-/// The recorded past of so many frames under `u`, and the share of frames that were skipped.
+/// The recorded past of that many frames under `u`, and the share of frames that were skipped.
 fn played(u: f64, frames: u64) -> (History, f64) {
     let mut policy = Albireo::new(AlbireoSettings::paper(), u).unwrap();
     let mut history = History::default();
