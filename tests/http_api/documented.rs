@@ -1,8 +1,6 @@
 use super::served::{Frames, Served, clip};
-use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
-use albireo_node::state::board::LatestFrame;
-use albireo_vision::picture::{EncodedPicture, PictureFormat};
+use albireo_vision::picture::PictureFormat;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use tokio::process::Command;
@@ -39,12 +37,7 @@ async fn filled() -> Served {
     node.ready();
     let front = node.front();
     front.answered_all(&[FrameState::I, FrameState::P]);
-    let picture = EncodedPicture {
-        format: PictureFormat::Gray8,
-        bytes: vec![7; 16].into(),
-        size: PictureSize::new(4, 4),
-    };
-    front.set_latest_frame(LatestFrame::new(0, picture));
+    front.sent(0, PictureFormat::Gray8, vec![7; 16], [4, 4]);
     node.board.record_clip(clip("front", 0));
     node
 }

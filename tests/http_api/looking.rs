@@ -1,12 +1,10 @@
 use super::served::{Frames, Served, clip, frame, problem};
 use crate::support::{assert_has, assert_says};
-use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
-use albireo_node::state::board::{LatestFrame, PowerSnapshot};
 use albireo_service::config::HttpConfig;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
-use albireo_vision::picture::{EncodedPicture, PictureFormat};
-use albireo_wire::{DroppedFrames, EnergyQuality};
+use albireo_vision::picture::PictureFormat;
+use albireo_wire::DroppedFrames;
 use reqwest::{Method, StatusCode};
 use rstest::rstest;
 use serde_json::{Value, json};
@@ -70,24 +68,6 @@ async fn a_degraded_frame_is_told_apart_and_never_counted_as_skipped() {
 }
 
 #[tokio::test]
-async fn the_quality_of_power_is_an_info_and_no_label_of_a_counter() {
-    let node = Served::start().await;
-    let joules = std::collections::BTreeMap::from([("total".to_owned(), 5.0)]);
-    for quality in [EnergyQuality::Measured, EnergyQuality::Unavailable] {
-        node.board.set_power(PowerSnapshot {
-            source: "ina".to_owned(),
-            quality,
-            joules: joules.clone(),
-            ..node.board.power()
-        });
-        let counter = r#"albireo_energy_joules_total{domain="total",source="ina"} 5"#;
-        let quality = serde_json::to_value(quality).unwrap();
-        let info = format!(r#"albireo_power_info{{source="ina",quality={quality}}} 1"#);
-        assert_says(&node.metrics().await, &[counter, &info]);
-    }
-}
-
-#[tokio::test]
 async fn cameras_are_listed_in_the_order_of_the_configuration() {
     let node = Served::start().await;
     node.board
@@ -138,15 +118,7 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
     let path = "/api/v1/cameras/front/frame.jpg";
     let none = node.refused(path, 404).await;
     assert_says(none["detail"].as_str().unwrap(), &["no picture"]);
-    let camera = node.front();
-    let show = |seq, format, bytes: Vec<u8>| {
-        let picture = EncodedPicture {
-            format,
-            bytes: bytes.into(),
-            size: PictureSize::new(4, 2),
-        };
-        camera.set_latest_frame(LatestFrame::new(seq, picture));
-    };
+    let show = |seq, format, bytes| node.front().sent(seq, format, bytes, [4, 2]);
     show(7, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
     let response = node.get(path).await;
     assert_eq!(response.headers()["content-type"], "image/jpeg");
@@ -164,13 +136,9 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
 async fn a_picture_is_decoded_once_however_many_ask_for_it() {
     let node = Served::start().await;
     for (number, seq) in [(1, 7), (2, 8)] {
-        let picture = EncodedPicture {
-            format: PictureFormat::Rgb8,
-            bytes: vec![number; 640 * 480 * 3].into(),
-            size: PictureSize::new(640, 480),
-        };
+        let bytes = vec![number; 640 * 480 * 3];
         node.front()
-            .set_latest_frame(LatestFrame::new(seq, picture));
+            .sent(seq, PictureFormat::Rgb8, bytes, [640, 480]);
         let asking = (0..24).map(|_| node.get("/api/v1/cameras/front/frame.jpg"));
         for response in futures_util::future::join_all(asking).await {
             assert_eq!(response.headers()["albireo-frame"], seq.to_string());

@@ -1,13 +1,15 @@
 //! A node's interface on a free port, over a board that the test writes.
 
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Albireo, FrameState, Knob};
 use albireo_node::FrameRecord;
 use albireo_node::api::http::router;
 use albireo_node::config::{CameraConfig, NodeConfig};
-use albireo_node::state::board::{Board, CameraBoard};
+use albireo_node::state::board::{Board, CameraBoard, LatestFrame};
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::{Value, json};
@@ -158,6 +160,9 @@ pub(crate) trait Frames {
     /// A frame gets its only answer.
     fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>);
 
+    /// A picture of this size comes.
+    fn sent(&self, seq: u64, format: PictureFormat, bytes: Vec<u8>, size: [u32; 2]);
+
     /// A frame of each of these states, numbered from 0.
     fn answered_all(&self, states: &[FrameState]) {
         for (seq, state) in (0..).zip(states) {
@@ -167,6 +172,15 @@ pub(crate) trait Frames {
 }
 
 impl Frames for CameraBoard {
+    fn sent(&self, seq: u64, format: PictureFormat, bytes: Vec<u8>, [width, height]: [u32; 2]) {
+        let picture = EncodedPicture {
+            format,
+            bytes: bytes.into(),
+            size: PictureSize::new(width, height),
+        };
+        self.set_latest_frame(LatestFrame::new(seq, picture));
+    }
+
     fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>) {
         let detections = detections.into();
         let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
