@@ -153,7 +153,8 @@ impl PreparedNode {
                 readiness::of_screen(&status.borrow())
             });
         }
-        board.attach_meters(detector.meter(), screen.as_ref().map(ScreenHandle::meter));
+        let screen_meter = screen.as_ref().map(ScreenHandle::meter);
+        let _ = board.meters.set((detector.meter(), screen_meter));
         let mut tasks = Supervisor::new(
             board.readiness.clone(),
             board.tasks.clone(),

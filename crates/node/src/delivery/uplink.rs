@@ -351,7 +351,7 @@ pub(crate) fn conclude(
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let request = PullRequest {
         v: VERSION,
-        revision: setup.desired.revision(),
+        revision: setup.desired.kept().revision,
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     let desired = ask::<Desired>(pulls, payload).await;

@@ -74,7 +74,8 @@ pub struct Board {
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
-    meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
+    /// Where to read what the detector and the screen count, once they have started.
+    pub(crate) meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
     today: Mutex<Today>,
@@ -152,21 +153,14 @@ impl Board {
         }))
     }
 
-    /// Where to read what the detector and the screen count, once they have started. The first ones stay.
-    pub(crate) fn attach_meters(&self, detector: DetectorMeter, screen: Option<WorkerMeter>) {
-        let _ = self.meters.set((detector, screen));
-    }
-
-    /// What the detector has counted; all 0 before it has started.
-    pub(crate) fn detector_counters(&self) -> DetectorCounts {
-        let detector = self.meters.get().map(|(detector, _)| detector.read());
-        detector.unwrap_or_default()
-    }
-
-    /// What the screen has counted; all 0 before it has started, and where there is none.
-    pub(crate) fn screen_counters(&self) -> WorkerCounts {
-        let screen = self.meters.get().and_then(|(_, screen)| screen.as_ref());
-        screen.map(WorkerMeter::read).unwrap_or_default()
+    /// What the detector and the screen have counted; all 0 before they have started, and where there is none.
+    pub(crate) fn worker_counts(&self) -> (DetectorCounts, WorkerCounts) {
+        let meters = self.meters.get();
+        let screen = meters.and_then(|(_, screen)| screen.as_ref());
+        (
+            (meters.map(|(detector, _)| detector.read())).unwrap_or_default(),
+            screen.map(WorkerMeter::read).unwrap_or_default(),
+        )
     }
 
     /// Time since the board was made.

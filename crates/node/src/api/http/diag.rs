@@ -32,6 +32,7 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let board = &shared.board;
     let name = board.node.clone();
+    let (detector, screen) = board.worker_counts();
     let about = json!({
         "program": "albireo node",
         "node": name,
@@ -40,8 +41,8 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
         "at_s": now_s,
         "running_s": board.uptime().as_secs_f64(),
         "policy": board.policy,
-        "screen": format!("{:?}", board.screen_counters()),
-        "detector": format!("{:?}", board.detector_counters()),
+        "screen": format!("{screen:?}"),
+        "detector": format!("{detector:?}"),
     });
     let clips = board.recent_clips(None, None, None, MOST_CLIPS);
     let Json(overview) = node::overview(State(shared.clone())).await;

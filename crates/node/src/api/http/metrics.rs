@@ -104,7 +104,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
 
 /// What the detector and the empty-scene screen have counted.
 fn detector(page: &mut MetricsPage, board: &Board) {
-    let counts = board.detector_counters();
+    let (counts, screen) = board.worker_counts();
     let (worker, head) = (&counts.worker, &counts.head);
     page.counter(
         "albireo_detector_batches_total",
@@ -132,7 +132,6 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         "Boxes in the model's output that were not reported, by reason",
         dropped.map(|(reason, count)| ([("reason", reason)], count as f64)),
     );
-    let screen = board.screen_counters();
     for (prefix, what, counts) in [
         ("detector", "detector", &counts.worker),
         ("screen", "empty-scene screen", &screen),

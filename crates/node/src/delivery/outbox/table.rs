@@ -27,8 +27,8 @@ const WAITING: i64 = 0;
 const AGAIN: i64 = 1;
 /// A hub has it.
 const ACKNOWLEDGED: i64 = 2;
-/// Never to be sent again.
-const REFUSED: i64 = 3;
+/// Never to be sent again; the last of the states.
+pub(super) const REFUSED: i64 = 3;
 
 /// Most bytes of reports in memory: some thousand.
 pub(super) const MEMORY_BYTES: u64 = 8 << 20;
@@ -232,12 +232,12 @@ impl Table {
         self.reports(if again { AGAIN } else { WAITING }, most)
     }
 
-    /// All reports.
-    pub(super) fn all(&self) -> Result<Vec<StoredReport>, TableError> {
-        self.reports(REFUSED, usize::MAX)
-    }
-
-    fn reports(&self, last_state: i64, most: usize) -> Result<Vec<StoredReport>, TableError> {
+    /// Reports up to that state, the oldest of each first, no more than `most`.
+    pub(super) fn reports(
+        &self,
+        last_state: i64,
+        most: usize,
+    ) -> Result<Vec<StoredReport>, TableError> {
         let mut select = self.db.prepare_cached(
             "SELECT id, count, state, acknowledged_ms, json FROM report
              WHERE state <= ? ORDER BY state, count LIMIT ?",

@@ -2,7 +2,7 @@
 
 use super::OutboxCounts;
 use super::disk::Disk;
-use super::table::{Answered, Counters, StoredReport, Table, TableError};
+use super::table::{Answered, Counters, REFUSED, StoredReport, Table, TableError};
 use albireo_service::clock::Now;
 use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
@@ -85,7 +85,7 @@ impl Waiting {
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
         // What was counted since the start goes on from what was counted before.
         file.counters = file.counters.max(self.memory.counters);
-        let lost = file.insert(&self.memory.all()?)?;
+        let lost = file.insert(&self.memory.reports(REFUSED, usize::MAX)?)?;
         (self.counts.waiting, self.counts.again) = file.waiting()?;
         self.memory = Table::in_memory(file.counters)?;
         self.file = Some(file);

@@ -11,12 +11,13 @@ const SETTING: &str = "desired";
 /// As it is kept in the state file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-struct Kept {
+pub(in crate::delivery) struct Kept {
     /// Highest revision seen.
-    revision: u64,
-    /// Highest revision that came into force.
-    in_force: u64,
-    refused: Option<RefusedDesired>,
+    pub revision: u64,
+    /// Highest revision that came into force, 0 for none.
+    pub in_force: u64,
+    /// The desired value that was not taken.
+    pub refused: Option<RefusedDesired>,
 }
 
 /// Applies what is desired, once a revision.
@@ -33,19 +34,9 @@ impl DesiredKeeper {
         }
     }
 
-    /// The highest revision seen.
-    pub(in crate::delivery) fn revision(&self) -> u64 {
-        self.kept.lock().revision
-    }
-
-    /// The revision whose value is in force, 0 for none.
-    pub(in crate::delivery) fn revision_in_force(&self) -> u64 {
-        self.kept.lock().in_force
-    }
-
-    /// The desired value that was not taken.
-    pub(in crate::delivery) fn refused(&self) -> Option<RefusedDesired> {
-        self.kept.lock().refused.clone()
+    /// What is known of it.
+    pub(in crate::delivery) fn kept(&self) -> Kept {
+        self.kept.lock().clone()
     }
 
     /// Takes what is desired; whether anything changed. A lower revision never replaces a higher.
@@ -129,7 +120,7 @@ mod tests {
         let keeper = DesiredKeeper::open(&board.settings);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&with_target(3, half), &board));
-        assert_eq!((target(&board), keeper.revision_in_force()), (half, 3));
+        assert_eq!((target(&board), keeper.kept().in_force), (half, 3));
         // An older value, and the same target again, change nothing.
         assert!(!keeper.take(&desired(2, 0.07), &board));
         assert!(!keeper.take(&with_target(3, half), &board));
@@ -143,8 +134,8 @@ mod tests {
         // Nothing to hold leaves the knob where it is.
         assert!(keeper.take(&with_target(5, half), &board));
         assert!(keeper.take(&with_target(6, None), &board));
-        assert_eq!((target(&board), keeper.revision_in_force()), (None, 6));
-        assert_eq!(keeper.refused(), None);
+        assert_eq!((target(&board), keeper.kept().in_force), (None, 6));
+        assert_eq!(keeper.kept().refused, None);
         assert!(
             thresholds(&board)
                 .iter()
@@ -159,8 +150,8 @@ mod tests {
         let keeper = DesiredKeeper::open(&board.settings);
         assert!(keeper.take(&desired(1, 0.07), &board));
         assert!(keeper.take(&with_target(2, Some(Target::SkipRate(1.5))), &board));
-        let refused = keeper.refused().unwrap();
-        assert_eq!((refused.revision, keeper.revision_in_force()), (2, 1));
+        let refused = keeper.kept().refused.unwrap();
+        assert_eq!((refused.revision, keeper.kept().in_force), (2, 1));
         assert!(
             refused.reason.contains("`skip_rate` must be"),
             "{refused:?}"
@@ -178,7 +169,7 @@ mod tests {
         drop((before, keeper));
         let restarted = opened(folder.path());
         let keeper = DesiredKeeper::open(&restarted.settings);
-        assert_eq!((target(&restarted), keeper.revision()), (half, 7));
+        assert_eq!((target(&restarted), keeper.kept().revision), (half, 7));
         // A knob turned at the node ends it, until the hub desires something new.
         set_by_hand(&restarted.cameras[1..], 0.01).unwrap();
         assert!(!keeper.take(&with_target(7, half), &restarted));

@@ -24,11 +24,11 @@ pub(in crate::delivery) struct StatusTeller {
     run: u32,
     started_ns: u64,
     seq: u64,
+    /// The full status sent last; none where the next is to be a full one.
     last: Option<NodeStatus>,
     /// The revision that was reported last: a heartbeat says that it is in force.
     told_revision: Option<u64>,
     told_at: Option<Instant>,
-    full_due: bool,
 }
 
 impl StatusTeller {
@@ -42,13 +42,12 @@ impl StatusTeller {
             last: None,
             told_revision: None,
             told_at: None,
-            full_due: true,
         }
     }
 
     /// The next status is a full one, and soon.
     pub(in crate::delivery) fn full_is_due(&mut self) {
-        self.full_due = true;
+        self.last = None;
     }
 
     /// The payload of a message, if one is due: in full at a change, and from time to time a heartbeat where nothing but
@@ -65,12 +64,12 @@ impl StatusTeller {
         }
         let status = self.status(board, desired);
         let changed = !self.last.as_ref().is_some_and(|last| same(last, &status));
-        if !changed && !self.full_due && since.is_some_and(|since| since < EVERY) {
+        if !changed && since.is_some_and(|since| since < EVERY) {
             return None;
         }
-        let revision = desired.revision_in_force();
+        let revision = desired.kept().in_force;
         let waiting = status.outbox.waiting;
-        let short = !changed && !self.full_due && self.told_revision == Some(revision);
+        let short = !changed && self.told_revision == Some(revision);
         let (run, seq) = (self.run, self.seq);
         self.seq += 1;
         self.told_revision = Some(revision);
@@ -87,10 +86,9 @@ impl StatusTeller {
             health: status.health.state,
             waiting,
             revision,
-            full: (changed || self.full_due).then(|| Box::new(status.clone())),
+            full: changed.then(|| Box::new(status.clone())),
         };
         self.last = Some(status);
-        self.full_due = false;
         // A status can always be written.
         serde_json::to_vec(&message).ok()
     }
@@ -122,7 +120,7 @@ impl StatusTeller {
             power_quality: power.quality,
             health: board.readiness.health().status(),
             outbox: board.outbox.counts().status(),
-            refused: desired.refused(),
+            refused: desired.kept().refused,
             target: target.status(),
             target_off: target.off,
         }

@@ -152,10 +152,10 @@ impl Node {
 
     pub(super) fn has(&self) -> Has {
         let node = self.started.as_ref().unwrap();
-        let revision = node.keeper.revision();
+        let kept = node.keeper.kept();
         Has {
-            revision,
-            refused: (node.keeper.refused()).is_some_and(|refused| refused.revision == revision),
+            revision: kept.revision,
+            refused: (kept.refused).is_some_and(|refused| refused.revision == kept.revision),
             by_hand: (node.board.cameras.iter())
                 .any(|camera| camera.threshold_source() == SettingSource::Local),
             settings: thresholds(&node.board),
