@@ -9,12 +9,10 @@ use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::response::sse::{self, KeepAlive, Sse};
 use futures_util::Stream;
-use futures_util::stream;
+use futures_util::stream::{self, StreamExt};
 use serde::Deserialize;
 use serde_json::json;
-use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::OwnedSemaphorePermit;
@@ -44,22 +42,10 @@ pub(super) struct Selection {
 struct Reader {
     camera: Option<String>,
     types: Vec<String>,
-    /// The present state, sent before new events.
-    first: VecDeque<sse::Event>,
     events: broadcast::Receiver<Arc<Event>>,
     shutdown: CancellationToken,
     /// Given back when the stream ends.
     _place: OwnedSemaphorePermit,
-}
-
-fn event(name: &str, json: Result<&str, impl Display>) -> Option<sse::Event> {
-    match json {
-        Ok(json) => Some(sse::Event::default().event(name).data(json)),
-        Err(error) => {
-            tracing::error!(name, %error, "an event cannot be written as JSON");
-            None
-        }
-    }
 }
 
 impl Reader {
@@ -69,29 +55,34 @@ impl Reader {
 
     fn select(&self, happened: &Event) -> Option<sse::Event> {
         let (camera, news) = (self.camera.as_deref(), &happened.news);
-        let about = camera.is_none() || news.camera().is_none() || camera == news.camera();
+        let is_about = camera.is_none() || news.camera().is_none() || camera == news.camera();
         let name = news.name();
-        (about && self.wants(name)).then(|| event(name, happened.json()))?
+        if !is_about || !self.wants(name) {
+            return None;
+        }
+        match happened.json() {
+            Ok(json) => Some(sse::Event::default().event(name).data(json)),
+            Err(error) => {
+                tracing::error!(name, error, "an event cannot be written as JSON");
+                None
+            }
+        }
     }
 
     /// The next event to send; `None` when the node stops.
     async fn next(&mut self) -> Option<sse::Event> {
         loop {
-            if let Some(event) = self.first.pop_front() {
-                return Some(event);
-            }
-            let found = tokio::select! {
-                () = self.shutdown.cancelled() => return None,
-                received = self.events.recv() => match received {
-                    Ok(happened) => self.select(&happened),
-                    Err(RecvError::Lagged(lost)) => {
-                        event(LAGGED, Ok::<_, Infallible>(&json!({ "lost": lost }).to_string()))
-                    }
-                    Err(RecvError::Closed) => return None,
+            let received = self.shutdown.run_until_cancelled(self.events.recv());
+            match received.await? {
+                Ok(happened) => match self.select(&happened) {
+                    None => {}
+                    event => return event,
                 },
-            };
-            if found.is_some() {
-                return found;
+                Err(RecvError::Lagged(lost)) => {
+                    let lost = json!({ "lost": lost }).to_string();
+                    return Some(sse::Event::default().event(LAGGED).data(lost));
+                }
+                Err(RecvError::Closed) => return None,
             }
         }
     }
@@ -149,22 +140,24 @@ pub(super) async fn stream(
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
         })?;
     let board = &shared.board;
-    let mut reader = Reader {
+    let reader = Reader {
         camera,
         types,
-        first: VecDeque::new(),
         // Before the present state is read, so that no change falls between the two.
         events: board.subscribe(),
         shutdown: shared.shutdown.clone(),
         _place: place,
     };
     let current = board.current(unix_nanoseconds());
-    reader.first = (current.iter())
-        .filter_map(|happened| reader.select(happened))
-        .collect();
+    let current: Vec<_> = (current
+        .iter()
+        .filter_map(|happened| reader.select(happened)))
+    .map(Ok)
+    .collect();
     let events = stream::unfold(reader, |mut reader| async move {
         let event = reader.next().await?;
         Some((Ok(event), reader))
     });
+    let events = stream::iter(current).chain(events);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
