@@ -1,4 +1,4 @@
-//! What is known of a running node.
+//! Holds what is known of a running node.
 
 pub mod advice;
 pub mod board;

@@ -1,4 +1,4 @@
-//! The routes of a node.
+//! Routes the requests to a node.
 
 mod cameras;
 mod change;

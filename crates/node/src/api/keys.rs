@@ -1,4 +1,4 @@
-//! Values of the node on Zenoh keys: a query reads one, a put or a query with a payload changes it.
+//! Serves values of the node on Zenoh keys: a query reads one, a put or a query with a payload changes it.
 
 use crate::rate_limit::SharedLimit;
 use crate::state::board::{Board, CameraBoard, set_thresholds};

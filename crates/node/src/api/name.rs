@@ -1,8 +1,8 @@
-//! The node's name on the network: its liveliness token, which says that the node lives, and that its name is taken.
+//! Holds the node's name on the network by a liveliness token, which says that the node lives and its name is taken.
 //!
-//! Who wants the name and hears of no claim to it declares one, a token under the name with its session's id, and asks
-//! again when that has had time to spread: two nodes that start together hear of each other then, and the lower id
-//! has the name. Without that, both would ask, hear nothing, and take it.
+//! A node that hears of no claim to the name declares one, a token under the name with its session's id, and asks
+//! again when that has had time to spread. So two nodes that start together hear of each other, and the lower id gets
+//! the name. Otherwise both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
 use std::hash::{BuildHasher, RandomState};

@@ -1,5 +1,4 @@
-//! The live board: what the camera loops write while they run, and what HTTP, metrics and the counter
-//! messages read. Nothing here decides anything.
+//! Keeps the live board, which camera loops write, and which HTTP, metrics and the counter messages read.
 
 mod camera;
 mod event;

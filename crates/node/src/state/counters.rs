@@ -1,4 +1,4 @@
-//! Once a second: new power figures on the board, every camera's counters on Zenoh, and a step of the target.
+//! Updates once a second: new power figures on the board, every camera's counters on Zenoh, and a step of the target.
 
 use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;

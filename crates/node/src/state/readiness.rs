@@ -1,4 +1,4 @@
-//! The parts of a node that its readiness knows, and what a fault of each means.
+//! Names the parts of a node that its readiness knows, and what a fault of each means.
 //!
 //! | part | not ready | degraded |
 //! | --- | --- | --- |

@@ -1,4 +1,4 @@
-//! The target of a node: held by a controller that moves the knob of all its cameras together.
+//! Holds the target of a node with a controller that moves the knob of all its cameras together.
 
 #[cfg(test)]
 mod tests;

@@ -1,4 +1,4 @@
-//! The cameras and their states.
+//! Lists the cameras and their states.
 
 use super::RouteState;
 use crate::state::advice::Advice;

@@ -1,4 +1,4 @@
-//! Requests that change something: how their body is read, and where the change is made.
+//! Reads the body of a request that changes something, and makes the change off the async workers.
 
 use albireo_service::http::{BODY_LIMIT, Problem};
 use axum::body::Bytes;

@@ -1,4 +1,4 @@
-//! Recent clip reports.
+//! Lists recent clip reports.
 
 use super::{RouteState, bad_request, query};
 use crate::state::board::RECENT_CLIPS;

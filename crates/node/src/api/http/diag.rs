@@ -1,4 +1,4 @@
-//! Diagnostics of a node as one archive.
+//! Packs the diagnostics of a node into one archive.
 
 use super::{RouteState, cameras, metrics, node, states};
 use albireo_service::archive;

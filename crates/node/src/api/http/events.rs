@@ -1,4 +1,4 @@
-//! What happens on the node, as server-sent events (WHATWG HTML, section 9.2).
+//! Streams what happens on the node as server-sent events (WHATWG HTML, section 9.2).
 
 use super::{RouteState, bad_request, query};
 use crate::state::board::{Event, News};

@@ -1,4 +1,4 @@
-//! Liveness and readiness of the node.
+//! Answers whether the node lives and is ready.
 
 use super::RouteState;
 use crate::state::board::{Board, provider};

@@ -1,4 +1,4 @@
-//! The recent past of a node, for a page that has just been opened.
+//! Shows the recent past of a node to a page that has just been opened.
 
 use super::{RouteState, bad_request, query};
 use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};

@@ -1,4 +1,4 @@
-//! The list of routes.
+//! Lists the routes.
 
 use super::RouteState;
 use albireo_service::http::Route;

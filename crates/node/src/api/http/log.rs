@@ -1,4 +1,4 @@
-//! The last lines of the log.
+//! Shows the last lines of the log.
 
 use super::{bad_request, query};
 use albireo_service::http::Problem;

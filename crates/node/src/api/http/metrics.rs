@@ -1,4 +1,4 @@
-//! Metrics for Prometheus.
+//! Writes the metrics for Prometheus.
 
 mod cameras;
 

@@ -1,4 +1,4 @@
-//! The node itself, in one answer: what the head of the page shows.
+//! Sums the node up in one answer, for the head of the page.
 
 use super::RouteState;
 use super::health::{Readiness, readiness};

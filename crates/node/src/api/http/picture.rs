@@ -1,4 +1,4 @@
-//! The latest picture of a camera.
+//! Shows the latest picture of a camera.
 
 use super::RouteState;
 use albireo_service::http::Problem;

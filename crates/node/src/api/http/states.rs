@@ -1,4 +1,4 @@
-//! The frame-state counters.
+//! Shows the frame-state counters.
 
 use super::RouteState;
 use crate::camera::audit::AuditCount;

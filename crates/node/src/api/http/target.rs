@@ -1,4 +1,4 @@
-//! Reading and setting the target.
+//! Reads and sets the target.
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};

@@ -1,4 +1,4 @@
-//! Reading and turning the uncertainty threshold.
+//! Reads and sets the uncertainty threshold.
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};

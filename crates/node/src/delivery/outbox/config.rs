@@ -1,4 +1,4 @@
-//! The `[outbox]` section of the configuration.
+//! Reads the `[outbox]` section of the configuration.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! The file of the outbox in the state directory.
+//! Opens the file of the outbox in the state directory.
 
 use super::table::TableError;
 use rusqlite::Connection;

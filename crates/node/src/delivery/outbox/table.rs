@@ -1,4 +1,4 @@
-//! The table of reports: SQLite, synced at each commit.
+//! Stores reports in a table of SQLite, synced at each commit.
 
 use rusqlite::{Connection, ErrorCode, Transaction, params};
 use uuid::Uuid;

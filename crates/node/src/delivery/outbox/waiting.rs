@@ -1,4 +1,4 @@
-//! Reports in the file of the state directory, and in memory while that fails. No clock: times are given.
+//! Holds reports in the file of the state directory, and in memory while that fails. It has no clock: times are given.
 
 use super::OutboxCounts;
 use super::disk::Disk;

@@ -1,4 +1,4 @@
-//! A simulated hub: the real decoder and the real writer, over one database that two hubs may share.
+//! Simulates a hub: the real decoder and the real writer, over one database that two hubs may share.
 
 use super::node::{frames, image, put};
 use albireo_hub::config::{DatabaseConfig, HistoryConfig};

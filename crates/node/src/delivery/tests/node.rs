@@ -1,4 +1,4 @@
-//! A simulated node: the real outbox on its real file, and the schedule of the uplink.
+//! Simulates a node: the real outbox on its real file, and the schedule of the uplink.
 
 use crate::NodeError;
 use crate::delivery::outbox::tests::{Faults, FaultyDisk, report};

@@ -1,4 +1,4 @@
-//! Virtual time: what happens when, what is lost on the way, and what fails, all decided by a seed.
+//! Runs virtual time: a seed decides what happens when, what is lost on the way, and what fails.
 
 use albireo_service::clock::Now;
 use rand_core::{RngCore, SeedableRng};

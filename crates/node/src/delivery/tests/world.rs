@@ -1,4 +1,4 @@
-//! What happens, in the order of virtual time.
+//! Plays what happens to nodes and a hub, in the order of virtual time.
 
 use super::hub::{Asker, Hub, Reply};
 use super::node::{Node, put};

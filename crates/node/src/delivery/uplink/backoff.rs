@@ -1,4 +1,4 @@
-//! Pauses between attempts that failed.
+//! Paces attempts that failed.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! A query to the hub, and its reply.
+//! Queries the hub, and reads its reply.
 
 use super::Failure;
 use albireo_wire::{ReportRefusal, read};

@@ -1,4 +1,4 @@
-//! Decides when the uplink sends what. No clock and no network: times and results are given.
+//! Decides when the uplink sends what. It has no clock and no network: times and results are given.
 
 use super::backoff::Backoff;
 use crate::delivery::outbox::{OutboxConfig, OutboxCounts};

@@ -1,5 +1,5 @@
-//! What a node sends over the uplink while somebody watches it through the hub, and only then: counters once a second, and
-//! pictures that are asked for.
+//! Sends counters once a second, and pictures on request, over the uplink: only while somebody watches the node through
+//! the hub.
 
 use super::UplinkSetup;
 use albireo_service::clock::unix_nanoseconds;

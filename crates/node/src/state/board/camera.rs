@@ -1,4 +1,4 @@
-//! One camera's part of the live board.
+//! Holds one camera's part of the live board.
 
 use super::event::{Event, FrameEvent, News};
 use super::history::{CameraSlot, Clock, History, PastFrame, SkipEstimate};

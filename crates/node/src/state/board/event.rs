@@ -1,4 +1,4 @@
-//! Events of a node, as they happen.
+//! Describes what happens on a node, as it happens.
 
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};

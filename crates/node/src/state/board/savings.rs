@@ -1,5 +1,5 @@
-//! What was saved, since the start and today. Sums and no list: a node that runs for a year needs no more memory than one
-//! that began now.
+//! Sums what was saved, since the start and today, without a list: a node that has run for a year needs no more memory
+//! than one that began now.
 //!
 //! A day is one of UTC, so that it is the same for every node of a fleet and no clock change makes it 23 hours long. A
 //! node that began today counts from its start on.

@@ -1,5 +1,4 @@
-//! What each camera does: frames by state, whether they come, what was seen, what it cost, how long it took, and what the
-//! audit found.
+//! Writes the metrics of each camera: frames, boxes, latency, energy and audit.
 
 use super::flag;
 use crate::state::board::{Board, CameraBoard, CameraSnapshot};

@@ -1,4 +1,4 @@
-//! A simulated hub: its real orders, rollouts and database.
+//! Simulates a hub: its real orders, rollouts and database.
 
 use super::super::hub::HubFile;
 use super::super::timeline::BEGIN;

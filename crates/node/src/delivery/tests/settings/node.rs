@@ -1,4 +1,4 @@
-//! A simulated node: what is desired of it, on its real file.
+//! Simulates a node: what is desired of it, on its real file.
 
 use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;

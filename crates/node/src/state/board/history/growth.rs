@@ -1,4 +1,4 @@
-//! How uncertainty grows while the detector rests, from recorded frames.
+//! Learns from recorded frames how uncertainty grows while the detector rests.
 
 use super::PastFrame;
 

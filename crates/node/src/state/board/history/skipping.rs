@@ -1,6 +1,6 @@
-//! What another threshold would have skipped over the last frames: an estimate from the recorded uncertainties.
+//! Estimates from recorded uncertainties what another threshold would have skipped over the last frames.
 //!
-//! The frames are walked through once more under the other value. Where the detector would have rested for longer or
+//! It walks through the frames once more under the other value. Where the detector would have rested for longer or
 //! shorter than it did, the recorded uncertainty is scaled by how it grew with the time since a call ([`Growth`]). What
 //! called the detector for another reason than uncertainty (no objects, the screen) calls it again, and so does the longest
 //! pause that the policy allows. It stays an estimate: other frames would have been matched, so other objects might be
