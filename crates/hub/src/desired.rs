@@ -1,16 +1,19 @@
 //! The desired setting of each node, in memory, for answering pulls.
 
+use crate::store::row::json_text;
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
+use serde::Deserialize;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 /// What is desired of a node: a value of its knob, or a target.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct DesiredValue {
     /// Its number.
     pub revision: u64,
     /// The value or the target.
+    #[serde(with = "json_text")]
     pub setting: DesiredSetting,
 }
 

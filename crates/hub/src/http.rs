@@ -24,7 +24,7 @@ use crate::desired::Desires;
 use crate::ingest::IngestCounters;
 use crate::presence::{Fleet, ListenCounters};
 use crate::readiness::Readiness;
-use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
+use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
 use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
@@ -161,7 +161,7 @@ impl From<StoreError> for Problem {
         CountersMessage,
         // Of parameters, which do not bring theirs.
         EnergyBy,
-        energy::Sort,
+        Sort,
         Command
     )),
     modifiers(&TokenSecurity),

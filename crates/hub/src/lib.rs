@@ -11,7 +11,6 @@ mod per_node;
 pub mod presence;
 pub mod readiness;
 mod run;
-pub mod setting;
 pub mod store;
 pub mod tuning;
 

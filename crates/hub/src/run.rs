@@ -268,16 +268,13 @@ async fn remembered(
     let store = Store::open(&config.database).await?;
     let nodes = fleet.read(&store, Instant::now()).await?;
     let since_s = day_of(unix_milliseconds()) * 86_400;
-    let today = EnergyQuery {
+    let by_node = EnergyQuery {
         by: EnergyBy::Node,
-        resolution: Resolution::Day,
-        since_s,
-        until_s: since_s + 86_400,
-        node: None,
-        largest_first: false,
-        limit: i64::MAX,
+        ..EnergyQuery::default()
     };
-    let used = store.energy(&today).await?.into_iter().map(|group| {
+    let today = since_s..since_s + 86_400;
+    let groups = store.energy(&by_node, Resolution::Day, today).await?;
+    let used = groups.into_iter().map(|group| {
         let used = Used {
             uj: (group.joules * 1e6).round() as i64,
             estimated: group.quality == EnergyQuality::Estimated,

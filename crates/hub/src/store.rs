@@ -18,9 +18,10 @@ mod tuning;
 pub(crate) use database::{Database, ReportKey};
 pub use error::StoreError;
 pub use read::{
-    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution,
+    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution, Sort,
     StoredClip, StoredEvent, StoredSetAside,
 };
+pub(crate) use tuning::DesiredRow;
 pub use tuning::{ChangeNode, ChangeRow};
 
 use crate::config::DatabaseConfig;

@@ -3,11 +3,9 @@
 
 use super::{HubView, body};
 use crate::store::{ChangeNode, ChangeRow};
-use crate::tuning::Tuner;
-use crate::tuning::change::{Change, ChangeRequest};
+use crate::tuning::change::NewChange;
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::plan::check_why;
-use crate::tuning::selector::Selector;
 use crate::tuning::tuner::{Drift, OutcomeLine};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
@@ -18,6 +16,7 @@ use axum::extract::{Extension, Path, Query, State};
 use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use futures_util::stream;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,8 +32,6 @@ const LINES: &str = "application/x-ndjson";
 const LONGEST_WAIT_S: f64 = 8.0;
 /// What of the time of a request is left for the order and the answer.
 const ANSWER_S: f64 = 1.0;
-/// Time between two looks at what became of a change.
-const LOOK: Duration = Duration::from_millis(100);
 /// How long a stream of outcomes lasts at most.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
@@ -69,23 +66,6 @@ pub enum OrderLine {
     Outcome(OutcomeLine),
     /// Nothing follows.
     Last(LastLine),
-}
-
-/// A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target.
-#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
-pub(super) struct NewChange {
-    /// Which nodes: names, globs, labels, `all`.
-    #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
-    select: Selector,
-    /// Only say who would change.
-    #[serde(default)]
-    dry_run: bool,
-    /// Why; kept in the history.
-    #[serde(default)]
-    why: String,
-    /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
-    #[serde(default)]
-    wait_s: Option<f64>,
 }
 
 /// A target that selected nodes are to hold.
@@ -157,34 +137,24 @@ async fn carry_out(
     caller: &Caller,
     headers: &HeaderMap,
     setting: DesiredSetting,
-    change: NewChange,
+    request: NewChange,
 ) -> Result<Response, Problem> {
-    check_why(&change.why).map_err(|error| body::unusable(error.to_string()))?;
-    let streams = headers
-        .get(ACCEPT)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|accept| accept.contains(LINES));
-    let most = if streams {
-        LONGEST_STREAM_S
-    } else {
-        (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S)
+    check_why(&request.why).map_err(body::unusable)?;
+    let accepted = headers.get(ACCEPT).and_then(|value| value.to_str().ok());
+    let streams = accepted.is_some_and(|accept| accept.contains(LINES));
+    let most = match streams {
+        true => LONGEST_STREAM_S,
+        false => (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S),
     };
-    let wait = change.wait_s.unwrap_or(most.min(5.0));
+    let wait = request.wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {
         return Err(body::unusable(format!(
             "wait_s: must be from 0 to {most}, not {wait}"
         )));
     }
-    let dry_run = change.dry_run;
-    let request = ChangeRequest {
-        setting,
-        select: change.select,
-        dry_run,
-        why: change.why,
-    };
-    let change = view
-        .tuner()?
-        .change(request, &caller.name, unix_milliseconds())
+    let (tuner, dry_run) = (Arc::clone(view.tuner()?), request.dry_run);
+    let mut change = tuner
+        .change(setting, request, &caller.name, unix_milliseconds())
         .await?;
     if change.lines.is_empty() && change.awaited.is_empty() {
         return Err(Problem::new(
@@ -193,91 +163,53 @@ async fn carry_out(
         ));
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);
-    let mut following = Following {
-        tuner: Arc::clone(view.tuner()?),
-        change,
-        until,
-        last: BTreeMap::new(),
-    };
+    let revision = change.revision;
     if streams {
-        let stream = futures_util::stream::unfold(Some(following), |following| async move {
-            let mut following = following?;
-            let (line, next) = match following.next().await {
-                Some(line) => (OrderLine::Outcome(line), Some(following)),
-                None => {
-                    let last = LastLine {
-                        revision: following.change.revision,
-                        counts: following.counts(),
-                    };
-                    (OrderLine::Last(last), None)
-                }
-            };
-            let line = serde_json::to_string(&line)
-                .map(|line| line + "\n")
-                .map_err(std::io::Error::other);
-            Some((line, next))
+        let begin = Some((tuner, change, Counts::new()));
+        let texts = stream::unfold(begin, move |state| async move {
+            let (tuner, mut change, mut counts) = state?;
+            let lines = tuner.outcomes(&mut change, until).await;
+            count(&mut counts, &lines);
+            if lines.is_empty() {
+                let last = LastLine { revision, counts };
+                return Some((written(&[last]), None));
+            }
+            Some((written(&lines), Some((tuner, change, counts))))
         });
-        return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(stream)).into_response());
+        return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response());
     }
-    while following.next().await.is_some() {}
+    let (mut nodes, mut counts) = (Vec::new(), Counts::new());
+    loop {
+        let lines = tuner.outcomes(&mut change, until).await;
+        if lines.is_empty() {
+            break;
+        }
+        nodes.extend(lines);
+    }
+    count(&mut counts, &nodes);
+    nodes.sort_by(|a, b| a.node.cmp(&b.node));
     let answer = OrderAnswer {
-        revision: following.change.revision,
+        revision,
         dry_run,
-        counts: following.counts(),
-        nodes: following.last.into_values().collect(),
+        counts,
+        nodes,
     };
     Ok(Json(answer).into_response())
 }
 
-/// Yields the outcomes until every node has one or the time is up.
-struct Following {
-    tuner: Arc<Tuner>,
-    change: Change,
-    until: Instant,
-    last: BTreeMap<String, OutcomeLine>,
+/// Counts the nodes of these lines by their outcome.
+fn count(counts: &mut Counts, lines: &[OutcomeLine]) {
+    for line in lines {
+        *counts.entry(line.outcome).or_default() += 1;
+    }
 }
 
-impl Following {
-    async fn next(&mut self) -> Option<OutcomeLine> {
-        while self.change.lines.is_empty() {
-            let (is_over, revision) = (Instant::now() >= self.until, self.change.revision?);
-            self.change.awaited.retain(|node, from| {
-                let (outcome, detail) = self.tuner.outcome(node, revision);
-                let is_pending = outcome == Outcome::Pending;
-                if is_pending && !is_over {
-                    return true;
-                }
-                self.change.lines.push(OutcomeLine {
-                    node: node.clone(),
-                    outcome,
-                    from: *from,
-                    to: self.change.setting,
-                    detail: match is_pending {
-                        true => "not answered yet".to_owned(),
-                        false => detail,
-                    },
-                });
-                false
-            });
-            if self.change.lines.is_empty() {
-                if self.change.awaited.is_empty() {
-                    return None;
-                }
-                tokio::time::sleep(LOOK).await;
-            }
-        }
-        let line = self.change.lines.pop()?;
-        self.last.insert(line.node.clone(), line.clone());
-        Some(line)
-    }
-
-    fn counts(&self) -> Counts {
-        let mut counts = Counts::new();
-        for line in self.last.values() {
-            *counts.entry(line.outcome).or_default() += 1;
-        }
-        counts
-    }
+/// These lines as JSON.
+fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
+    let texts = lines
+        .iter()
+        .map(|line| Ok(serde_json::to_string(line)? + "\n"));
+    texts.collect()
 }
 
 /// A change as the history has it.

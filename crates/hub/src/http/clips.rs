@@ -18,42 +18,6 @@ use utoipa::{IntoParams, ToSchema};
 /// Most of one page.
 const MOST: i64 = 1000;
 
-/// Which clips.
-#[derive(Clone, Deserialize, IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub(super) struct Selection {
-    /// Of this node.
-    node: Option<String>,
-    /// Of this camera of it.
-    camera: Option<String>,
-    /// Begun at this time or later, milliseconds since the Unix epoch.
-    since_ms: Option<i64>,
-    /// Begun before this time, milliseconds since the Unix epoch.
-    until_ms: Option<i64>,
-    /// `next` of the page before.
-    cursor: Option<i64>,
-    /// Maximum number, up to 1000; 100 by default.
-    limit: Option<i64>,
-}
-
-impl Selection {
-    fn query(&self, limit: i64) -> Result<ClipQuery, Problem> {
-        if self.camera.is_some() && self.node.is_none() {
-            let detail = "`camera` needs `node`: cameras of different nodes may have one name";
-            return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
-        }
-        Ok(ClipQuery {
-            node: self.node.clone(),
-            camera: self.camera.clone(),
-            since_ms: self.since_ms,
-            until_ms: self.until_ms,
-            before_id: self.cursor,
-            limit,
-        })
-    }
-}
-
 /// A page of clips, the last received first.
 #[derive(Serialize, ToSchema)]
 pub(super) struct ClipPage {
@@ -67,18 +31,26 @@ pub(super) struct ClipPage {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/clips?node=car-7&limit=20'`
 #[utoipa::path(
-    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "history", params(Selection),
+    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "history", params(ClipQuery),
     responses((status = 200, body = ClipPage))
 )]
 pub(super) async fn list(
     State(view): State<HubView>,
-    Query(selection): Query<Selection>,
+    Query(wanted): Query<ClipQuery>,
 ) -> Result<Json<ClipPage>, Problem> {
-    let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
-    let wanted = selection.query(limit + 1)?;
-    let mut clips = view.store()?.clips(&wanted).await?;
+    check(&wanted)?;
+    let limit = wanted.limit.unwrap_or(100).clamp(1, MOST);
+    let mut clips = view.store()?.clips(&wanted, limit + 1).await?;
     let next = next(&mut clips, limit, |clip| clip.id);
     Ok(Json(ClipPage { clips, next }))
+}
+
+fn check(wanted: &ClipQuery) -> Result<(), Problem> {
+    if wanted.camera.is_some() && wanted.node.is_none() {
+        let detail = "`camera` needs `node`: cameras of different nodes may have one name";
+        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+    }
+    Ok(())
 }
 
 /// The same clips as CSV, all of them, or `limit`
@@ -86,35 +58,32 @@ pub(super) async fn list(
 /// They are read and sent in pages: the file may be larger than the memory. Without the audit's figures.
 /// `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
 #[utoipa::path(
-    get, operation_id = "clips_csv", path = "/api/v1/clips.csv", tag = "history", params(Selection),
+    get, operation_id = "clips_csv", path = "/api/v1/clips.csv", tag = "history", params(ClipQuery),
     responses((status = 200, content_type = "text/csv", body = String))
 )]
 pub(super) async fn csv(
     State(view): State<HubView>,
-    Query(selection): Query<Selection>,
+    Query(wanted): Query<ClipQuery>,
 ) -> Result<Response, Problem> {
+    check(&wanted)?;
     let store = view.store()?.clone();
-    let left = selection.limit.unwrap_or(i64::MAX).max(1);
-    let first = selection.query(left.min(MOST))?;
+    let left = wanted.limit.unwrap_or(i64::MAX).max(1);
     // The first page is read before anything is answered: an error can then still be answered.
-    let page = store.clips(&first).await?;
-    let state = (store, first, Some(page), left, true);
-    let pages = stream::try_unfold(state, |(store, mut wanted, page, left, head)| async move {
-        let Some(mut clips) = page else {
+    let first = store.clips(&wanted, left.min(MOST)).await?;
+    let state = (store, wanted, first, left, true);
+    let pages = stream::try_unfold(Some(state), |state| async move {
+        let Some((store, mut wanted, mut clips, left, head)) = state else {
             return Ok(None);
         };
-        let text = written(&mut clips, head)?;
-        let left = left - clips.len() as i64;
-        let full = clips.len() as i64 == wanted.limit;
-        wanted.before_id = clips.last().map(|clip| clip.id);
-        wanted.limit = left.min(MOST);
-        let next = if full && left > 0 {
-            Some(store.clips(&wanted).await.map_err(std::io::Error::other)?)
-        } else {
-            None
-        };
-        let state = (store, wanted, next, left, false);
-        Ok::<_, std::io::Error>(Some((Bytes::from(text), state)))
+        let text = Bytes::from(written(&mut clips, head)?);
+        let (full, left) = (clips.len() as i64 == left.min(MOST), left - MOST);
+        if !full || left <= 0 {
+            return Ok(Some((text, None)));
+        }
+        wanted.cursor = clips.last().map(|clip| clip.id);
+        let next = store.clips(&wanted, left.min(MOST)).await;
+        let next = next.map_err(std::io::Error::other)?;
+        Ok::<_, std::io::Error>(Some((text, Some((store, wanted, next, left, false)))))
     });
     let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8"),

@@ -84,6 +84,17 @@ impl NodeSettings {
         Some(self.reported.as_ref()?.target?.target)
     }
 
+    /// Whether it reported that setting. A threshold that a target has moved to is on its way elsewhere, and does not count.
+    pub(crate) fn has(&self, setting: DesiredSetting) -> bool {
+        self.is_known()
+            && match setting {
+                DesiredSetting::Threshold(wanted) => {
+                    self.threshold() == Some(wanted) && self.target().is_none()
+                }
+                DesiredSetting::Target(wanted) => self.target() == wanted,
+            }
+    }
+
     /// What it has: its target, or its threshold where it holds none.
     pub(crate) fn setting(&self) -> Option<DesiredSetting> {
         let target = self
@@ -116,4 +127,33 @@ impl NodeSettings {
 pub(super) fn labels(reported: Option<&ReportedSettings>) -> &BTreeMap<String, String> {
     static NONE: BTreeMap<String, String> = BTreeMap::new();
     reported.map_or(&NONE, |reported| &reported.labels)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A node with one value on all of its cameras, which refused the setting of one revision or none.
+    pub(crate) fn reported(
+        reachable: bool,
+        revision: u64,
+        threshold: Threshold,
+        refused: Option<u64>,
+    ) -> NodeSettings {
+        let reported = ReportedSettings {
+            labels: BTreeMap::new(),
+            policy: "albireo".to_owned(),
+            threshold_name: Some(threshold.name),
+            threshold: Some(threshold),
+            target: None,
+            target_off: None,
+            refused: refused.map(|revision| (revision, "range".to_owned())),
+        };
+        NodeSettings {
+            name: "".into(),
+            reachable,
+            revision,
+            reported: Some(Arc::new(reported)),
+        }
+    }
 }

@@ -5,7 +5,7 @@ mod energy;
 mod history;
 
 pub use audit::AuditCounts;
-pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
+pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
 pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 
 use super::row::read_all;

@@ -2,6 +2,7 @@
 
 use super::row::{json_text, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
+use crate::desired::DesiredValue;
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::metric::{Figure, Figures, Mean};
 use crate::tuning::run::{Run, Window};
@@ -52,6 +53,14 @@ pub struct ChangeNode {
     pub detail: String,
 }
 
+/// What is desired of a node.
+#[derive(Deserialize)]
+pub(crate) struct DesiredRow {
+    pub(crate) node: String,
+    #[serde(flatten)]
+    pub(crate) value: DesiredValue,
+}
+
 /// A rollout or trial as it is kept.
 #[derive(Deserialize)]
 struct RunRow {
@@ -83,29 +92,26 @@ fn kept_runs(rows: Vec<Row>) -> Result<Vec<KeptRun>, StoreError> {
 }
 
 impl dyn Database + '_ {
-    /// The next revision: greater than any before, whatever hub gave it, and than `above`.
-    pub(crate) fn next_revision(&mut self, above: i64) -> Result<i64, StoreError> {
-        self.next(
-            "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
-             WHERE name = 'revision' RETURNING value",
-            above.into(),
-        )
-    }
-
     fn next(&mut self, statement: &str, with: Value) -> Result<i64, StoreError> {
         let value = self.number(statement, &[with])?;
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
-    /// Stores an order and its nodes, and makes what it orders the desired setting where none of a higher revision is.
+    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is greater than
+    /// any before, whatever hub gave it, and than `above`.
     pub(crate) fn order(
         &mut self,
-        order: &ChangeRow,
-        nodes: &[ChangeNode],
-    ) -> Result<(), StoreError> {
-        let (revision, setting) = (order.revision, order.setting);
-        let desired = nodes
-            .iter()
+        change: &ChangeRow,
+        mut nodes: Vec<ChangeNode>,
+        above: i64,
+    ) -> Result<i64, StoreError> {
+        let revision = self.next(
+            "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
+             WHERE name = 'revision' RETURNING value",
+            above.into(),
+        )?;
+        let setting = change.setting;
+        let desired = (nodes.iter())
             .map(|node| json!({ "node": node.node, "revision": revision, "setting": setting }));
         self.insert(
             "desired",
@@ -115,22 +121,23 @@ impl dyn Database + '_ {
         )?;
         let row = json!({
             "revision": revision,
-            "at_ms": order.at_ms,
-            "who": order.who,
-            "why": order.why,
-            "origin": order.origin,
-            "selector": order.selector,
+            "at_ms": change.at_ms,
+            "who": change.who,
+            "why": change.why,
+            "origin": change.origin,
+            "selector": change.selector,
             "setting": setting,
         });
         self.insert("orders", &[row], "")?;
-        self.outcomes(nodes)?;
+        nodes.iter_mut().for_each(|node| node.revision = revision);
+        self.outcomes(&nodes)?;
         self.query(
             "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 \
              WHERE outcome IN ('pending', 'waiting', 'timed_out') AND revision < $2 \
              AND node IN (SELECT node FROM order_nodes WHERE revision = $2)",
-            &[order.at_ms.into(), revision.into()],
+            &[change.at_ms.into(), revision.into()],
         )?;
-        Ok(())
+        Ok(revision)
     }
 
     /// Takes a node off the list and drops what is desired of it; its clips and its history stay.
@@ -247,21 +254,9 @@ impl Store {
     }
 
     /// What is desired of nodes with higher revisions than `after`.
-    pub(crate) async fn desired_after(
-        &self,
-        after: i64,
-    ) -> Result<Vec<(String, i64, DesiredSetting)>, StoreError> {
-        #[derive(Deserialize)]
-        struct Desired {
-            node: String,
-            revision: i64,
-            #[serde(with = "json_text")]
-            setting: DesiredSetting,
-        }
+    pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<DesiredRow>, StoreError> {
         let text = "SELECT * FROM desired WHERE revision > $1";
-        let rows: Vec<Desired> = read_all(self.query(text, vec![after.into()]).await?)?;
-        let read = |row: Desired| (row.node, row.revision, row.setting);
-        Ok(rows.into_iter().map(read).collect())
+        read_all(self.query(text, vec![after.into()]).await?)
     }
 
     /// What became of a change at each node.

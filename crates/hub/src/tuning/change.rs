@@ -2,32 +2,36 @@
 
 use super::member::{Millis, Outcome};
 use super::selector::Selector;
-use super::tuner::{NewOrder, OutcomeLine, Tuner};
-use crate::desired::DesiredValue;
+use super::tuner::{OutcomeLine, Tuner};
 use crate::presence::NodeSettings;
-use crate::setting::is_applied;
-use crate::store::StoreError;
+use crate::store::{ChangeRow, StoreError};
 use albireo_wire::DesiredSetting;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
+use tokio::time::{Instant, timeout_at};
+use utoipa::ToSchema;
 
-/// A value or a target for selected nodes.
-#[derive(Clone, Debug)]
-pub struct ChangeRequest {
-    /// The value or the target.
-    pub setting: DesiredSetting,
-    /// Which nodes.
+/// A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target.
+#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct NewChange {
+    /// Which nodes: names, globs, labels, `all`.
+    #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
     pub select: Selector,
-    /// Only says who would change.
+    /// Only say who would change.
+    #[serde(default)]
     pub dry_run: bool,
-    /// Why.
+    /// Why; kept in the history.
+    #[serde(default)]
     pub why: String,
+    /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+    #[serde(default)]
+    pub wait_s: Option<f64>,
 }
 
-/// An order that was given, or would be.
+/// A change that was ordered, or would be.
 #[derive(Debug)]
-pub struct Change {
-    /// What was ordered.
-    pub(crate) setting: DesiredSetting,
+pub(crate) struct Change {
+    setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
     /// What is known and not reported yet.
@@ -36,34 +40,46 @@ pub struct Change {
     pub(crate) awaited: BTreeMap<String, Option<DesiredSetting>>,
 }
 
+impl Change {
+    fn add(
+        &mut self,
+        node: &str,
+        outcome: Outcome,
+        from: Option<DesiredSetting>,
+        detail: impl Into<String>,
+    ) {
+        self.lines.push(OutcomeLine {
+            node: node.to_owned(),
+            outcome,
+            from,
+            to: self.setting,
+            detail: detail.into(),
+        });
+    }
+}
+
 impl Tuner {
     /// Orders a value or a target for the selected nodes, or says who would change.
     ///
     /// # Errors
     /// When the database cannot be used: then nothing is ordered.
-    pub async fn change(
+    pub(crate) async fn change(
         &self,
-        request: ChangeRequest,
+        setting: DesiredSetting,
+        request: NewChange,
         who: &str,
         now: Millis,
     ) -> Result<Change, StoreError> {
-        let ChangeRequest {
+        let mut change = Change {
             setting,
-            select,
-            dry_run,
-            why,
-        } = request;
-        let taken = self.taken().await?;
-        let (mut lines, mut nodes, mut known) = (Vec::new(), Vec::new(), HashSet::new());
-        let line = |node: &str, outcome, from, detail| OutcomeLine {
-            node: node.to_owned(),
-            outcome,
-            from,
-            to: setting,
-            detail,
+            revision: None,
+            lines: Vec::new(),
+            awaited: BTreeMap::new(),
         };
+        let taken = self.taken().await?;
+        let mut known = HashSet::new();
         for node in self.fleet.all_settings() {
-            if !select.selects(&node.name, node.labels()) {
+            if !request.select.selects(&node.name, node.labels()) {
                 continue;
             }
             known.insert(node.name.to_string());
@@ -71,74 +87,99 @@ impl Tuner {
             let taken = (taken.get(&*node.name))
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
-            let (outcome, detail) = match refused.or_else(|| unable(&node, setting)) {
-                Some(detail) => (Outcome::Refused, detail),
-                None if has_it(&node, self.desired_value(&node.name), setting) => {
-                    (Outcome::Unchanged, String::new())
+            match refused.or_else(|| unable(&node, setting)) {
+                Some(detail) => change.add(&node.name, Outcome::Refused, from, detail),
+                None if self.has_it(&node, setting) => {
+                    change.add(&node.name, Outcome::Unchanged, from, "");
                 }
-                None if dry_run && node.reachable => (Outcome::WouldChange, String::new()),
-                None if dry_run => {
-                    let detail = "out of reach: on its return".to_owned();
-                    (Outcome::WouldChange, detail)
+                None if request.dry_run => {
+                    let detail = match node.reachable {
+                        true => "",
+                        false => "out of reach: on its return",
+                    };
+                    change.add(&node.name, Outcome::WouldChange, from, detail);
                 }
                 None => {
-                    nodes.push((node.name.to_string(), from));
-                    continue;
+                    change.awaited.insert(node.name.to_string(), from);
                 }
-            };
-            lines.push(line(&node.name, outcome, from, detail));
+            }
         }
-        for name in select.named().filter(|name| !known.contains(*name)) {
-            let detail = "there is no node of that name".to_owned();
-            lines.push(line(name, Outcome::Refused, None, detail));
+        for name in request.select.named() {
+            if known.insert(name.to_owned()) {
+                let detail = "there is no node of that name";
+                change.add(name, Outcome::Refused, None, detail);
+            }
         }
-        lines.sort_by(|a, b| a.node.cmp(&b.node));
-        let awaited = nodes.iter().cloned().collect();
-        let revision = if nodes.is_empty() {
-            None
-        } else {
-            let order = NewOrder {
-                setting,
-                nodes,
+        if !change.awaited.is_empty() {
+            let row = ChangeRow {
+                revision: 0,
+                at_ms: now,
                 who: who.to_owned(),
-                why,
+                why: request.why,
                 origin: "hand".to_owned(),
-                selector: select.to_string(),
+                selector: request.select.to_string(),
+                setting,
             };
-            Some(self.order(order, now).await?)
+            let nodes = change.awaited.clone().into_iter().collect();
+            change.revision = Some(self.order(row, nodes).await?);
+        }
+        Ok(change)
+    }
+
+    /// Waits until nodes have an outcome that was not reported yet, or until the time is up, when all have one. Nothing when every
+    /// node was reported.
+    pub(crate) async fn outcomes(&self, change: &mut Change, until: Instant) -> Vec<OutcomeLine> {
+        loop {
+            let looked = self.looked.notified();
+            let is_over = Instant::now() >= until;
+            for (node, from) in std::mem::take(&mut change.awaited) {
+                let revision = change.revision.unwrap_or(0);
+                match self.outcome(&node, revision) {
+                    (Outcome::Pending, _) if !is_over => {
+                        change.awaited.insert(node, from);
+                    }
+                    (Outcome::Pending, _) => {
+                        change.add(&node, Outcome::Pending, from, "not answered yet");
+                    }
+                    (outcome, detail) => change.add(&node, outcome, from, detail),
+                }
+            }
+            let mut lines = std::mem::take(&mut change.lines);
+            if !lines.is_empty() || change.awaited.is_empty() {
+                lines.sort_by(|a, b| a.node.cmp(&b.node));
+                return lines;
+            }
+            let _ = timeout_at(until, looked).await;
+        }
+    }
+
+    /// Whether the node has it, and nothing else is desired that would take it away. Where no target is wanted, a desired
+    /// threshold stays.
+    fn has_it(&self, node: &NodeSettings, setting: DesiredSetting) -> bool {
+        let desired = self
+            .desired_value(&node.name)
+            .map(|desired| desired.setting);
+        let wanted = match setting {
+            DesiredSetting::Target(None) => {
+                !matches!(desired, Some(DesiredSetting::Target(Some(_))))
+            }
+            _ => desired == Some(setting),
         };
-        Ok(Change {
-            setting,
-            revision,
-            lines,
-            awaited,
-        })
+        wanted && node.has(setting)
     }
 }
 
 /// Why the node cannot have that, according to its status.
-fn unable(facts: &NodeSettings, setting: DesiredSetting) -> Option<String> {
+fn unable(node: &NodeSettings, setting: DesiredSetting) -> Option<String> {
     match setting {
-        DesiredSetting::Threshold(knob) => {
-            let name = facts.threshold_name().filter(|name| *name != knob.name)?;
-            let words = format!(
-                "the threshold of its policy is `{name}`, not `{}`",
-                knob.name
-            );
-            Some(words)
+        DesiredSetting::Threshold(wanted) => {
+            let name = node.threshold_name().filter(|name| *name != wanted.name)?;
+            let wanted = wanted.name;
+            Some(format!(
+                "the threshold of its policy is `{name}`, not `{wanted}`"
+            ))
         }
-        DesiredSetting::Target(Some(_)) => facts.cannot_hold(),
+        DesiredSetting::Target(Some(_)) => node.cannot_hold(),
         DesiredSetting::Target(None) => None,
     }
-}
-
-/// Whether the node has it, and nothing else is desired that would take it away. Where no target is wanted, a desired
-/// threshold stays.
-fn has_it(facts: &NodeSettings, desired: Option<DesiredValue>, setting: DesiredSetting) -> bool {
-    let desired = desired.map(|desired| desired.setting);
-    let wanted = match setting {
-        DesiredSetting::Target(None) => !matches!(desired, Some(DesiredSetting::Target(Some(_)))),
-        _ => desired == Some(setting),
-    };
-    wanted && facts.is_known() && is_applied(setting, facts.threshold(), facts.target())
 }

@@ -187,12 +187,12 @@ impl Typical {
 }
 
 /// How many nodes of a group are silent, of those that were in reach when the change began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Silence {
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Silence {
     /// Nodes in reach at the beginning.
-    pub nodes: u64,
+    pub(crate) nodes: u64,
     /// Of these, silent now.
-    pub silent: u64,
+    pub(crate) silent: u64,
 }
 
 impl Silence {

@@ -27,14 +27,6 @@ pub struct Gate {
     pub where_measured: bool,
 }
 
-/// Why a text is no gate.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`")]
-pub struct GateError {
-    text: String,
-    reason: String,
-}
-
 impl Gate {
     /// The gates of a rollout that names none: the skip rate may fall by 0.05, a clip may cost 5 % more energy, the latency's 99th
     /// percentile may rise by 10 %, the share of degraded frames by 0.01.
@@ -63,12 +55,13 @@ impl Gate {
 }
 
 impl FromStr for Gate {
-    type Err = GateError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, GateError> {
-        let fault = |reason: String| GateError {
-            text: text.to_owned(),
-            reason,
+    fn from_str(text: &str) -> Result<Self, String> {
+        let fault = |reason: String| {
+            format!(
+                "`{text}` is no gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`"
+            )
         };
         let (rest, where_measured) = match text.trim().strip_suffix('?') {
             Some(rest) => (rest.trim_end(), true),

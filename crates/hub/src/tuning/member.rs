@@ -2,8 +2,7 @@
 
 use crate::named::named;
 use crate::presence::NodeSettings;
-use crate::setting::is_applied;
-use albireo_wire::{DesiredSetting, Target, Threshold};
+use albireo_wire::{DesiredSetting, Threshold};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -73,7 +72,7 @@ impl Ask {
     /// Takes in what is known of the node that was asked for `wanted`. Returns whether the outcome changed.
     pub(crate) fn observe(
         &mut self,
-        seen: &Observation,
+        node: &NodeSettings,
         wanted: DesiredSetting,
         patience_ms: Millis,
         now: Millis,
@@ -82,22 +81,26 @@ impl Ask {
         if !matches!(self.outcome, Pending | Waiting | TimedOut | Refused) {
             return false;
         }
-        let has_it = seen.revision >= self.revision && is_applied(wanted, seen.knob, seen.target);
+        let has_it = node.revision >= self.revision && node.has(wanted);
         // A program without targets takes the revision and ignores the target.
-        let unable = (seen.cannot_hold.as_ref())
-            .filter(|_| seen.reachable && matches!(wanted, DesiredSetting::Target(Some(_))));
-        let refused = (seen.refused.as_ref()).filter(|(refused, _)| *refused == self.revision);
+        let unable = match wanted {
+            DesiredSetting::Target(Some(_)) if node.reachable => node.cannot_hold(),
+            _ => None,
+        };
+        let refused = node
+            .refused()
+            .filter(|(revision, _)| *revision == self.revision);
         let next = match (self.outcome, unable.or(refused.map(|(_, reason)| reason))) {
             _ if has_it => {
                 self.at_ms = now;
                 Applied
             }
             (_, Some(reason)) => {
-                self.reason.clone_from(reason);
+                self.reason = reason;
                 Refused
             }
             (Refused, None) => Refused,
-            _ if !seen.reachable => Waiting,
+            _ if !node.reachable => Waiting,
             (Waiting, None) => {
                 self.asked_ms = now;
                 Pending
@@ -106,36 +109,6 @@ impl Ask {
             _ => TimedOut,
         };
         std::mem::replace(&mut self.outcome, next) != next
-    }
-}
-
-/// What the hub knows of a node at a moment.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Observation {
-    /// Whether it is in reach.
-    pub(crate) reachable: bool,
-    /// Revision in force that it reported last.
-    pub(crate) revision: u64,
-    /// Value in force on all of its cameras that it reported last; `None` when they differ or have none.
-    pub(crate) knob: Option<Threshold>,
-    /// The target that it holds.
-    pub(crate) target: Option<Target>,
-    /// Why it cannot hold any target, as far as it reported.
-    pub(crate) cannot_hold: Option<String>,
-    /// The desired value it reported last as refused: revision and reason.
-    pub(crate) refused: Option<(u64, String)>,
-}
-
-impl From<&NodeSettings> for Observation {
-    fn from(node: &NodeSettings) -> Self {
-        Self {
-            reachable: node.reachable,
-            revision: node.revision,
-            knob: node.threshold(),
-            target: node.target(),
-            cannot_hold: node.cannot_hold(),
-            refused: node.refused(),
-        }
     }
 }
 
@@ -163,15 +136,15 @@ pub struct Member {
 
 impl Member {
     /// A node that nothing is asked of.
-    pub(crate) const fn new(node: String, group: usize, before: Threshold) -> Self {
+    pub(crate) const fn new(node: String, before: Threshold, reachable: bool) -> Self {
         Self {
             node,
-            group,
+            group: 0,
             before,
             wanted: None,
             asked: None,
             ask: Ask::new(0, 0, Outcome::Untouched),
-            reachable: false,
+            reachable,
             was_reachable: false,
         }
     }
@@ -216,11 +189,16 @@ impl Member {
     }
 
     /// Takes in what is known of the node. Returns whether the outcome changed.
-    pub(crate) fn observe(&mut self, seen: &Observation, patience_ms: Millis, now: Millis) -> bool {
-        self.reachable = seen.reachable;
+    pub(crate) fn observe(
+        &mut self,
+        node: &NodeSettings,
+        patience_ms: Millis,
+        now: Millis,
+    ) -> bool {
+        self.reachable = node.reachable;
         match self.asked {
             Some(asked) if self.due().is_none() => {
-                (self.ask).observe(seen, asked.into(), patience_ms, now)
+                (self.ask).observe(node, asked.into(), patience_ms, now)
             }
             _ => false,
         }
@@ -275,21 +253,20 @@ pub(crate) fn counts<'a>(members: impl Iterator<Item = &'a Member>) -> Counts {
     counts
 }
 
-/// The order of `0..count` that `seed` gives: Fisher and Yates.
-pub(crate) fn shuffled(count: usize, seed: u64) -> Vec<usize> {
+/// Shuffles a list as `seed` says: Fisher and Yates.
+pub(crate) fn shuffle<T>(list: &mut [T], seed: u64) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
-    let mut order: Vec<usize> = (0..count).collect();
-    for i in (1..count).rev() {
+    for i in (1..list.len()).rev() {
         // The multiplication spreads 64 random bits over 0..=i; its bias is below 2^-40 for any fleet.
         let pick = (u128::from(random.next_u64()) * (i as u128 + 1)) >> 64;
-        order.swap(i, pick as usize);
+        list.swap(i, pick as usize);
     }
-    order
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
+    use crate::presence::reported;
     use proptest::prelude::*;
 
     fn new() -> Threshold {
@@ -304,23 +281,8 @@ pub(super) mod tests {
         Threshold::new("u", value)
     }
 
-    pub(in super::super) fn observed(
-        reachable: bool,
-        revision: u64,
-        knob: Threshold,
-    ) -> Observation {
-        Observation {
-            reachable,
-            revision,
-            knob: Some(knob),
-            target: None,
-            cannot_hold: None,
-            refused: None,
-        }
-    }
-
     fn asked() -> Member {
-        let mut member = Member::new("n".to_owned(), 0, old());
+        let mut member = Member::new("n".to_owned(), old(), true);
         member.want(new());
         assert!(member.due().is_some());
         member.asked(7, 0);
@@ -329,49 +291,46 @@ pub(super) mod tests {
 
     #[test]
     fn applied_is_what_the_node_reports() {
-        let refused = |revision| Observation {
-            refused: Some((revision, "range".to_owned())),
-            ..observed(true, 6, old())
-        };
-        for (what, observed, at, expected) in [
-            ("nothing yet", observed(true, 6, old()), 10, "pending"),
-            ("the value", observed(true, 7, new()), 10, "applied"),
+        let no = None;
+        for (what, node, at, expected) in [
+            ("nothing yet", reported(true, 6, old(), no), 10, "pending"),
+            ("the value", reported(true, 7, new(), no), 10, "applied"),
             (
-                "a later revision's same value",
-                observed(true, 8, new()),
+                "a later one's same value",
+                reported(true, 8, new(), no),
                 10,
                 "applied",
             ),
+            ("another value", reported(true, 7, old(), no), 10, "pending"),
             (
-                "its revision, but another value",
-                observed(true, 7, old()),
-                10,
-                "pending",
-            ),
-            (
-                "the value by accident, before it was asked",
-                observed(true, 6, new()),
+                "by accident, too early",
+                reported(true, 6, new(), no),
                 10,
                 "pending",
             ),
             (
                 "no answer in time",
-                observed(true, 6, old()),
+                reported(true, 6, old(), no),
                 100,
                 "timed_out",
             ),
-            ("away", observed(false, 6, old()), 100, "waiting"),
+            ("away", reported(false, 6, old(), no), 100, "waiting"),
             (
-                "applied and away since",
-                observed(false, 7, new()),
+                "applied and away",
+                reported(false, 7, new(), no),
                 100,
                 "applied",
             ),
-            ("refused", refused(7), 10, "refused"),
-            ("an earlier one refused", refused(6), 10, "pending"),
+            ("refused", reported(true, 6, old(), Some(7)), 10, "refused"),
+            (
+                "another one refused",
+                reported(true, 6, old(), Some(6)),
+                10,
+                "pending",
+            ),
         ] {
             let mut member = asked();
-            member.observe(&observed, 100, at);
+            member.observe(&node, 100, at);
             assert_eq!(member.ask.outcome.name(), expected, "{what}");
         }
     }
@@ -385,34 +344,38 @@ pub(super) mod tests {
             (true, 5_099, "pending"),
             (true, 5_100, "timed_out"),
         ] {
-            member.observe(&observed(reachable, 6, old()), 100, at);
+            member.observe(&reported(reachable, 6, old(), None), 100, at);
             assert_eq!(member.ask.outcome.name(), expected, "{at}");
         }
-        member.observe(&observed(true, 7, new()), 100, 9_000);
+        member.observe(&reported(true, 7, new(), None), 100, 9_000);
         assert_eq!(member.applied_ms(), Some(9_000));
     }
 
     #[test]
     fn one_that_was_never_asked_has_nothing_to_go_back_from() {
-        let mut member = Member::new("n".to_owned(), 0, old());
+        let mut member = Member::new("n".to_owned(), old(), true);
         member.give_back();
         assert!(member.due().is_none());
         let mut member = asked();
         member.give_back();
         assert_eq!(member.due(), Some((old(), true)));
         member.asked(9, 1);
-        member.observe(&observed(true, 9, old()), 100, 2);
+        member.observe(&reported(true, 9, old(), None), 100, 2);
         assert_eq!(member.applied_ms(), Some(2));
     }
 
     proptest! {
         #[test]
         fn a_shuffle_has_everybody_once_and_is_the_same_for_the_same_seed(count in 0usize..200, seed in any::<u64>()) {
-            let order = shuffled(count, seed);
-            prop_assert_eq!(&order, &shuffled(count, seed));
-            let mut sorted = order;
-            sorted.sort_unstable();
-            prop_assert_eq!(sorted, (0..count).collect::<Vec<_>>());
+            let shuffled = || {
+                let mut list: Vec<usize> = (0..count).collect();
+                shuffle(&mut list, seed);
+                list
+            };
+            let mut list = shuffled();
+            prop_assert_eq!(&list, &shuffled());
+            list.sort_unstable();
+            prop_assert_eq!(list, (0..count).collect::<Vec<_>>());
         }
     }
 }

@@ -40,52 +40,29 @@ impl StageSize {
     }
 }
 
-/// Why a plan cannot be followed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field}: {reason}")]
-pub struct PlanError {
-    /// The field of the plan.
-    pub field: &'static str,
-    /// What is wrong and what would do.
-    pub reason: String,
-}
-
-impl PlanError {
-    pub(crate) fn new(field: &'static str, reason: impl Into<String>) -> Self {
-        Self {
-            field,
-            reason: reason.into(),
-        }
-    }
-}
-
 impl FromStr for StageSize {
-    type Err = PlanError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, PlanError> {
-        let fault = || {
-            let reason = format!("`{text}` is no size of a stage; write `1`, `10%` or `all`");
-            PlanError::new("stages", reason)
-        };
+    fn from_str(text: &str) -> Result<Self, String> {
         let text = text.trim();
-        if text == "all" {
-            return Ok(Self::Share(1.0));
-        }
-        match text.strip_suffix('%') {
+        let size = match text.strip_suffix('%') {
+            None if text == "all" => Some(Self::Share(1.0)),
+            None => text
+                .parse()
+                .ok()
+                .filter(|nodes| *nodes > 0)
+                .map(Self::Nodes),
             Some(percent) => {
-                let percent: f64 = percent.trim().parse().map_err(|_| fault())?;
                 // As many digits as are written of it.
-                let percent = (percent * 1e4).round() / 1e4;
-                let usable = percent > 0.0 && percent <= 100.0;
-                usable
-                    .then_some(Self::Share(percent / 100.0))
-                    .ok_or_else(fault)
+                let percent = percent.trim().parse::<f64>().ok();
+                let percent = percent.map(|percent| (percent * 1e4).round() / 1e4);
+                (percent.filter(|percent| *percent > 0.0 && *percent <= 100.0))
+                    .map(|percent| Self::Share(percent / 100.0))
             }
-            None => match text.parse() {
-                Ok(nodes) if nodes > 0 => Ok(Self::Nodes(nodes)),
-                _ => Err(fault()),
-            },
-        }
+        };
+        size.ok_or_else(|| {
+            format!("stages: `{text}` is no size of a stage; write `1`, `10%` or `all`")
+        })
     }
 }
 
@@ -223,20 +200,18 @@ fn check<T: PartialOrd + fmt::Display>(
     field: &'static str,
     value: T,
     range: RangeInclusive<T>,
-) -> Result<(), PlanError> {
+) -> Result<(), String> {
     if range.contains(&value) {
         return Ok(());
     }
-    let reason = format!(
-        "must be from {} to {}, not {value}",
-        range.start(),
-        range.end()
-    );
-    Err(PlanError::new(field, reason))
+    let (least, most) = range.into_inner();
+    Err(format!(
+        "{field}: must be from {least} to {most}, not {value}"
+    ))
 }
 
 impl Basics {
-    fn check(&self) -> Result<(), PlanError> {
+    fn check(&self) -> Result<(), String> {
         check("baseline_s", self.baseline_s, 1.0..=LONGEST_S)?;
         check("apply_within_s", self.apply_within_s, 1.0..=LONGEST_S)?;
         check("fewest_clips", self.fewest_clips, 2..=10_000)?;
@@ -246,14 +221,11 @@ impl Basics {
 }
 
 /// Whether a reason can be kept.
-pub(crate) fn check_why(why: &str) -> Result<(), PlanError> {
-    if why.len() > LONGEST_WHY {
-        return Err(PlanError::new(
-            "why",
-            format!("must have at most {LONGEST_WHY} bytes"),
-        ));
+pub(crate) fn check_why(why: &str) -> Result<(), String> {
+    match why.len() {
+        0..=LONGEST_WHY => Ok(()),
+        _ => Err(format!("why: must have at most {LONGEST_WHY} bytes")),
     }
-    Ok(())
 }
 
 impl RolloutPlan {
@@ -261,21 +233,15 @@ impl RolloutPlan {
     ///
     /// # Errors
     /// The first field that makes no sense.
-    pub fn check(&self) -> Result<(), PlanError> {
+    pub fn check(&self) -> Result<(), String> {
         check("soak_s", self.soak_s, 1.0..=LONGEST_S)?;
         check("patience_s", self.patience_s, 0.0..=LONGEST_S)?;
         check("held_for_s", self.held_for_s, 1.0..=LONGEST_S)?;
-        check(
-            "offline_deadline_s",
-            self.offline_deadline_s,
-            1.0..=LONGEST_S,
-        )?;
+        let deadline = self.offline_deadline_s;
+        check("offline_deadline_s", deadline, 1.0..=LONGEST_S)?;
         check("fewest_applied", self.fewest_applied, 0.01..=1.0)?;
         if !(1..=MOST).contains(&self.stages.len()) {
-            return Err(PlanError::new(
-                "stages",
-                format!("must be from 1 to {MOST} sizes"),
-            ));
+            return Err(format!("stages: must be from 1 to {MOST} sizes"));
         }
         self.basics.check()
     }
@@ -295,19 +261,16 @@ impl RolloutPlan {
 
 impl TrialPlan {
     /// Whether it can be followed.
-    pub(crate) fn check(&self) -> Result<(), PlanError> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         if !(2..=MOST).contains(&self.values.len()) {
-            return Err(PlanError::new(
-                "values",
-                format!("must be from 2 to {MOST} values"),
-            ));
+            return Err(format!("values: must be from 2 to {MOST} values"));
         }
         for (i, value) in self.values.iter().enumerate() {
             if self.values[..i].contains(value) {
-                return Err(PlanError::new("values", format!("{value} is named twice")));
+                return Err(format!("values: {value} is named twice"));
             }
             if value.name != self.values[0].name {
-                return Err(PlanError::new("values", "must be values of one threshold"));
+                return Err("values: must be values of one threshold".to_owned());
             }
         }
         check("duration_s", self.duration_s, 1.0..=LONGEST_S)?;

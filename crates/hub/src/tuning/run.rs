@@ -15,10 +15,11 @@ pub use record::{Entry, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
-use super::member::{self, Member, Millis, Observation, Order, Outcome, shuffled};
+use super::member::{self, Member, Millis, Order, Outcome, shuffle};
 use super::metric::BeforeAfter;
-use super::plan::{Basics, OnFailure, PlanError, RolloutPlan, TrialPlan};
+use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
+use crate::presence::NodeSettings;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -150,7 +151,7 @@ impl Kind {
     }
 
     /// Whether its plan can be followed.
-    pub(crate) fn check(&self) -> Result<(), PlanError> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         match self {
             Self::Rollout { plan, .. } => plan.check(),
             Self::Trial { plan } => plan.check(),
@@ -200,68 +201,48 @@ pub struct Run {
     failed_attempts: u8,
 }
 
-/// A node that a rollout or trial may take.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Candidate {
-    /// Its name.
-    pub(crate) node: String,
-    /// The value in force.
-    pub(crate) before: Threshold,
-    /// Whether it is in reach.
-    pub(crate) reachable: bool,
-}
-
 impl Run {
-    /// Begins on `candidates`, in the order that the seed draws: a rollout with those in reach first, a trial with those in reach
+    /// Begins on `nodes`, in the order that the seed draws: a rollout with those in reach first, a trial with those in reach
     /// only, since the others would not be measured.
     ///
     /// # Errors
-    /// [`PlanError`] when the plan makes no sense, or there are too few nodes.
+    /// When the plan makes no sense, or there are too few nodes.
     pub(crate) fn begin(
         kind: Kind,
-        mut candidates: Vec<Candidate>,
+        mut nodes: Vec<Member>,
         seed: u64,
         who: &str,
         now: Millis,
-    ) -> Result<Self, PlanError> {
+    ) -> Result<Self, String> {
         kind.check()?;
         // The draw depends only on the seed and the nodes.
-        candidates.sort_by(|a, b| a.node.cmp(&b.node));
-        let drawn = shuffled(candidates.len(), seed);
-        let (mut order, far): (Vec<usize>, Vec<usize>) =
-            drawn.into_iter().partition(|i| candidates[*i].reachable);
-        let too_few = |reason: String| Err(PlanError::new("select", reason));
-        let mut ends = Vec::new();
+        nodes.sort_by(|a, b| a.node.cmp(&b.node));
+        shuffle(&mut nodes, seed);
+        let (mut members, far): (Vec<_>, Vec<_>) = nodes.into_iter().partition(|m| m.reachable);
         match &kind {
-            Kind::Rollout { .. } if candidates.is_empty() => {
-                return too_few("no node that can take the value is selected".to_owned());
-            }
             Kind::Rollout { plan, .. } => {
-                ends = plan.stage_ends(candidates.len());
-                order.extend(far);
+                members.extend(far);
+                if members.is_empty() {
+                    return Err("select: no node that can take the value is selected".to_owned());
+                }
+                let ends = plan.stage_ends(members.len());
+                for (place, member) in members.iter_mut().enumerate() {
+                    // Nodes that no stage includes keep the old value: their group is one more than the last stage.
+                    member.group = ends.iter().filter(|end| **end <= place).count();
+                }
             }
-            Kind::Trial { plan } if order.len() < plan.values.len() * FEWEST_NODES => {
-                return too_few(format!(
-                    "{} nodes in reach are too few for {} values: each needs {FEWEST_NODES} at least",
-                    order.len(),
-                    plan.values.len()
-                ));
+            Kind::Trial { plan } => {
+                let (nodes, values) = (members.len(), plan.values.len());
+                if nodes < values * FEWEST_NODES {
+                    return Err(format!(
+                        "select: {nodes} nodes in reach are too few for {values} values: each needs {FEWEST_NODES} at least"
+                    ));
+                }
+                for (place, member) in members.iter_mut().enumerate() {
+                    member.group = place % values;
+                }
             }
-            Kind::Trial { .. } => {}
         }
-        let member = |(place, i): (usize, usize)| {
-            let candidate = &candidates[i];
-            let group = match &kind {
-                // Nodes that no stage includes keep the old value: their group is one more than the last stage.
-                Kind::Rollout { .. } => ends.iter().filter(|end| **end <= place).count(),
-                Kind::Trial { plan } => place % plan.values.len(),
-            };
-            Member {
-                reachable: candidate.reachable,
-                ..Member::new(candidate.node.clone(), group, candidate.before)
-            }
-        };
-        let members = order.into_iter().enumerate().map(member).collect();
         let mut run = Self {
             kind,
             seed,
@@ -318,7 +299,7 @@ impl Run {
     pub(crate) fn observe(
         &mut self,
         now: Millis,
-        look: impl Fn(&str) -> Option<Observation>,
+        look: impl Fn(&str) -> Option<NodeSettings>,
     ) -> bool {
         // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
@@ -345,13 +326,16 @@ impl Run {
             Phase::Soaking | Phase::Running if waited >= self.lasts() => {
                 return Some(self.windows(now));
             }
-            Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, What::Done, now),
+            Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, now),
             // A node that comes and goes must not keep the return open forever.
             Phase::Returning if all(Member::is_settled) || waited >= self.lasts() => {
-                match self.kind {
-                    Kind::Rollout { .. } => self.end(Phase::Returned, What::Returned, now),
-                    Kind::Trial { .. } => self.end(Phase::Done, What::Done, now),
-                }
+                self.end(
+                    match self.kind {
+                        Kind::Rollout { .. } => Phase::Returned,
+                        Kind::Trial { .. } => Phase::Done,
+                    },
+                    now,
+                );
             }
             Phase::Held if waited >= self.lasts() => {
                 self.go_back("no decision came in time".to_owned(), now);
@@ -607,7 +591,7 @@ impl Run {
         self.reason = reason;
     }
 
-    fn end(&mut self, phase: Phase, what: What, now: Millis) {
+    fn end(&mut self, phase: Phase, now: Millis) {
         let without = |m: &&Member| !matches!(m.ask.outcome, Outcome::Applied | Outcome::Untouched);
         let names: Vec<String> = (self.members.iter().filter(without))
             .map(|m| format!("{} {}", m.node, m.ask.outcome))
@@ -615,6 +599,10 @@ impl Run {
         let reason = std::mem::take(&mut self.reason);
         self.enter(phase, now);
         self.reason = reason;
+        let what = match phase {
+            Phase::Returned => What::Returned,
+            _ => What::Done,
+        };
         self.noted(now, what).text = match names.as_slice() {
             [] => "every node reported it".to_owned(),
             names => format!("without {}", list(names)),
@@ -628,13 +616,8 @@ impl Run {
 
     /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
-        let asked = self
-            .members
-            .iter_mut()
-            .filter(|member| member.asked.is_some());
-        asked
-            .filter(|member| changed_since(member))
-            .for_each(Member::leave);
+        let asked = self.members.iter_mut().filter(|m| m.asked.is_some());
+        asked.filter(|m| changed_since(m)).for_each(Member::leave);
     }
 
     /// A node that stayed away beyond its deadline does not get the value when it returns: it would not be judged.

@@ -1,14 +1,13 @@
 //! Drives rollouts and trials: asks nodes for values, brings the measurements, keeps the state in the database.
 
-use super::member::{Millis, Observation};
+use super::member::{Member, Millis};
 use super::metric::BeforeAfter;
-use super::plan::PlanError;
-use super::run::{Candidate, Command, Kind, Measured, Run, Window};
-use super::tuner::{NewOrder, Tuner};
+use super::run::{Command, Kind, Measured, Run, Window};
+use super::tuner::Tuner;
 use crate::presence::NodeSettings;
-use crate::store::StoreError;
 use crate::store::tables::EventRow;
-use albireo_wire::{DesiredSetting, Threshold};
+use crate::store::{ChangeRow, StoreError};
+use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
@@ -77,8 +76,8 @@ impl Runs {
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The plan makes no sense.
-    #[error(transparent)]
-    Plan(#[from] PlanError),
+    #[error("{0}")]
+    Plan(String),
     /// It makes no sense as things are.
     #[error("{0}")]
     Conflict(String),
@@ -138,7 +137,7 @@ impl Tuner {
     /// # Errors
     /// When its plan makes no sense, too few nodes can take part, or the database cannot be written.
     pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<KeptRun, RunError> {
-        kind.check()?;
+        kind.check().map_err(RunError::Plan)?;
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
@@ -148,11 +147,7 @@ impl Tuner {
             }
             let name = node.name.to_string();
             match able(&node, &kind, &taken) {
-                Ok(before) => candidates.push(Candidate {
-                    node: name,
-                    before,
-                    reachable: node.reachable,
-                }),
+                Ok(before) => candidates.push(Member::new(name, before, node.reachable)),
                 Err(why) => left_out.push(LeftOut { node: name, why }),
             }
         }
@@ -162,7 +157,7 @@ impl Tuner {
             who: who.to_owned(),
             begun_ms: now,
             ended_ms: None,
-            run: Run::begin(kind, candidates, seed, who, now)?,
+            run: Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?,
             left_out: Vec::new(),
             unsaved: false,
         };
@@ -326,29 +321,27 @@ impl Tuner {
         let before = (run.phase, run.since_ms, run.record.len());
         let mut changed = false;
         for order in run.due() {
+            let change = ChangeRow {
+                revision: 0,
+                at_ms: now,
+                who: who.clone(),
+                why: match order.is_return {
+                    true => "the old value returns".to_owned(),
+                    false => run.kind.basics().why.clone(),
+                },
+                origin: format!("{} {id}", run.kind.name()),
+                selector: String::new(),
+                setting: order.knob.into(),
+            };
             let nodes = order.nodes.iter().map(|node| {
                 let has = self.fleet.settings(node).and_then(|node| node.setting());
                 (node.clone(), has)
             });
-            let why = match order.is_return {
-                true => "the old value returns",
-                false => run.kind.basics().why.as_str(),
-            };
-            let new = NewOrder {
-                setting: DesiredSetting::Threshold(order.knob),
-                nodes: nodes.collect(),
-                who: who.clone(),
-                why: why.to_owned(),
-                origin: format!("{} {id}", run.kind.name()),
-                selector: String::new(),
-            };
-            let revision = self.order(new, now).await?;
+            let revision = self.order(change, nodes.collect()).await?;
             run.asked(&order, revision, now);
             changed = true;
         }
-        changed |= run.observe(now, |node| {
-            Some(Observation::from(&self.fleet.settings(node)?))
-        });
+        changed |= run.observe(now, |node| self.fleet.settings(node));
         if let Some(windows) = run.tick(now) {
             match self.measure(&windows).await {
                 Ok(found) => run.measured(&found, now),

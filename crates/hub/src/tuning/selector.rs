@@ -9,18 +9,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// Most terms of a selector; longer lists of names are a label that somebody has yet to give.
+/// Most terms of a selector; a longer list of names should be a label.
 const MOST_TERMS: usize = 1_000;
-
-/// Why a text is no selector.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "`{text}` selects no nodes: {reason}; write `all`, a name, a glob such as `cam-*`, or a label such as `region=north`"
-)]
-pub struct SelectorError {
-    text: String,
-    reason: &'static str,
-}
 
 /// Which nodes are meant. In JSON it is a list of terms.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,23 +28,25 @@ impl Selector {
     /// A selector of the given terms.
     ///
     /// # Errors
-    /// [`SelectorError`] when there is none, or one cannot be read.
-    pub fn new<T: AsRef<str>>(terms: &[T]) -> Result<Self, SelectorError> {
-        let fault = |text: &str, reason| SelectorError {
-            text: text.to_owned(),
-            reason,
+    /// When there is none, or one cannot be read.
+    pub fn new<T: AsRef<str>>(terms: &[T]) -> Result<Self, String> {
+        let fault = |term: &str, reason| {
+            format!(
+                "`{term}` selects no nodes: {reason}; write `all`, a name, a glob such as `cam-*`, or a label such as \
+                 `region=north`"
+            )
         };
-        if terms.is_empty() {
-            return Err(fault("", "it is empty"));
-        }
-        if terms.len() > MOST_TERMS {
-            return Err(fault("…", "it has more than 1000 terms"));
+        match terms.len() {
+            0 => return Err(fault("", "it is empty")),
+            1..=MOST_TERMS => {}
+            _ => return Err(fault("…", "it has more than 1000 terms")),
         }
         let read = |term: &T| {
             let term = term.as_ref().trim();
-            let checked = parts(term).try_for_each(|part| part.check());
-            checked.map_err(|reason| fault(term, reason))?;
-            Ok(term.to_owned())
+            match parts(term).try_for_each(|part| part.check()) {
+                Ok(()) => Ok(term.to_owned()),
+                Err(reason) => Err(fault(term, reason)),
+            }
         };
         Ok(Self(terms.iter().map(read).collect::<Result<_, _>>()?))
     }
@@ -71,8 +63,7 @@ impl Selector {
         self.0.iter().any(|term| parts(term).all(holds))
     }
 
-    /// The names that stand in it without a glob: a caller who names a node wants to hear when there is none of
-    /// that name.
+    /// The names in it without a glob: a caller who names a node wants to hear when there is none of that name.
     pub fn named(&self) -> impl Iterator<Item = &str> {
         let plain = |term: &&String| *term != "all" && !term.contains(['*', '?', '=', '!', '&']);
         self.0.iter().filter(plain).map(String::as_str)
@@ -119,53 +110,41 @@ impl Part<'_> {
     }
 }
 
-/// Whether `text` matches `pattern`: `*` stands for any characters, `?` for one. Linear in the product of
-/// the lengths at worst, whatever the pattern.
+/// Whether `text` matches `pattern`, where `*` matches any characters and `?` one. Linear in the product of the lengths,
+/// whatever the pattern.
 fn glob(pattern: &str, text: &str) -> bool {
-    let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
-    let (mut p, mut t) = (0, 0);
-    // Where the last star stood, and up to where it has swallowed the text.
-    let mut star: Option<(usize, usize)> = None;
-    while t < text.len() {
-        match pattern.get(p) {
-            Some(b'*') => {
-                star = Some((p, t));
-                p += 1;
-            }
-            Some(&c) if c == b'?' || c == text[t] => {
-                p += 1;
-                t += 1;
-            }
-            _ => match star {
-                Some((at, swallowed)) => {
-                    star = Some((at, swallowed + 1));
-                    p = at + 1;
-                    t = swallowed + 1;
-                }
-                None => return false,
-            },
+    let text = text.as_bytes();
+    // Whether the pattern up to here matches the first characters of the text, by their number.
+    let mut matches = vec![false; text.len() + 1];
+    matches[0] = true;
+    for wanted in pattern.bytes() {
+        if wanted == b'*' {
+            let first = matches.iter().position(|matched| *matched);
+            matches[first.unwrap_or(text.len() + 1)..].fill(true);
+        } else {
+            let one = |(before, found): (&bool, &u8)| *before && [b'?', *found].contains(&wanted);
+            matches = std::iter::once(false)
+                .chain(matches.iter().zip(text).map(one))
+                .collect();
         }
     }
-    pattern[p..].iter().all(|c| *c == b'*')
+    matches[text.len()]
 }
 
 impl FromStr for Selector {
-    type Err = SelectorError;
+    type Err = String;
 
     /// Terms separated by commas: `cam-*,region=north`.
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let terms: Vec<_> = text
-            .split(',')
-            .filter(|term| !term.trim().is_empty())
-            .collect();
-        Self::new(&terms)
+    fn from_str(text: &str) -> Result<Self, String> {
+        let terms = text.split(',').filter(|term| !term.trim().is_empty());
+        Self::new(&terms.collect::<Vec<_>>())
     }
 }
 
 impl TryFrom<Vec<String>> for Selector {
-    type Error = SelectorError;
+    type Error = String;
 
-    fn try_from(terms: Vec<String>) -> Result<Self, Self::Error> {
+    fn try_from(terms: Vec<String>) -> Result<Self, String> {
         Self::new(&terms)
     }
 }

@@ -1,21 +1,21 @@
 //! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
-use super::member::{Ask, Millis, Observation, Outcome};
+use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::TuningConfig;
 use crate::desired::{DesiredValue, Desires};
-use crate::presence::{Fleet, NodeSettings, Notifier};
-use crate::setting::is_applied;
+use crate::presence::{Fleet, Notifier};
 use crate::store::tables::EventRow;
-use crate::store::{ChangeNode, ChangeRow, Store, StoreError};
+use crate::store::{ChangeNode, ChangeRow, DesiredRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+use tokio::sync::Notify;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
@@ -44,19 +44,6 @@ pub struct OutcomeLine {
     /// Why, where there is something to say.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub detail: String,
-}
-
-/// A value or a target for some nodes.
-#[derive(Clone, Debug)]
-pub(crate) struct NewOrder {
-    pub(crate) setting: DesiredSetting,
-    /// The nodes, with what they have.
-    pub(crate) nodes: Vec<(String, Option<DesiredSetting>)>,
-    pub(crate) who: String,
-    pub(crate) why: String,
-    /// `hand`, `rollout 3`, `trial 4`, `drift`.
-    pub(crate) origin: String,
-    pub(crate) selector: String,
 }
 
 /// What was ordered of a node last.
@@ -111,10 +98,12 @@ pub struct Tuner {
     /// This hub among several on one database.
     pub(super) driver: String,
     /// Highest revision that was read from the database: what this hub orders itself says nothing of the others'.
-    learned: AtomicI64,
+    learned: AtomicU64,
     /// What was ordered of each node last, as far as this hub saw it.
     open: Mutex<HashMap<String, OpenOrder>>,
     drift: Mutex<BTreeMap<String, Drift>>,
+    /// Notified after each look at what the nodes reported.
+    pub(super) looked: Notify,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
 }
 
@@ -184,9 +173,10 @@ impl Tuner {
             notifier,
             config,
             driver,
-            learned: AtomicI64::new(0),
+            learned: AtomicU64::new(0),
             open: Mutex::default(),
             drift: Mutex::default(),
+            looked: Notify::new(),
             runs: tokio::sync::Mutex::default(),
         };
         tuner.learn().await?;
@@ -207,12 +197,6 @@ impl Tuner {
         Ok(tuner)
     }
 
-    /// Makes a setting the desired one, unless one of a higher revision is.
-    fn desire(&self, node: &str, revision: u64, setting: DesiredSetting) {
-        let value = DesiredValue { revision, setting };
-        self.desires.set(node, value);
-    }
-
     /// What is desired of a node.
     pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
         self.desires.get(node)
@@ -220,8 +204,7 @@ impl Tuner {
 
     /// Why nothing can be ordered of a node that reports `revision`, if nothing can.
     pub(super) fn implausible(&self, revision: u64) -> Option<String> {
-        let known = self.learned.load(Ordering::Relaxed).unsigned_abs();
-        let most = known.saturating_add(FARTHEST_AHEAD);
+        let most = (self.learned.load(Ordering::Relaxed)).saturating_add(FARTHEST_AHEAD);
         (revision > most).then(|| {
             format!(
                 "it reports revision {revision}, and no hub gave one above {most}: \
@@ -230,76 +213,59 @@ impl Tuner {
         })
     }
 
-    /// The highest revision that these nodes report: they take only what is above it.
-    fn reported<'a>(&self, nodes: impl Iterator<Item = &'a String>) -> i64 {
-        let highest = nodes
-            .filter_map(|node| self.fleet.settings(node))
-            .map(|facts| facts.revision)
-            .filter(|revision| self.implausible(*revision).is_none())
-            .max();
-        i64::try_from(highest.unwrap_or(0)).unwrap_or(i64::MAX)
-    }
-
     /// Takes what other hubs on the same database have ordered.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
-        for (node, revision, setting) in self.store.desired_after(after).await? {
-            self.desire(&node, revision.unsigned_abs(), setting);
-            self.learned.fetch_max(revision, Ordering::Relaxed);
+        for DesiredRow { node, value } in self.store.desired_after(after).await? {
+            self.desires.set(&node, value);
+            self.learned.fetch_max(value.revision, Ordering::Relaxed);
         }
         Ok(())
     }
 
-    /// Orders a value or a target: when this returns it is in the database, pulls are answered with it, and the nodes were
-    /// notified.
-    pub(crate) async fn order(&self, order: NewOrder, now: Millis) -> Result<u64, StoreError> {
-        let open = |revision, from, outcome| OpenOrder {
-            ask: Ask::new(revision, now, outcome),
-            setting: order.setting,
-            from,
-            notified_ms: now,
-        };
+    /// Orders a setting of nodes, given with what they have: when this returns it is in the database, pulls are answered with it,
+    /// and the nodes were notified.
+    pub(super) async fn order(
+        &self,
+        change: ChangeRow,
+        nodes: Vec<(String, Option<DesiredSetting>)>,
+    ) -> Result<u64, StoreError> {
+        let (now, setting) = (change.at_ms, change.setting);
         // A restored database does not know what it ordered after its backup, nor what a node has that is away: so that none of
-        // those revisions is given again, they begin at the time, in seconds.
-        let above =
-            (self.reported(order.nodes.iter().map(|(node, _)| node))).max(now.div_euclid(1000));
-        let mut row = ChangeRow {
-            revision: 0,
-            at_ms: now,
-            who: order.who,
-            why: order.why,
-            origin: order.origin,
-            selector: order.selector,
-            setting: order.setting,
-        };
-        let mut nodes: Vec<_> = (order.nodes.iter())
-            .map(|(node, from)| {
-                let settings = self.fleet.settings(node);
-                let outcome = match settings.is_some_and(|node| node.reachable) {
-                    true => Outcome::Pending,
-                    false => Outcome::Waiting,
-                };
-                open(0, *from, outcome).row(node, now)
-            })
-            .collect();
-        let written = self.store.write(move |writing| {
-            row.revision = writing.next_revision(above)?;
-            for node in &mut nodes {
-                node.revision = row.revision;
+        // those revisions is given again, they begin at the time, in seconds, and above what the nodes report.
+        let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
+        let mut orders = Vec::new();
+        for (node, from) in nodes {
+            let settings = self.fleet.settings(&node);
+            let reported = settings.as_ref().map_or(0, |settings| settings.revision);
+            if self.implausible(reported).is_none() {
+                above = above.max(reported);
             }
-            writing.order(&row, &nodes)?;
-            Ok(row.revision.unsigned_abs())
-        });
-        let revision = written.await?;
-        for (node, from) in &order.nodes {
-            self.desire(node, revision, order.setting);
-            let present = open(revision, *from, Outcome::Pending);
-            self.open.lock().insert(node.clone(), present);
-            self.drift.lock().remove(node);
-            self.notifier.notify(node, revision);
+            let outcome = match settings.is_some_and(|settings| settings.reachable) {
+                true => Outcome::Pending,
+                false => Outcome::Waiting,
+            };
+            let order = OpenOrder {
+                ask: Ask::new(0, now, outcome),
+                setting,
+                from,
+                notified_ms: now,
+            };
+            orders.push((node, order));
+        }
+        let rows = orders.iter().map(|(node, order)| order.row(node, now));
+        let (rows, above) = (rows.collect(), i64::try_from(above).unwrap_or(i64::MAX));
+        let written = (self.store).write(move |writing| writing.order(&change, rows, above));
+        let revision = written.await?.unsigned_abs();
+        for (node, mut order) in orders {
+            order.ask.revision = revision;
+            self.desires.set(&node, DesiredValue { revision, setting });
+            self.drift.lock().remove(&node);
+            self.notifier.notify(&node, revision);
+            self.open.lock().insert(node, order);
         }
         Ok(revision)
     }
@@ -328,43 +294,39 @@ impl Tuner {
     /// When the outcomes cannot be kept; they are then found again at the next look.
     pub async fn look(&self, now: Millis) -> Result<(), StoreError> {
         let patience = milliseconds(self.config.apply_within_s);
-        let (mut rows, mut changed) = (Vec::new(), Vec::new());
-        for (node, order) in self.open.lock().iter() {
+        let mut answered = Vec::new();
+        for (node, order) in self.open.lock().iter_mut() {
             if matches!(order.ask.outcome, Outcome::Applied | Outcome::Refused) {
                 continue;
             }
             let Some(settings) = self.fleet.settings(node) else {
                 continue;
             };
-            let seen = Observation::from(&settings);
-            let mut order = order.clone();
-            let answered = (order.ask).observe(&seen, order.setting, patience, now);
-            let again = order.ask.outcome == Outcome::Pending
-                && seen.reachable
-                && now - order.notified_ms >= NOTIFY_AGAIN_MS;
-            if again {
+            let mut next = order.clone();
+            if (next.ask).observe(&settings, order.setting, patience, now) {
+                answered.push((node.clone(), next));
+            } else if order.ask.outcome == Outcome::Pending
+                && now - order.notified_ms >= NOTIFY_AGAIN_MS
+            {
                 order.notified_ms = now;
                 self.notifier.notify(node, order.ask.revision);
             }
-            if answered {
-                rows.push(order.row(node, now));
-            }
-            if again || answered {
-                changed.push((node.clone(), order));
-            }
         }
-        if !rows.is_empty() {
-            (self.store)
-                .write(move |writing| writing.outcomes(&rows))
-                .await?;
+        if !answered.is_empty() {
+            let rows: Vec<_> = (answered.iter())
+                .map(|(node, order)| order.row(node, now))
+                .collect();
+            let written = (self.store).write(move |writing| writing.outcomes(&rows));
+            written.await?;
         }
-        for (node, order) in changed {
+        for (node, order) in answered {
             if let Some(present) = self.open.lock().get_mut(&node)
                 && present.ask.revision == order.ask.revision
             {
                 *present = order;
             }
         }
+        self.looked.notify_waiters();
         Ok(())
     }
 
@@ -379,18 +341,17 @@ impl Tuner {
             let Some(settings) = self.fleet.settings(&node) else {
                 continue;
             };
-            if !drifted(&settings, desired) {
+            let drifted = settings.is_known()
+                && settings.revision == desired.revision
+                && !settings.has(desired.setting);
+            if !drifted {
                 // One that was set back stays listed until it has taken the value again.
                 if settings.revision >= desired.revision {
                     self.drift.lock().remove(&node);
                 }
                 continue;
             }
-            let known = self
-                .drift
-                .lock()
-                .get(&node)
-                .map(|drift| (drift.since_ms, drift.set_back));
+            let known = self.drift.lock().get(&node).cloned();
             if known.is_none() {
                 let detail = serde_json::json!({
                     "revision": desired.revision,
@@ -399,14 +360,13 @@ impl Tuner {
                 });
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
-            let (since_ms, set_back) = known.unwrap_or((now, 0));
             found.push(Drift {
                 node,
-                since_ms,
+                since_ms: known.as_ref().map_or(now, |known| known.since_ms),
                 desired: desired.setting,
                 in_force: settings.setting(),
                 why: settings.target_off(),
-                set_back,
+                set_back: known.map_or(0, |known| known.set_back),
             });
         }
         if !events.is_empty() {
@@ -415,44 +375,38 @@ impl Tuner {
                 .await?;
         }
         // Known is only what is in the history: after an error it is found again.
-        self.list_drift(found.clone());
+        self.list_drift(&found);
         if self.config.local_change.is_set_back() {
             found.retain(|drift| drift.set_back < SET_BACK_TIMES);
-            self.set_back(found, now).await?;
+            found.sort_by_cached_key(|drift| drift.desired.to_string());
+            for alike in found.chunk_by_mut(|a, b| a.desired == b.desired) {
+                self.set_back(alike, now).await?;
+            }
         }
         Ok(())
     }
 
-    fn list_drift(&self, found: Vec<Drift>) {
-        let found = found.into_iter().map(|drift| (drift.node.clone(), drift));
+    fn list_drift(&self, found: &[Drift]) {
+        let found = (found.iter()).map(|drift| (drift.node.clone(), drift.clone()));
         self.drift.lock().extend(found);
     }
 
-    async fn set_back(&self, drifted: Vec<Drift>, now: Millis) -> Result<(), StoreError> {
-        let mut by_setting: HashMap<String, Vec<Drift>> = HashMap::new();
-        for mut drift in drifted {
-            drift.set_back += 1;
-            by_setting
-                .entry(drift.desired.to_string())
-                .or_default()
-                .push(drift);
-        }
-        for drifted in by_setting.into_values() {
-            let nodes = drifted
-                .iter()
-                .map(|drift| (drift.node.clone(), drift.in_force));
-            let order = NewOrder {
-                setting: drifted[0].desired,
-                nodes: nodes.collect(),
-                who: "hub".to_owned(),
-                why: "changed at the node".to_owned(),
-                origin: "drift".to_owned(),
-                selector: String::new(),
-            };
-            self.order(order, now).await?;
-            // Ordering forgets the drift; how often a node was set back must be known the next time.
-            self.list_drift(drifted);
-        }
+    /// Orders again what is desired of these nodes, the same of all.
+    async fn set_back(&self, drifted: &mut [Drift], now: Millis) -> Result<(), StoreError> {
+        let change = ChangeRow {
+            revision: 0,
+            at_ms: now,
+            who: "hub".to_owned(),
+            why: "changed at the node".to_owned(),
+            origin: "drift".to_owned(),
+            selector: String::new(),
+            setting: drifted[0].desired,
+        };
+        let nodes = drifted.iter().map(|d| (d.node.clone(), d.in_force));
+        self.order(change, nodes.collect()).await?;
+        // Ordering forgets the drift; how often a node was set back must be known the next time.
+        drifted.iter_mut().for_each(|drift| drift.set_back += 1);
+        self.list_drift(drifted);
         Ok(())
     }
 
@@ -460,11 +414,4 @@ impl Tuner {
     pub(crate) fn drift(&self) -> Vec<Drift> {
         self.drift.lock().values().cloned().collect()
     }
-}
-
-/// Whether a node has taken what is desired and has something else now.
-fn drifted(facts: &NodeSettings, desired: DesiredValue) -> bool {
-    facts.is_known()
-        && facts.revision == desired.revision
-        && !is_applied(desired.setting, facts.threshold(), facts.target())
 }

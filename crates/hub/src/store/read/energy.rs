@@ -6,7 +6,8 @@ use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use utoipa::ToSchema;
+use std::ops::Range;
+use utoipa::{IntoParams, ToSchema};
 
 /// What sums are grouped by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -39,23 +40,36 @@ pub enum Resolution {
     Day,
 }
 
-/// Which clips are summed.
-#[derive(Clone, Debug)]
+/// Which group comes first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Sort {
+    /// In the order of their names.
+    #[default]
+    Group,
+    /// The most energy first.
+    Joules,
+}
+
+/// Which clips, and how they are grouped.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub struct EnergyQuery {
-    /// Grouped by.
+    /// `all`, `node`, `camera`, `day`, `policy` or `knob`.
+    #[serde(default)]
     pub by: EnergyBy,
-    /// From spans of that length.
-    pub resolution: Resolution,
-    /// From this time on, seconds since the Unix epoch.
-    pub since_s: i64,
-    /// Before this time.
-    pub until_s: i64,
+    /// Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default.
+    pub since_ms: Option<i64>,
+    /// Clips begun before this time; now by default.
+    pub until_ms: Option<i64>,
     /// Of this node only.
     pub node: Option<String>,
-    /// The groups with the most energy first, each quality for itself; else in the order of the groups.
-    pub largest_first: bool,
-    /// Maximum number of groups.
-    pub limit: i64,
+    /// `group`, or `joules`: the groups with the most energy first. A group has a line for each quality.
+    #[serde(default)]
+    pub sort: Sort,
+    /// Maximum number of groups, up to 10000; 1000 by default.
+    pub limit: Option<i64>,
 }
 
 /// Sums of one group and one quality.
@@ -143,12 +157,18 @@ const CLIPS: [&str; 3] = scopes!(
 );
 
 impl Store {
-    /// Sums, in the order of the groups. Those of the fleet, and those of one node, read its own rows.
+    /// The sums of spans of that length that begin in `seconds` since the Unix epoch. Those of the fleet, and those of one node,
+    /// read its own rows.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn energy(&self, wanted: &EnergyQuery) -> Result<Vec<EnergyGroup>, StoreError> {
-        let [fleet, cameras, node] = match (wanted.by, wanted.resolution) {
+    pub async fn energy(
+        &self,
+        wanted: &EnergyQuery,
+        resolution: Resolution,
+        seconds: Range<i64>,
+    ) -> Result<Vec<EnergyGroup>, StoreError> {
+        let [fleet, cameras, node] = match (wanted.by, resolution) {
             (EnergyBy::Clip, _) => CLIPS,
             (_, Resolution::FiveMinutes) => FIVE_MINUTES,
             (_, Resolution::Day) => DAYS,
@@ -160,10 +180,10 @@ impl Store {
         };
         let values = vec![
             json!(wanted.by),
-            wanted.since_s.into(),
-            wanted.until_s.into(),
-            i64::from(wanted.largest_first).into(),
-            wanted.limit.into(),
+            seconds.start.into(),
+            seconds.end.into(),
+            i64::from(wanted.sort == Sort::Joules).into(),
+            wanted.limit.unwrap_or(i64::MAX).into(),
             wanted.node.as_deref().unwrap_or_default().into(),
         ];
         let rows = self.query(text, values).await?.into_iter();

@@ -7,11 +7,13 @@ use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use utoipa::ToSchema;
+use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 /// Which clips.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub struct ClipQuery {
     /// Of this node.
     pub node: Option<String>,
@@ -19,12 +21,12 @@ pub struct ClipQuery {
     pub camera: Option<String>,
     /// Begun at this time or later, milliseconds since the Unix epoch.
     pub since_ms: Option<i64>,
-    /// Begun before this time.
+    /// Begun before this time, milliseconds since the Unix epoch.
     pub until_ms: Option<i64>,
-    /// Received before the clip of this number.
-    pub before_id: Option<i64>,
-    /// Maximum number.
-    pub limit: i64,
+    /// `next` of the page before.
+    pub cursor: Option<i64>,
+    /// Maximum number, up to 1000; 100 by default.
+    pub limit: Option<i64>,
 }
 
 /// A clip.
@@ -166,16 +168,20 @@ pub struct ReportCounts {
 }
 
 impl Store {
-    /// Clips, the last received first.
+    /// At most `limit` clips, the last received first.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub(crate) async fn clips(&self, wanted: &ClipQuery) -> Result<Vec<StoredClip>, StoreError> {
+    pub(crate) async fn clips(
+        &self,
+        wanted: &ClipQuery,
+        limit: i64,
+    ) -> Result<Vec<StoredClip>, StoreError> {
         let mut values: Vec<Value> = vec![
-            wanted.before_id.unwrap_or(i64::MAX).into(),
+            wanted.cursor.unwrap_or(i64::MAX).into(),
             wanted.since_ms.unwrap_or(i64::MIN).into(),
             wanted.until_ms.unwrap_or(i64::MAX).into(),
-            wanted.limit.into(),
+            limit.into(),
         ];
         let text = match &wanted.node {
             Some(node) => {

@@ -1,10 +1,10 @@
 mod fleets;
 mod trials;
 
-use super::super::member::tests::observed;
 use super::super::metric::{Figure, Figures, Mean};
 use super::super::plan::StageSize;
 use super::*;
+use crate::presence::reported;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -20,7 +20,10 @@ const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
 struct SimNode {
-    seen: Observation,
+    reachable: bool,
+    revision: u64,
+    has: Threshold,
+    refused: Option<u64>,
     desired: Option<(u64, Threshold)>,
     refuses: bool,
     /// Whether the new value kills it.
@@ -43,7 +46,10 @@ impl World {
     fn new(count: usize) -> Self {
         let node = |i: usize| {
             let node = SimNode {
-                seen: observed(true, 0, old()),
+                reachable: true,
+                revision: 0,
+                has: old(),
+                refused: None,
                 desired: None,
                 refuses: false,
                 dies: false,
@@ -59,20 +65,14 @@ impl World {
         }
     }
 
-    fn candidates(&self) -> Vec<Candidate> {
-        let candidate = |(name, node): (&String, &SimNode)| Candidate {
-            node: name.clone(),
-            before: old(),
-            reachable: node.seen.reachable,
-        };
+    fn candidates(&self) -> Vec<Member> {
+        let candidate =
+            |(name, node): (&String, &SimNode)| Member::new(name.clone(), old(), node.reachable);
         self.nodes.iter().map(candidate).collect()
     }
 
     fn have(&self, knob: Threshold) -> usize {
-        self.nodes
-            .values()
-            .filter(|n| n.seen.knob == Some(knob))
-            .count()
+        self.nodes.values().filter(|n| n.has == knob).count()
     }
 
     /// A second passes.
@@ -87,22 +87,28 @@ impl World {
             }
             rollout.asked(&order, self.revision, self.now);
         }
-        for node in self.nodes.values_mut().filter(|n| n.seen.reachable) {
+        for node in self.nodes.values_mut().filter(|n| n.reachable) {
             match node.desired {
                 Some((revision, _)) if node.refuses => {
-                    node.seen.refused = Some((revision, "range".to_owned()));
+                    node.refused = Some(revision);
                 }
-                Some((revision, knob)) if revision > node.seen.revision => {
-                    node.seen.revision = revision;
-                    node.seen.knob = Some(knob);
+                Some((revision, knob)) if revision > node.revision => {
+                    node.revision = revision;
+                    node.has = knob;
                 }
-                _ if node.dies && node.seen.knob == Some(new()) => node.seen.reachable = false,
+                _ if node.dies && node.has == new() => node.reachable = false,
                 _ => {}
             }
         }
         self.most_new = self.most_new.max(self.have(new()));
         rollout.observe(self.now, |name| {
-            self.nodes.get(name).map(|n| n.seen.clone())
+            let node = self.nodes.get(name)?;
+            Some(reported(
+                node.reachable,
+                node.revision,
+                node.has,
+                node.refused,
+            ))
         });
         if let Some(windows) = rollout.tick(self.now) {
             let found = windows.iter().map(|both| self.measure(both)).collect();
@@ -401,7 +407,7 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
 fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
     let mut world = World::new(10);
     for name in ["cam-001", "cam-004"] {
-        world.nodes.get_mut(name).unwrap().seen.reachable = false;
+        world.nodes.get_mut(name).unwrap().reachable = false;
     }
     let mut rollout = world.begin(plan());
     let last: Vec<_> = rollout
@@ -417,13 +423,13 @@ fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_the
     world.run_until(&mut rollout, "finishing");
     assert_eq!(world.have(new()), 8);
     // One returns in time, and applies what it finds; the other is too late, and what it finds is the old value.
-    world.nodes.get_mut("cam-001").unwrap().seen.reachable = true;
+    world.nodes.get_mut("cam-001").unwrap().reachable = true;
     world.run_until(&mut rollout, "done");
-    assert_eq!(world.nodes["cam-001"].seen.knob, Some(new()));
+    assert_eq!(world.nodes["cam-001"].has, new());
     world.run(&mut rollout, 2);
-    world.nodes.get_mut("cam-004").unwrap().seen.reachable = true;
+    world.nodes.get_mut("cam-004").unwrap().reachable = true;
     world.run(&mut rollout, 2);
-    assert_eq!(world.nodes["cam-004"].seen.knob, Some(old()));
+    assert_eq!(world.nodes["cam-004"].has, old());
     let ended = rollout
         .record
         .iter()
@@ -471,7 +477,7 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
     let order = rollout.due().remove(0);
     rollout.asked(&order, 7, world.now);
     rollout.command(Command::Pause, "ops", world.now).unwrap();
-    let silent = |_: &str| Some(observed(true, 0, old()));
+    let silent = |_: &str| Some(reported(true, 0, old(), None));
     let hours = 3 * 3_600_000;
     rollout.observe(world.now + hours, silent);
     rollout
@@ -529,7 +535,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
     for (field, spoil) in spoilt {
         let mut wrong = plan();
         spoil(&mut wrong);
-        assert_eq!(wrong.check().unwrap_err().field, field);
+        assert!(wrong.check().unwrap_err().starts_with(field), "{field}");
     }
     plan().check().unwrap();
     RolloutPlan::default().check().unwrap();
@@ -538,7 +544,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
         plan: plan(),
     };
     let error = Run::begin(nobody, vec![], 1, "ops", 0).unwrap_err();
-    assert_eq!(error.field, "select");
+    assert!(error.starts_with("select: no node"), "{error}");
 }
 
 #[derive(Clone, Debug)]
@@ -587,8 +593,8 @@ proptest! {
                 if let Some(node) = world.nodes.get_mut(&name(i)) { change(node) }
             };
             match chance {
-                Chance::Away(i) => node(i, &|n| n.seen.reachable = false),
-                Chance::Back(i) => node(i, &|n| n.seen.reachable = true),
+                Chance::Away(i) => node(i, &|n| n.reachable = false),
+                Chance::Back(i) => node(i, &|n| n.reachable = true),
                 Chance::Refuses(i) => node(i, &|n| n.refuses = true),
                 Chance::Costs(i, factor) => node(i, &|n| n.factor = factor),
                 Chance::Command(command) => drop(rollout.command(command, "ops", world.now)),
@@ -615,7 +621,7 @@ proptest! {
         }
         // Everybody comes back; whatever waits is resolved, and the old value is ordered back.
         for node in world.nodes.values_mut() {
-            node.seen.reachable = true;
+            node.reachable = true;
             node.refuses = false;
         }
         let _ = rollout.command(Command::Return, "ops", world.now);
@@ -627,9 +633,11 @@ proptest! {
     #[test]
     fn left_alone_a_rollout_comes_to_an_end_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
         let mut world = World::new(count);
-        for i in shuffled(count, seed).into_iter().take(away) {
+        let mut drawn: Vec<usize> = (0..count).collect();
+        shuffle(&mut drawn, seed);
+        for i in drawn.into_iter().take(away) {
             let node = world.nodes.values_mut().nth(i).unwrap();
-            node.seen.reachable = false;
+            node.reachable = false;
         }
         let mut rollout = world.begin(plan());
         world.run(&mut rollout, 3_000);

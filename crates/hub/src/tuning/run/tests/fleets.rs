@@ -5,8 +5,7 @@
 
 use super::super::super::metric::{Figure, Figures, Mean};
 use super::super::*;
-use super::observed;
-use super::{new, old};
+use super::{new, old, reported};
 
 const HOUR: Millis = 3_600_000;
 /// Time between two steps of the simulation.
@@ -138,7 +137,7 @@ impl Fleet {
         rollout.observe(self.now, |node| {
             let number = Self::number(node);
             let reachable = !self.is_parked(number, self.now);
-            Some(observed(reachable, 1, self.has[number as usize].0))
+            Some(reported(reachable, 1, self.has[number as usize].0, None))
         });
         if let Some(windows) = rollout.tick(self.now) {
             rollout.measured(&self.measure(&windows), self.now);
@@ -172,11 +171,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
     };
     let mut ends = Ends::default();
     for seed in 0..rollouts {
-        let candidates = (0..nodes).map(|node| Candidate {
-            node: node.to_string(),
-            before: old(),
-            reachable: true,
-        });
+        let candidates = (0..nodes).map(|node| Member::new(node.to_string(), old(), true));
         let kind = Kind::Rollout {
             to: new(),
             plan: plan.clone(),
