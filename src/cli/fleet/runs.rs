@@ -10,6 +10,7 @@ use albireo_hub::tuning::effect::Scale;
 use albireo_hub::tuning::metric::Figure;
 use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, TrialResult};
 use anyhow::Context as _;
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::time::Duration;
@@ -65,24 +66,26 @@ Examples:
       --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why
       'quieter streets'";
 
-/// Arguments of `albireo fleet rollout start`.
-#[derive(Debug, clap::Args)]
+/// Arguments of `albireo fleet rollout start`. What is serialised is the plan of the request.
+#[derive(Debug, clap::Args, Serialize)]
 #[command(after_help = START_EXAMPLES)]
 pub(super) struct RolloutArguments {
     /// The new value.
     #[arg(value_parser = finite)]
+    #[serde(skip)]
     value: f64,
     #[command(flatten)]
+    #[serde(flatten)]
     basics: Basics,
     /// How many nodes have the value in each stage, numbers or percent (rounded up), the last 100%.
     #[arg(long, value_delimiter = ',', value_name = "SIZES")]
     stages: Vec<String>,
     /// How long a stage is held before it is judged.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    soak: Option<f64>,
+    #[arg(long = "soak", value_parser = seconds, value_name = "TIME")]
+    soak_s: Option<f64>,
     /// How much longer, where it could not be judged.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    patience: Option<f64>,
+    #[arg(long = "patience", value_parser = seconds, value_name = "TIME")]
+    patience_s: Option<f64>,
     /// What the change may cost; may be given several times, and replaces the gates by default.
     #[arg(long = "gate", value_name = "GATE")]
     gates: Vec<String>,
@@ -90,10 +93,11 @@ pub(super) struct RolloutArguments {
     #[arg(long, value_parser = ["return", "hold"])]
     on_failure: Option<String>,
     /// How long a node may stay out of reach; then its value is withdrawn.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    offline_deadline: Option<f64>,
+    #[arg(long = "offline-deadline", value_parser = seconds, value_name = "TIME")]
+    offline_deadline_s: Option<f64>,
     /// Look until it is done, held or back.
     #[arg(long)]
+    #[serde(skip)]
     follow: bool,
 }
 
@@ -112,31 +116,34 @@ pub(super) enum TrialCommand {
     End(Number),
 }
 
-/// Arguments of `albireo fleet trial start`.
-#[derive(Debug, clap::Args)]
+/// Arguments of `albireo fleet trial start`. What is serialised is the plan of the request.
+#[derive(Debug, clap::Args, Serialize)]
 pub(super) struct TrialArguments {
     /// The values, two or more; each is compared with the first.
     #[arg(required = true, num_args = 2.., value_parser = finite)]
+    #[serde(skip)]
     values: Vec<f64>,
     #[command(flatten)]
+    #[serde(flatten)]
     basics: Basics,
     /// How long the values hold.
     #[arg(long = "for", value_parser = seconds, default_value = "1h", value_name = "TIME")]
-    duration: f64,
+    duration_s: f64,
 }
 
 /// What the beginnings of rollouts and trials have in common.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, clap::Args, Serialize)]
 struct Basics {
     /// Which nodes; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
     select: Vec<String>,
     /// The threshold's name, for nodes under another policy.
     #[arg(long, default_value = "u")]
+    #[serde(skip)]
     knob: String,
     /// How far back the measurements before the change go.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    baseline: Option<f64>,
+    #[arg(long = "baseline", value_parser = seconds, value_name = "TIME")]
+    baseline_s: Option<f64>,
     /// How sure verdicts and intervals must be.
     #[arg(long, value_name = "SHARE", value_parser = finite)]
     confidence: Option<f64>,
@@ -144,8 +151,8 @@ struct Basics {
     #[arg(long, value_name = "N")]
     fewest_clips: Option<u64>,
     /// How long a node in reach may take to report the value.
-    #[arg(long, value_parser = seconds, value_name = "TIME")]
-    apply_within: Option<f64>,
+    #[arg(long = "apply-within", value_parser = seconds, value_name = "TIME")]
+    apply_within_s: Option<f64>,
     /// Draws the order of the nodes, or the groups.
     #[arg(long)]
     seed: Option<u64>,
@@ -154,24 +161,19 @@ struct Basics {
     why: String,
 }
 
-impl Basics {
-    /// The request with these fields and `more`; what is not given has the hub's default.
-    fn request(&self, more: Value) -> Value {
-        let mut request = json!({
-            "select": self.select,
-            "baseline_s": self.baseline,
-            "confidence": self.confidence,
-            "fewest_clips": self.fewest_clips,
-            "apply_within_s": self.apply_within,
-            "seed": self.seed,
-            "why": self.why,
-        });
-        if let (Some(request), Value::Object(more)) = (request.as_object_mut(), more) {
-            request.extend(more);
-            request.retain(|_, value| !value.is_null() && *value != json!([]));
-        }
-        request
+/// Begins one with this plan; what is not given has the hub's default.
+async fn begin(
+    context: &Context,
+    path: &str,
+    plan: &impl Serialize,
+    (name, value): (&str, Value),
+) -> anyhow::Result<RunView> {
+    let mut body = serde_json::to_value(plan)?;
+    body[name] = value;
+    if let Some(body) = body.as_object_mut() {
+        body.retain(|_, value| !value.is_null() && *value != json!([]));
     }
+    context.client.post(path, &body).await
 }
 
 pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyhow::Result<Ended> {
@@ -208,15 +210,10 @@ pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyho
 pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::Result<Ended> {
     let client = &context.client;
     let trial: RunView = match command {
-        TrialCommand::Start(TrialArguments {
-            values,
-            duration,
-            basics,
-        }) => {
-            let value = |value: &f64| json!({ (basics.knob.as_str()): value });
-            let values: Vec<Value> = values.iter().map(value).collect();
-            let body = basics.request(json!({ "values": values, "duration_s": duration }));
-            client.post("/api/v1/trials", &body).await?
+        TrialCommand::Start(plan) => {
+            let value = |value: &f64| json!({ (plan.basics.knob.as_str()): value });
+            let values = plan.values.iter().map(value).collect();
+            begin(context, "/api/v1/trials", &plan, ("values", values)).await?
         }
         TrialCommand::Ls => {
             let trials: Trials = client.get("/api/v1/trials", &[]).await?;
@@ -239,30 +236,18 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
 
 /// The number that was given, or that of the newest.
 async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Result<i64> {
-    let Some(id) = id else {
-        let newest = [("limit", "1".to_owned())];
-        let found: Value = context
-            .client
-            .get(&format!("/api/v1/{kind}"), &newest)
-            .await?;
-        return found[kind][0]["id"]
-            .as_i64()
-            .with_context(|| format!("there are no {kind} yet"));
-    };
-    Ok(id)
+    if let Some(id) = id {
+        return Ok(id);
+    }
+    let (path, newest) = (format!("/api/v1/{kind}"), [("limit", "1".to_owned())]);
+    let found: Value = context.client.get(&path, &newest).await?;
+    let id = found[kind][0]["id"].as_i64();
+    id.with_context(|| format!("there are no {kind} yet"))
 }
 
 async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result<Ended> {
-    let body = arguments.basics.request(json!({
-        (arguments.basics.knob.as_str()): arguments.value,
-        "stages": arguments.stages,
-        "soak_s": arguments.soak,
-        "patience_s": arguments.patience,
-        "gates": arguments.gates,
-        "on_failure": arguments.on_failure,
-        "offline_deadline_s": arguments.offline_deadline,
-    }));
-    let rollout: RunView = context.client.post("/api/v1/rollouts", &body).await?;
+    let value = (arguments.basics.knob.as_str(), json!(arguments.value));
+    let rollout = begin(context, "/api/v1/rollouts", &arguments, value).await?;
     let id = rollout.kept.id;
     if arguments.follow {
         return follow(context, id).await;

@@ -7,6 +7,7 @@ use albireo_hub::http::{ChangeView, Changes, LastLine, OrderLine};
 use albireo_hub::tuning::member::Outcome;
 use albireo_hub::tuning::tuner::{Drift, OutcomeLine};
 use albireo_wire::DesiredSetting;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 /// Arguments of `albireo fleet set-u`.
@@ -31,8 +32,8 @@ pub(super) struct TargetArguments {
     order: Order,
 }
 
-/// For whom an order is, and how it is followed.
-#[derive(Debug, clap::Args)]
+/// For whom an order is, and how it is followed: the request without its setting.
+#[derive(Debug, clap::Args, Serialize)]
 struct Order {
     /// Which nodes; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
@@ -44,8 +45,8 @@ struct Order {
     #[arg(long, default_value = "")]
     why: String,
     /// How long to wait for the nodes: 10s, 5m.
-    #[arg(long, default_value = "10s", value_parser = seconds)]
-    wait: f64,
+    #[arg(long = "wait", value_name = "WAIT", default_value = "10s", value_parser = seconds)]
+    wait_s: f64,
 }
 
 pub(super) async fn set(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
@@ -68,12 +69,7 @@ async fn order(
     (name, value): (&str, Value),
     order: Order,
 ) -> anyhow::Result<Ended> {
-    let mut body = json!({
-        "select": order.select,
-        "dry_run": order.dry_run,
-        "why": order.why,
-        "wait_s": order.wait,
-    });
+    let mut body = serde_json::to_value(order)?;
     body[name] = value;
     let mut last = None;
     let lines = context.client.put_lines(path, &body, |line: OrderLine| {

@@ -4,7 +4,7 @@
 use super::{HubView, body};
 use crate::store::{ChangeNode, ChangeRow};
 use crate::tuning::change::NewChange;
-use crate::tuning::member::{Counts, Outcome};
+use crate::tuning::member::{Outcome, counts};
 use crate::tuning::plan::check_why;
 use crate::tuning::tuner::{Drift, OutcomeLine};
 use albireo_service::clock::unix_milliseconds;
@@ -165,20 +165,20 @@ async fn carry_out(
     let until = Instant::now() + Duration::from_secs_f64(wait);
     let revision = change.revision;
     if streams {
-        let begin = Some((tuner, change, Counts::new()));
+        let begin = Some((tuner, change, Vec::new()));
         let texts = stream::unfold(begin, move |state| async move {
-            let (tuner, mut change, mut counts) = state?;
+            let (tuner, mut change, mut known) = state?;
             let lines = tuner.outcomes(&mut change, until).await;
-            count(&mut counts, &lines);
             if lines.is_empty() {
-                let last = LastLine { revision, counts };
-                return Some((written(&[last]), None));
+                let counts = counts(known);
+                return Some((written(&[LastLine { revision, counts }]), None));
             }
-            Some((written(&lines), Some((tuner, change, counts))))
+            known.extend(lines.iter().map(|line| line.outcome));
+            Some((written(&lines), Some((tuner, change, known))))
         });
         return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response());
     }
-    let (mut nodes, mut counts) = (Vec::new(), Counts::new());
+    let mut nodes = Vec::new();
     loop {
         let lines = tuner.outcomes(&mut change, until).await;
         if lines.is_empty() {
@@ -186,22 +186,14 @@ async fn carry_out(
         }
         nodes.extend(lines);
     }
-    count(&mut counts, &nodes);
     nodes.sort_by(|a, b| a.node.cmp(&b.node));
     let answer = OrderAnswer {
         revision,
         dry_run,
-        counts,
+        counts: counts(nodes.iter().map(|line| line.outcome)),
         nodes,
     };
     Ok(Json(answer).into_response())
-}
-
-/// Counts the nodes of these lines by their outcome.
-fn count(counts: &mut Counts, lines: &[OutcomeLine]) {
-    for line in lines {
-        *counts.entry(line.outcome).or_default() += 1;
-    }
 }
 
 /// These lines as JSON.

@@ -3,12 +3,13 @@
 use super::HubView;
 use crate::config::HubConfig;
 use crate::presence::PresenceState;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, StoredEvent};
 use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config;
 use axum::extract::State;
 use axum::response::Response;
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::cmp::Reverse;
 use std::sync::Arc;
@@ -39,7 +40,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let (events, changes) = match view.store() {
         Ok(store) => (
             or_error(events(store).await),
-            or_error(changes(store).await),
+            or_error(store.changes(i64::MAX, None, MOST_CHANGES).await),
         ),
         Err(_) => (away(), away()),
     };
@@ -84,18 +85,16 @@ fn away() -> Value {
     json!({ "error": "the database is not open yet" })
 }
 
-fn or_error(found: Result<Value, StoreError>) -> Value {
-    found.unwrap_or_else(|error| json!({ "error": error.to_string() }))
+fn or_error(found: Result<impl Serialize, StoreError>) -> Value {
+    match found {
+        Ok(found) => json!(found),
+        Err(error) => json!({ "error": error.to_string() }),
+    }
 }
 
-async fn events(store: &Store) -> Result<Value, StoreError> {
+async fn events(store: &Store) -> Result<Vec<StoredEvent>, StoreError> {
     let last = store.last_event().await?;
-    let events = store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?;
-    Ok(json!(events))
-}
-
-async fn changes(store: &Store) -> Result<Value, StoreError> {
-    Ok(json!(store.changes(i64::MAX, None, MOST_CHANGES).await?))
+    store.events_after(last - MOST_EVENTS, MOST_EVENTS).await
 }
 
 #[cfg(test)]

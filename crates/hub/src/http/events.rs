@@ -6,11 +6,11 @@ use albireo_service::http::Problem;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
-use futures_util::{Stream, stream};
+use futures_util::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use serde_json::json;
-use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::future::ready;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -37,10 +37,6 @@ pub(super) struct Selection {
 }
 
 struct Reader {
-    types: Vec<String>,
-    waiting: VecDeque<StoredEvent>,
-    /// What is sent before anything else.
-    resync: Option<String>,
     last: i64,
     store: Store,
     changed: watch::Receiver<()>,
@@ -48,23 +44,13 @@ struct Reader {
 }
 
 impl Reader {
-    async fn next(&mut self) -> Option<sse::Event> {
-        if let Some(reason) = self.resync.take() {
-            let event = sse::Event::default().event("resync");
-            return event.json_data(json!({ "reason": reason })).ok();
-        }
+    /// The next events; nothing once the hub stops.
+    async fn next(&mut self) -> Option<Vec<StoredEvent>> {
         loop {
-            while let Some(event) = self.waiting.pop_front() {
-                self.last = event.id;
-                if self.types.is_empty() || self.types.contains(&event.kind) {
-                    let written = sse::Event::default().event(&event.kind);
-                    return written.id(event.id.to_string()).json_data(&event).ok();
-                }
-            }
             match self.store.events_after(self.last, STEP).await {
                 Ok(events) if !events.is_empty() => {
-                    self.waiting.extend(events);
-                    continue;
+                    self.last = events.last().map_or(self.last, |event| event.id);
+                    return Some(events);
                 }
                 Ok(_) => {}
                 Err(error) => tracing::debug!(%error, "events cannot be read"),
@@ -80,6 +66,11 @@ impl Reader {
             }
         }
     }
+}
+
+fn written(event: StoredEvent) -> Option<sse::Event> {
+    let written = sse::Event::default().event(&event.kind);
+    written.id(event.id.to_string()).json_data(&event).ok()
 }
 
 /// What happens in the fleet, as server-sent events
@@ -116,22 +107,26 @@ pub(super) async fn stream(
         ),
         last => (last, None),
     };
-    let types = selection
-        .types
-        .map(|types| types.split(',').map(str::to_owned).collect())
-        .unwrap_or_default();
     let reader = Reader {
-        types,
-        waiting: VecDeque::new(),
-        resync,
         last,
         store,
         changed: view.events.subscribe(),
         shutdown: view.shutdown.clone(),
     };
-    let events = stream::unfold(reader, |mut reader| async move {
-        let event = reader.next().await?;
-        Some((Ok(event), reader))
+    let news = stream::unfold(reader, |mut reader| async move {
+        Some((stream::iter(reader.next().await?), reader))
     });
+    let types = selection.types;
+    let is_wanted = move |event: &StoredEvent| {
+        (types.as_ref()).is_none_or(|types| types.split(',').any(|kind| kind == event.kind))
+    };
+    let news = news
+        .flatten()
+        .filter_map(move |event| ready(Some(event).filter(&is_wanted).and_then(written)));
+    let resync = resync.and_then(|reason| {
+        let event = sse::Event::default().event("resync");
+        event.json_data(json!({ "reason": reason })).ok()
+    });
+    let events = stream::iter(resync).chain(news).map(Ok);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }

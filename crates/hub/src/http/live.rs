@@ -5,7 +5,7 @@ use super::HubView;
 use super::nodes::unknown;
 use crate::presence::Notifier;
 use albireo_service::http::Problem;
-use albireo_wire::{CountersMessage, NodeKeys, check_segment};
+use albireo_wire::{CountersMessage, NodeKeys};
 use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
@@ -112,7 +112,7 @@ pub(super) async fn live(
             }
         })
         .await
-        .map_err(|error| Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string()))?;
+        .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
     renew.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let watching = Watching {
@@ -129,6 +129,11 @@ pub(super) async fn live(
         Some((Ok(event), watching))
     });
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+}
+
+/// Zenoh refuses something.
+fn unavailable(error: zenoh::Error) -> Problem {
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
 }
 
 /// Whether Zenoh itself ended the query, in a session or a router, because no reply came in time.
@@ -157,10 +162,7 @@ pub(super) async fn picture(
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
     let (reach, keys) = view.way_to(&node)?;
-    check_segment("camera name", &camera)
-        .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?;
-    let key = keys
-        .camera(&camera)
+    let key = (keys.camera(&camera))
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
     view.watch(&reach, &node);
@@ -182,9 +184,7 @@ pub(super) async fn picture(
                 .priority(Priority::DataLow)
                 .congestion_control(CongestionControl::Drop)
                 .await
-                .map_err(|error| {
-                    Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
-                })?;
+                .map_err(unavailable)?;
             if let Ok(reply) = replies.recv_async().await
                 && !timed_out(&reply)
             {
@@ -201,11 +201,9 @@ pub(super) async fn picture(
         Ok(sample) => {
             let frame = sample
                 .attachment()
-                .map(|bytes| bytes.to_bytes().into_owned());
-            let frame = frame.and_then(|bytes| String::from_utf8(bytes).ok());
-            let seq = frame
-                .filter(|text| text.parse::<u64>().is_ok())
-                .unwrap_or_default();
+                .and_then(|frame| frame.try_to_string().ok());
+            let frame = frame.filter(|text| text.parse::<u64>().is_ok());
+            let seq = frame.map_or_else(String::new, Into::into);
             let headers = [
                 (CONTENT_TYPE, "image/jpeg".to_owned()),
                 (CACHE_CONTROL, "no-store".to_owned()),

@@ -67,17 +67,18 @@ pub struct RunView {
 
 impl From<KeptRun> for RunView {
     fn from(kept: KeptRun) -> Self {
+        let outcomes = || kept.run.members.iter().map(|m| (m.group, m.ask.outcome));
         let stage = |group: usize| {
-            let members = || kept.run.members.iter().filter(move |m| m.group == group);
+            let own = || outcomes().filter(|of| of.0 == group).map(|of| of.1);
             StageView {
-                nodes: members().count(),
-                counts: counts(members()),
+                nodes: own().count(),
+                counts: counts(own()),
             }
         };
         Self {
             paused: kept.run.paused_ms.is_some(),
             stages: (0..kept.run.stages()).map(stage).collect(),
-            counts: counts(kept.run.members.iter()),
+            counts: counts(outcomes().map(|of| of.1)),
             kept,
         }
     }

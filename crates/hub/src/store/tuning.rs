@@ -1,12 +1,12 @@
 //! Orders, desired values and what became of them; rollouts and trials.
 
-use super::row::{json_text, read_all};
+use super::row::{json_text, read, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
 use crate::desired::DesiredValue;
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::metric::{Figure, Figures, Mean};
-use crate::tuning::run::{Run, Window};
-use crate::tuning::runs::KeptRun;
+use crate::tuning::run::Window;
+use crate::tuning::runs::{KeptRun, RunKey};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -61,34 +61,15 @@ pub(crate) struct DesiredRow {
     pub(crate) value: DesiredValue,
 }
 
-/// A rollout or trial as it is kept.
-#[derive(Deserialize)]
-struct RunRow {
-    id: i64,
-    who: String,
-    begun_ms: i64,
-    ended_ms: Option<i64>,
-    #[serde(with = "json_text")]
-    state: Run,
-}
-
-impl From<RunRow> for KeptRun {
-    fn from(row: RunRow) -> Self {
-        Self {
-            id: row.id,
-            who: row.who,
-            begun_ms: row.begun_ms,
-            ended_ms: row.ended_ms,
-            run: row.state,
-            left_out: Vec::new(),
-            unsaved: false,
-        }
-    }
-}
-
+/// Rollouts and trials, with their state beside the other columns.
 fn kept_runs(rows: Vec<Row>) -> Result<Vec<KeptRun>, StoreError> {
-    let rows: Vec<RunRow> = read_all(rows)?;
-    Ok(rows.into_iter().map(KeptRun::from).collect())
+    let kept = |mut row: Row| {
+        if let Some(Value::String(state)) = row.remove("state") {
+            row.extend(serde_json::from_str::<Row>(&state)?);
+        }
+        read(row)
+    };
+    rows.into_iter().map(kept).collect()
 }
 
 impl dyn Database + '_ {
@@ -228,19 +209,13 @@ impl dyn Database + '_ {
         driver: &str,
         free_ms: i64,
         until_ms: i64,
-    ) -> Result<Vec<(String, i64)>, StoreError> {
-        #[derive(Deserialize)]
-        struct Claimed {
-            kind: String,
-            id: i64,
-        }
+    ) -> Result<Vec<RunKey>, StoreError> {
         let rows = self.query(
             "UPDATE runs SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
              AND (driver = $1 OR driven_until_ms < $3) RETURNING kind, id",
             &[driver.into(), until_ms.into(), free_ms.into()],
         )?;
-        let runs: Vec<Claimed> = read_all(rows)?;
-        Ok(runs.into_iter().map(|run| (run.kind, run.id)).collect())
+        read_all(rows)
     }
 }
 

@@ -30,7 +30,7 @@ pub struct NewChange {
 
 /// A change that was ordered, or would be.
 #[derive(Debug)]
-pub(crate) struct Change {
+pub struct Change {
     setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
@@ -63,7 +63,7 @@ impl Tuner {
     ///
     /// # Errors
     /// When the database cannot be used: then nothing is ordered.
-    pub(crate) async fn change(
+    pub async fn change(
         &self,
         setting: DesiredSetting,
         request: NewChange,

@@ -41,6 +41,17 @@ named! {
 /// How many nodes have which outcome.
 pub(crate) type Counts = BTreeMap<Outcome, usize>;
 
+/// Counts nodes by their outcome; those that nothing was asked of are left out.
+pub(crate) fn counts(outcomes: impl IntoIterator<Item = Outcome>) -> Counts {
+    let mut counts = Counts::new();
+    for outcome in outcomes {
+        if outcome != Outcome::Untouched {
+            *counts.entry(outcome).or_default() += 1;
+        }
+    }
+    counts
+}
+
 /// What is known of a setting that a node was asked for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Ask {
@@ -242,15 +253,6 @@ pub(crate) fn due(members: &[Member]) -> Vec<Order> {
         }
     }
     orders
-}
-
-/// How many of the members that something was asked of have which outcome.
-pub(crate) fn counts<'a>(members: impl Iterator<Item = &'a Member>) -> Counts {
-    let mut counts = Counts::new();
-    for member in members.filter(|member| member.ask.outcome != Outcome::Untouched) {
-        *counts.entry(member.ask.outcome).or_default() += 1;
-    }
-    counts
 }
 
 /// Shuffles a list as `seed` says: Fisher and Yates.

@@ -199,6 +199,9 @@ pub struct Run {
     /// Attempts to measure that failed since the last that did not.
     #[serde(skip)]
     failed_attempts: u8,
+    /// Whether it changed since it was saved.
+    #[serde(skip)]
+    pub(crate) unsaved: bool,
 }
 
 impl Run {
@@ -258,6 +261,7 @@ impl Run {
             record: Vec::new(),
             members,
             failed_attempts: 0,
+            unsaved: false,
         };
         run.noted(now, What::Begun).who = Some(who.to_owned());
         run.enter_stage(1, now);
@@ -275,6 +279,7 @@ impl Run {
 
     /// Notes that the nodes of `order` were asked, with that revision.
     pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
+        self.unsaved = true;
         for member in &mut self.members {
             if member.due() == Some((order.knob, order.is_return)) {
                 member.asked(revision, now);
@@ -295,22 +300,16 @@ impl Run {
         }
     }
 
-    /// Takes in what is known of nodes. Returns whether anything changed.
-    pub(crate) fn observe(
-        &mut self,
-        now: Millis,
-        look: impl Fn(&str) -> Option<NodeSettings>,
-    ) -> bool {
+    /// Takes in what is known of nodes.
+    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeSettings>) {
         // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();
-        let mut changed = false;
         for member in &mut self.members {
-            if let Some(seen) = look(&member.node) {
-                changed |= member.observe(&seen, patience, now);
+            if let Some(node) = look(&member.node) {
+                self.unsaved |= member.observe(&node, patience, now);
             }
         }
-        changed
     }
 
     /// Lets time pass. Returns what has to be measured, before and after, if something has.
@@ -612,6 +611,7 @@ impl Run {
     fn enter(&mut self, phase: Phase, now: Millis) {
         (self.phase, self.since_ms, self.looks) = (phase, now, 0);
         self.reason.clear();
+        self.unsaved = true;
     }
 
     /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
@@ -657,6 +657,7 @@ impl Run {
 
     /// A new entry of the record.
     fn noted(&mut self, at_ms: Millis, what: What) -> &mut Entry {
+        self.unsaved = true;
         if self.record.len() >= MOST_ENTRIES {
             self.record.remove(0);
         }

@@ -35,9 +35,6 @@ pub struct KeptRun {
     /// Selected nodes that take no part; only in the answer to its begin.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
-    /// Whether it changed since it was kept.
-    #[serde(skip)]
-    pub(crate) unsaved: bool,
 }
 
 /// A node that was selected and takes no part, and why.
@@ -50,18 +47,25 @@ pub struct LeftOut {
 }
 
 impl KeptRun {
-    fn key(&self) -> Key {
-        (self.run.kind.name().to_owned(), self.id)
+    fn key(&self) -> RunKey {
+        RunKey {
+            kind: self.run.kind.name().to_owned(),
+            id: self.id,
+        }
     }
 }
 
-/// Kind and number.
-type Key = (String, i64);
+/// What a rollout or trial is named by.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+pub(crate) struct RunKey {
+    kind: String,
+    id: i64,
+}
 
 /// What this hub drives.
 #[derive(Debug, Default)]
 pub(crate) struct Runs {
-    running: BTreeMap<Key, KeptRun>,
+    running: BTreeMap<RunKey, KeptRun>,
     claimed_ms: Millis,
 }
 
@@ -159,7 +163,6 @@ impl Tuner {
             ended_ms: None,
             run: Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?,
             left_out: Vec::new(),
-            unsaved: false,
         };
         let (row, driver) = (kept.clone(), self.driver.clone());
         let written = self
@@ -197,23 +200,19 @@ impl Tuner {
         id: i64,
         returns: bool,
     ) -> Result<KeptRun, RunError> {
-        if let Some(kept) = runs.running.get(&(kind.to_owned(), id)) {
-            return Ok(kept.clone());
-        }
         let kept = self.store.run(kind, id).await?;
         let mut kept = kept.ok_or(RunError::Unknown(kind, id))?;
+        if let Some(kept) = runs.running.get(&kept.key()) {
+            return Ok(kept.clone());
+        }
         if kept.ended_ms.is_none() || !returns {
             return Err(RunError::Conflict(format!(
                 "the {kind} {id} is driven by another hub on the same database, or has ended"
             )));
         }
         let taken = self.taken().await?;
-        if let Some(member) = kept
-            .run
-            .members
-            .iter()
-            .find(|m| taken.contains_key(&m.node))
-        {
+        let mut members = kept.run.members.iter();
+        if let Some(member) = members.find(|m| taken.contains_key(&m.node)) {
             return Err(RunError::taken(&member.node));
         }
         kept.run.leave_out(|member| {
@@ -272,18 +271,15 @@ impl Tuner {
         }
         let mut failed = None;
         for kept in runs.running.values_mut() {
+            // One that cannot go on does not keep the others from it; what it has done by then is saved.
             let went = self.go_on(kept, now).await;
-            // Also after an error things may have changed: nodes that were asked, for instance.
-            kept.unsaved |= *went.as_ref().unwrap_or(&true);
-            let saved = match kept.unsaved {
+            let saved = match kept.run.unsaved {
                 true => self.save(kept, false, now).await,
                 false => Ok(()),
             };
-            // One that cannot go on does not keep the others from it.
-            failed = went.map(drop).and(saved).err().or(failed);
+            failed = went.and(saved).err().or(failed);
         }
-        runs.running
-            .retain(|_, kept| kept.unsaved || !kept.run.has_ended());
+        (runs.running).retain(|_, kept| kept.run.unsaved || !kept.run.has_ended());
         failed.map_or(Ok(()), Err)
     }
 
@@ -300,26 +296,24 @@ impl Tuner {
             if runs.running.contains_key(&key) {
                 continue;
             }
-            match self.store.run(&key.0, key.1).await {
+            match self.store.run(&key.kind, key.id).await {
                 Ok(Some(kept)) => {
-                    tracing::info!(kind = key.0, id = key.1, "resumed");
+                    tracing::info!(kind = key.kind, id = key.id, "resumed");
                     runs.running.insert(key, kept);
                 }
                 Ok(None) => {}
                 // It does not keep the others from going on.
                 Err(error) => {
-                    tracing::error!(%error, kind = key.0, id = key.1, "cannot be resumed");
+                    tracing::error!(%error, kind = key.kind, id = key.id, "cannot be resumed");
                 }
             }
         }
         Ok(())
     }
 
-    /// Goes on with one; whether it changed.
-    async fn go_on(&self, kept: &mut KeptRun, now: Millis) -> Result<bool, StoreError> {
+    /// Goes on with one.
+    async fn go_on(&self, kept: &mut KeptRun, now: Millis) -> Result<(), StoreError> {
         let KeptRun { id, who, run, .. } = kept;
-        let before = (run.phase, run.since_ms, run.record.len());
-        let mut changed = false;
         for order in run.due() {
             let change = ChangeRow {
                 revision: 0,
@@ -339,9 +333,8 @@ impl Tuner {
             });
             let revision = self.order(change, nodes.collect()).await?;
             run.asked(&order, revision, now);
-            changed = true;
         }
-        changed |= run.observe(now, |node| self.fleet.settings(node));
+        run.observe(now, |node| self.fleet.settings(node));
         if let Some(windows) = run.tick(now) {
             match self.measure(&windows).await {
                 Ok(found) => run.measured(&found, now),
@@ -351,7 +344,7 @@ impl Tuner {
                 }
             }
         }
-        Ok(changed || before != (run.phase, run.since_ms, run.record.len()))
+        Ok(())
     }
 
     /// Keeps it as it is, with the time of its end. `take` makes this hub its driver.
@@ -363,7 +356,7 @@ impl Tuner {
             .store
             .write(move |writing| writing.save_run(&row, &driver, until));
         written.await?;
-        kept.unsaved = false;
+        kept.run.unsaved = false;
         Ok(())
     }
 

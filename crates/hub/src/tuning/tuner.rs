@@ -88,6 +88,7 @@ pub struct Drift {
 }
 
 /// Tunes the fleet.
+#[derive(Debug)]
 pub struct Tuner {
     pub(super) store: Store,
     pub(super) fleet: Arc<Fleet>,
@@ -105,12 +106,6 @@ pub struct Tuner {
     /// Notified after each look at what the nodes reported.
     pub(super) looked: Notify,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
-}
-
-impl std::fmt::Debug for Tuner {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Tuner").finish_non_exhaustive()
-    }
 }
 
 /// Interval at which reports of nodes are read.

@@ -8,7 +8,7 @@ use albireo_hub::ingest::Recorder;
 use albireo_hub::presence::Fleet;
 use albireo_hub::store::Store;
 use albireo_hub::tuning::Tuner;
-use albireo_hub::tuning::change::ChangeRequest;
+use albireo_hub::tuning::change::NewChange;
 use albireo_hub::tuning::gate::Gate;
 use albireo_hub::tuning::member::{Member, Outcome};
 use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan};
@@ -165,13 +165,12 @@ impl Hub {
 
     pub(super) fn order(&self, nodes: &[String], value: f64, now: Now) {
         let Some(hub) = &self.running else { return };
-        let request = ChangeRequest {
-            setting: Threshold::new("u", value).into(),
+        let setting = Threshold::new("u", value).into();
+        let request = NewChange {
             select: Selector::new(nodes).unwrap(),
-            dry_run: false,
-            why: String::new(),
+            ..NewChange::default()
         };
-        self.work(hub.tuner.change(request, "ops", now.unix_ms));
+        self.work(hub.tuner.change(setting, request, "ops", now.unix_ms));
     }
 
     pub(super) fn rollout(
