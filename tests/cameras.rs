@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::node_frames::attachment;
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
 use crate::support::{
     Node, PATIENCE, albireo, assert_says, collected, listening_peer, memory_mb, run, signal, until,
@@ -126,11 +127,11 @@ fn command_line(process: u32) -> String {
 /// Every form in which the password could leak.
 fn assert_hidden(text: &str) {
     for form in [PASSWORD, "hid%2Fden", "den@7", "den%407"] {
-        assert!(!text.contains(form), "the password is told: {text}");
+        assert!(!text.contains(form), "the password is shown: {text}");
     }
 }
 
-/// What a node tells of its only camera.
+/// What a node says of its only camera.
 async fn front(node: &Node) -> Value {
     let cameras: Value = serde_json::from_str(&node.text("/api/v1/cameras").await).unwrap();
     cameras["cameras"][0].clone()
@@ -175,7 +176,7 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
     let ready = async || node.text("/readyz").await;
     let failed = "\"reason\":\"failed: ";
     until("the node says so", async || ready().await.contains(failed)).await;
-    let mut told = ready().await;
+    let mut shown = ready().await;
     let _camera = RtspCamera::start_at(port, "h264", &login).await;
     let subject = "\"subject\":\"front\"";
     until("the node is ready again", async || {
@@ -185,13 +186,13 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
     // More than may have waited in the ring since before.
     until_processed(&node, processed(&node).await + 70).await;
     for path in ["/metrics", "/api/v1/cameras", "/api/v1/frame-states"] {
-        told += &node.text(path).await;
+        shown += &node.text(path).await;
     }
     assert_says(
-        &told,
+        &shown,
         &["; next attempt in ", &format!("127.0.0.1:{port}/stream")],
     );
-    assert_hidden(&told);
+    assert_hidden(&shown);
     let programs = children(node.id());
     let log = node.stop_well().await;
     assert_says(&log, &["next attempt in"]);
@@ -331,14 +332,14 @@ async fn a_sender_that_starts_anew_loses_no_frame() {
         assert!(timeout(PATIENCE, played).await.unwrap().unwrap().success());
     }
     until_processed(&node, 150).await;
-    let told = node.text("/metrics").await;
-    let mut dropped = told
+    let shown = node.text("/metrics").await;
+    let mut dropped = shown
         .lines()
         .filter(|line| line.starts_with("albireo_frames_dropped"));
-    assert!(told.contains("albireo_frames_dropped"), "{told}");
+    assert!(shown.contains("albireo_frames_dropped"), "{shown}");
     assert!(
         dropped.all(|line| line.ends_with(" 0") || line.ends_with(" 0.0")),
-        "{told}"
+        "{shown}"
     );
     node.stop().await;
 }
@@ -482,8 +483,8 @@ async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
     let environment = std::fs::read(format!("/proc/{}/environ", programs[0])).unwrap();
     let environment = String::from_utf8_lossy(&environment).into_owned();
     assert!(environment.contains("GST_DEBUG=1"), "{environment}");
-    for told in [command_line(programs[0]), environment] {
-        assert!(!told.contains("hidden"), "{told}");
+    for shown in [command_line(programs[0]), environment] {
+        assert!(!shown.contains("hidden"), "{shown}");
     }
     let log = publisher.stop().await;
     assert!(!log.contains("opened by"), "{log}");
@@ -493,16 +494,10 @@ async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
 async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
     let session = zenoh_client(endpoint).await;
     for seq in 0..10 {
-        let attachment = FrameAttachment {
-            v: albireo_wire::VERSION,
-            seq: Some(seq),
-            stream: Some(number),
-            ..FrameAttachment::default()
-        };
         session
             .put("albireo/node/front/frame", picture)
             .encoding("image/jpeg")
-            .attachment(serde_json::to_vec(&attachment).unwrap())
+            .attachment(attachment(seq, Some(number), None))
             .await
             .unwrap();
     }

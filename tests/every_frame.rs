@@ -2,14 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, LONG, attachment, configuration, pictures};
 use crate::support::policies::Before;
 use crate::support::until;
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
 use albireo_node::input::Delivery;
-use albireo_wire::{FrameAnswer, FrameAttachment, VERSION};
+use albireo_wire::FrameAnswer;
 use std::sync::{Arc, Condvar, Mutex};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
@@ -49,20 +49,11 @@ impl Drop for OpenAtLast {
     }
 }
 
-fn attachment(seq: u64) -> Vec<u8> {
-    let attachment = FrameAttachment {
-        v: VERSION,
-        seq: Some(seq),
-        ..FrameAttachment::default()
-    };
-    serde_json::to_vec(&attachment).unwrap()
-}
-
 async fn put(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) {
     session
         .put(format!("albireo/node/{camera}/frame"), picture)
         .encoding("image/jpeg")
-        .attachment(attachment(seq))
+        .attachment(attachment(seq, None, None))
         .congestion_control(zenoh::qos::CongestionControl::Block)
         .await
         .unwrap();
@@ -78,7 +69,7 @@ fn send_each(session: &zenoh::Session, camera: &str, picture: &[u8]) -> JoinHand
                 .get(&key)
                 .payload(picture.clone())
                 .encoding("image/jpeg")
-                .attachment(attachment(seq))
+                .attachment(attachment(seq, None, None))
                 .timeout(LONG)
                 .await
                 .unwrap();
@@ -167,7 +158,7 @@ async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
         .get(format!("albireo/node/{CAMERA}/frame"))
         .payload("not a picture")
         .encoding("image/jpeg")
-        .attachment(attachment(0))
+        .attachment(attachment(0, None, None))
         .await
         .unwrap();
     let reply = replies.recv_async().await.unwrap().into_result().unwrap();

@@ -2,9 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::node_frames::rmw_attachment;
 use albireo_core::geometry::PictureSize;
-use albireo_node::input::{Frame, PayloadFormat, RawSample, RejectedFrame, read_frame};
-use albireo_vision::picture::{FrameLimits, PictureFormat};
+use albireo_node::input::{Frame, FrameNumber, PayloadFormat, RawSample, read_frame};
+use albireo_vision::picture::{FrameFault, FrameLimits, PictureFormat};
 use bytes::Bytes;
 use serde_json::Value;
 use tokio::time::Instant;
@@ -24,16 +25,21 @@ fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -
     }
 }
 
-fn read(payload: &[u8], encoding: &str, attachment: Option<&str>) -> Result<Frame, RejectedFrame> {
-    read_frame(
-        sample(payload, encoding, attachment.map(str::as_bytes)),
-        PayloadFormat::Encoding,
-        &FrameLimits::default(),
-    )
+/// A frame, or the number and the fault of a sample that is none.
+type Read = Result<Frame, (FrameNumber, FrameFault)>;
+
+fn read_as(sample: RawSample<'_>, format: PayloadFormat, limits: &FrameLimits) -> Read {
+    let (number, frame) = read_frame(sample, format, limits);
+    frame.map_err(|fault| (number, fault))
 }
 
-fn read_ros(payload: &[u8], format: PayloadFormat) -> Result<Frame, RejectedFrame> {
-    read_frame(sample(payload, "", None), format, &FrameLimits::default())
+fn read(payload: &[u8], encoding: &str, attachment: Option<&str>) -> Read {
+    let sample = sample(payload, encoding, attachment.map(str::as_bytes));
+    read_as(sample, PayloadFormat::Encoding, &FrameLimits::default())
+}
+
+fn read_ros(payload: &[u8], format: PayloadFormat) -> Read {
+    read_as(sample(payload, "", None), format, &FrameLimits::default())
 }
 
 /// The JPEG and the PNG file inside the fixtures.
@@ -79,12 +85,12 @@ fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
     for length in (0..60).chain([whole - 1]) {
         let rejected =
             read_ros(&payload[..length], PayloadFormat::Ros2CompressedImage).unwrap_err();
-        assert_eq!(rejected.fault.kind(), "undecodable", "{length}: {rejected}");
-        assert_eq!(rejected.number.seq, None);
+        assert_eq!(rejected.1.kind(), "undecodable", "{length}: {rejected:?}");
+        assert_eq!(rejected.0.seq, None);
     }
     payload[1] = 9;
     let rejected = read_ros(&payload, PayloadFormat::Ros2CompressedImage).unwrap_err();
-    assert_eq!(rejected.fault.kind(), "unknown_format");
+    assert_eq!(rejected.1.kind(), "unknown_format");
 }
 
 /// An Image message in CDR, written here field by field.
@@ -161,18 +167,14 @@ fn a_ros2_image_that_contradicts_itself_is_refused() {
     ] {
         let payload = ros_image(true, encoding, width, height, step, &vec![0; bytes]);
         let rejected = read_ros(&payload, PayloadFormat::Ros2Image).unwrap_err();
-        assert_eq!(rejected.fault.kind(), kind, "{encoding}: {rejected}");
+        assert_eq!(rejected.1.kind(), kind, "{encoding}: {rejected:?}");
     }
 }
 
 #[test]
 fn a_ros2_camera_is_numbered_by_its_own_attachment() {
-    let mut attachment = Vec::new();
-    attachment.extend_from_slice(&900_i64.to_le_bytes());
-    attachment.extend_from_slice(&1_699_999_999_000_000_000_i64.to_le_bytes());
-    attachment.push(16);
-    attachment.extend_from_slice(&[3; 16]);
-    let frame = read_frame(
+    let attachment = rmw_attachment(900, 3);
+    let frame = read_as(
         sample(&fixture("compressed_image_1.cdr"), "", Some(&attachment)),
         PayloadFormat::Ros2CompressedImage,
         &FrameLimits::default(),
@@ -207,7 +209,7 @@ fn the_encoding_or_the_first_bytes_tell_the_format() {
         (&vec![], "image/jpeg", "undecodable"),
     ] {
         let rejected = read(payload, encoding, None).unwrap_err();
-        assert_eq!(rejected.fault.kind(), kind, "{encoding}: {rejected}");
+        assert_eq!(rejected.1.kind(), kind, "{encoding}: {rejected:?}");
     }
 }
 
@@ -229,8 +231,8 @@ fn raw_pictures_take_their_size_from_the_attachment() {
         assert_eq!((frame.sequence, frame.time_ns), (4, 9));
         assert_eq!(frame.clip.as_deref(), Some("drive"));
         let rejected = read(&vec![1; bytes - 1], &encoding, Some(attachment)).unwrap_err();
-        assert_eq!(rejected.fault.kind(), "undecodable", "{rejected}");
-        assert_eq!(rejected.number.seq, Some(4));
+        assert_eq!(rejected.1.kind(), "undecodable", "{rejected:?}");
+        assert_eq!(rejected.0.seq, Some(4));
     }
     for (encoding, attachment) in [
         ("image/raw;rgb8", None),
@@ -239,7 +241,7 @@ fn raw_pictures_take_their_size_from_the_attachment() {
         ("image/raw", Some(attachment)),
     ] {
         let rejected = read(&[1; 18], encoding, attachment).unwrap_err();
-        assert_eq!(rejected.fault.kind(), "unknown_format", "{rejected}");
+        assert_eq!(rejected.1.kind(), "unknown_format", "{rejected:?}");
     }
 }
 
@@ -248,8 +250,8 @@ fn an_attachment_that_cannot_be_read_is_refused_without_a_number() {
     let (jpeg, _) = picture_files();
     for attachment in [r#"{"v":2,"seq":1}"#, "seq=1"] {
         let rejected = read(&jpeg, "image/jpeg", Some(attachment)).unwrap_err();
-        assert_eq!(rejected.fault.kind(), "unknown_format");
-        assert_eq!(rejected.number.seq, None);
+        assert_eq!(rejected.1.kind(), "unknown_format");
+        assert_eq!(rejected.0.seq, None);
     }
 }
 
@@ -268,13 +270,13 @@ fn an_oversized_picture_is_recognised_by_its_header_alone() {
     for limits in [payload, width, height, decoded] {
         for (file, encoding) in [(&jpeg, "image/jpeg"), (&png, "image/png")] {
             let sample = sample(file, encoding, None);
-            let rejected = read_frame(sample, PayloadFormat::Encoding, &limits).unwrap_err();
-            assert_eq!(rejected.fault.kind(), "oversized", "{rejected}");
+            let rejected = read_as(sample, PayloadFormat::Encoding, &limits).unwrap_err();
+            assert_eq!(rejected.1.kind(), "oversized", "{rejected:?}");
         }
     }
     // A PNG of 33 bytes that claims four billion by four billion pixels.
     let mut bomb = png[..33].to_vec();
     bomb[16..24].fill(0xFF);
     let rejected = read(&bomb, "image/png", None).unwrap_err();
-    assert_eq!(rejected.fault.kind(), "oversized");
+    assert_eq!(rejected.1.kind(), "oversized");
 }

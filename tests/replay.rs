@@ -46,7 +46,7 @@ async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
                 arrival,
                 ..RawSample::from(&query)
             };
-            let frame = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
+            let (_, frame) = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
             sender.send(frame.unwrap()).await.unwrap();
             let answer = FrameAnswer {
                 v: VERSION,

@@ -53,11 +53,11 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
     bench
         .send_of_clip(picture.clone(), "image/jpeg", 2, Some("a"))
         .await;
-    let told = timeout(
+    let changed = timeout(
         LONG,
         changes.wait_for(|status| status.state == HealthState::NotReady),
     );
-    let status = told.await.unwrap().unwrap().clone();
+    let status = changed.await.unwrap().unwrap().clone();
     let reason = &status.reasons["tasks"];
     assert_says(reason, &["camera front", "a bug in a policy"]);
     // The open clip is not lost with the loop.
@@ -159,13 +159,13 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
     config.zenoh.connect = first.endpoints.clone();
     let second = Bench::start(&config).await;
     let mut changes = second.board.readiness.subscribe();
-    let told = timeout(
+    let changed = timeout(
         LONG,
         changes.wait_for(|status| {
             (status.reasons.get("zenoh")).is_some_and(|reason| reason.contains("of this name"))
         }),
     );
-    assert_eq!(told.await.unwrap().unwrap().state, HealthState::Degraded);
+    assert_eq!(changed.await.unwrap().unwrap().state, HealthState::Degraded);
     first.stop().await;
     let free = timeout(
         LONG,

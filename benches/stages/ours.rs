@@ -109,7 +109,6 @@ impl<'a> OurPath<'a> {
     ) -> anyhow::Result<()> {
         let frame = Frame {
             sequence: self.frames,
-            number: albireo_node::input::FrameNumber::default(),
             time_ns: self.frames * 100_000_000,
             clip: None,
             picture: encoded.clone(),

@@ -79,7 +79,7 @@ fn sample(
         arrival: 0,
         received: Instant::now(),
     };
-    let Ok(frame) = read_frame(raw, format, &limits()) else {
+    let (_, Ok(frame)) = read_frame(raw, format, &limits()) else {
         return false;
     };
     // A header can promise more pixels than an input of some kilobytes is worth.

@@ -122,18 +122,11 @@ impl Configuration for HubConfig {
         "TOKEN",
     ];
 
-    const REMOVED: &'static [(&'static str, &'static str)] = &[
-        ("http.timeout_ms", "a request may take 10 s"),
-        (
-            "http.idle_timeout_ms",
-            "a connection that is silent for 30 s is closed",
-        ),
-        (
-            "http.max_connections",
-            "256 connections may be open at a time",
-        ),
-        ("tuning.set_back_times", "a node is set back three times"),
-    ];
+    const REMOVED: &'static str = "\
+http.timeout_ms: a request may take 10 s
+http.idle_timeout_ms: a connection that is silent for 30 s is closed
+http.max_connections: 256 connections may be open at a time
+tuning.set_back_times: a node is set back three times";
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

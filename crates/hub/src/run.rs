@@ -20,7 +20,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
-use tracing::Span;
 use zenoh::Session;
 
 /// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
@@ -172,7 +171,7 @@ async fn parts(
         TaskTally::default(),
         shutdown.clone(),
     );
-    tasks.essential("writer", Span::none(), written);
+    tasks.essential("writer", written);
     let (listening, receiving) = listen(ListenSetup {
         session: &session,
         prefix: &config.hub.prefix,
@@ -186,7 +185,7 @@ async fn parts(
         shutdown: shutdown.clone(),
     })
     .await?;
-    tasks.essential("presence", Span::none(), receiving);
+    tasks.essential("presence", receiving);
     let _ = view.reaches.set(Reach {
         session: session.clone(),
         notifier: listening.notifier.clone(),
@@ -213,11 +212,7 @@ async fn parts(
     readiness.release("database");
     if let Some(tuner) = tuner.map(Arc::new) {
         let _ = view.tunes.set(Arc::clone(&tuner));
-        tasks.essential(
-            "tuning",
-            Span::none(),
-            tuning::follow(tuner, shutdown.clone()),
-        );
+        tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     }
     // Known nodes report their state now, and not at their next period.
     for node in view.fleet.names() {

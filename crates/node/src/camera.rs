@@ -8,12 +8,10 @@ mod config;
 mod decider;
 pub mod evidence;
 pub(crate) mod publishing;
-mod record;
 mod settled;
 
 pub use config::{AnswerTime, ReportConfig, SettleConfig};
 pub(crate) use decider::Decider;
-pub use record::FrameRecord;
 pub(crate) use settled::SettledStream;
 #[cfg(test)]
 pub(crate) use tests::answer;
@@ -21,11 +19,10 @@ pub(crate) use tests::answer;
 use crate::camera::answer::{AnswerContext, detections_message};
 use crate::camera::audit::{CameraAudit, DrawnFrame};
 use crate::camera::clip::{Clip, ClipTracker};
-use crate::camera::decider::{Fetched, PendingFrame};
+use crate::camera::decider::{Decided, Fetched};
 use crate::camera::evidence::Times;
 use crate::camera::publishing::Outlet;
-use crate::input::Ring;
-use crate::input::receiver::{DropCounts, SequencedFrame, kind_of};
+use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{CallCause, FrameHead, MinConfidence, Need, Outcome};
 use albireo_service::clock::milliseconds;
@@ -41,10 +38,8 @@ use tokio_util::sync::CancellationToken;
 pub(crate) struct CameraParts {
     /// What HTTP and metrics see of it.
     pub board: Arc<CameraBoard>,
-    /// Frames from the receiver.
-    pub ring: Arc<Ring<SequencedFrame>>,
-    /// Dropped frames, shared with the receiver.
-    pub drops: Arc<DropCounts>,
+    /// Where its frames come from.
+    pub receiver: Arc<FrameReceiver>,
     /// Where answers go.
     pub detections: Outlet,
     /// Where the final answers of pending frames go, if frames are answered at once.
@@ -103,17 +98,35 @@ struct BegunFrame {
     threshold: Option<Threshold>,
     /// When it was taken from the ring.
     taken: Instant,
+    /// From its reception to its prediction, if that has been published before the final answer.
+    first_answer: Option<Duration>,
+    /// What its answer has taken so far.
+    times: Times,
 }
 
-/// Which of a frame's answers a message is.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Answer {
-    /// The only one.
-    Final,
-    /// A prediction, before the final one.
-    Pending,
-    /// The final one after a prediction.
-    Late,
+/// A frame with its final answer: given once to everything that counts frames.
+#[derive(Clone, Debug)]
+pub struct FrameRecord {
+    /// The final answer, as published.
+    pub detections: Arc<DetectionsMessage>,
+    /// When it was published.
+    pub answered: Instant,
+    /// From reception to the first answer, which may have been pending.
+    pub first_answer: Duration,
+    /// What the final answer took.
+    pub(crate) times: Times,
+}
+
+impl FrameRecord {
+    /// A frame that neither detector nor flow examined, answered now and `first_answer` after its reception.
+    pub fn new(detections: Arc<DetectionsMessage>, first_answer: Duration) -> Self {
+        Self {
+            detections,
+            answered: Instant::now(),
+            first_answer,
+            times: Times::default(),
+        }
+    }
 }
 
 impl Camera {
@@ -152,7 +165,7 @@ impl Camera {
                 () = shutdown.cancelled() => break,
                 fetched = self.decider.fetched() => self.deliver(fetched),
                 // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
-                incoming = self.parts.ring.next(), if !waits => self.process(incoming),
+                incoming = self.parts.receiver.ring.next(), if !waits => self.process(incoming),
                 () = at(due), if !waits => self.tick(),
             }
         }
@@ -177,10 +190,10 @@ impl Camera {
     /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
     fn end(&mut self) {
         let parts = &self.parts;
-        for mut frame in parts.ring.close() {
+        for mut frame in parts.receiver.ring.close() {
             let reason = "the camera's loop ended before its turn";
-            (parts.drops).count(|dropped| &mut dropped.stopped, 1, &reason);
-            frame.refuse(reason);
+            (parts.receiver.drops).count(|dropped| &mut dropped.stopped, 1, &reason);
+            frame.answer(Some(reason));
         }
         parts.audit.give_up();
         self.count_others();
@@ -193,32 +206,28 @@ impl Camera {
     /// to the next.
     fn count_others(&mut self) {
         if self.tracker.clip().is_some() {
-            let (dropped, found) = (self.parts.drops.take(), self.parts.audit.take());
+            let (dropped, found) = (self.parts.receiver.drops.take(), self.parts.audit.take());
             self.tracker.count_others(&dropped, found.as_deref());
         }
     }
 
     fn process(&mut self, mut incoming: SequencedFrame) {
-        incoming.taken();
-        let Some(frame) = self.begin(incoming) else {
+        incoming.answer(None);
+        let Some(mut frame) = self.begin(incoming) else {
             return;
         };
         let deciding = Instant::now();
         let need = self.decider.frame(frame.head, &mut self.outcome);
-        let times = Times {
-            policy: deciding.elapsed(),
-            ..Times::default()
-        };
+        frame.times.latency.policy = milliseconds(deciding.elapsed());
         if need == Need::Nothing {
-            return self.conclude(&frame, times, None);
+            return self.conclude(&frame);
         }
-        let mut first_answer = None;
         if self.decider.answers_at_once() {
-            let message = self.answer(&frame, &times, Answer::Pending);
+            let message = self.answer(&frame, true);
             self.tracker.pending(message.seq, frame.threshold);
-            first_answer = Some(frame.incoming.frame.received.elapsed());
+            frame.first_answer = Some(frame.incoming.frame.received.elapsed());
         }
-        self.decider.fetch(frame, need, first_answer, times);
+        self.decider.fetch(frame, need);
     }
 
     fn deliver(&mut self, fetched: Fetched) {
@@ -227,32 +236,29 @@ impl Camera {
     }
 
     /// Publishes and counts the final answer of a frame that was pending, if there is one.
-    fn finish(&mut self, decided: Option<PendingFrame>) {
-        let Some(decided) = decided else { return };
-        match decided.fault {
-            Some(fault) => self.parts.drops.count(kind_of(&fault), 1, &fault),
-            None => self.conclude(&decided.frame, decided.times, decided.first_answer),
+    fn finish(&mut self, decided: Option<Decided>) {
+        match decided {
+            Some(Ok(frame)) => self.conclude(&frame),
+            Some(Err(fault)) => (self.parts.receiver.drops).count(kind_of(&fault), 1, &fault),
+            None => {}
         }
     }
 
     /// Publishes and counts the final answer of a frame, whose first one may have been published, and leaves the frame to
     /// the audit if it is drawn.
-    fn conclude(&mut self, frame: &BegunFrame, times: Times, first_answer: Option<Duration>) {
-        let answer = match first_answer {
-            Some(_) => Answer::Late,
-            None => Answer::Final,
-        };
-        let message = self.answer(frame, &times, answer);
+    fn conclude(&mut self, frame: &BegunFrame) {
+        let message = self.answer(frame, false);
         let BegunFrame { incoming, .. } = frame;
-        let first_answer = first_answer.unwrap_or_else(|| incoming.frame.received.elapsed());
+        let first_answer =
+            (frame.first_answer).unwrap_or_else(|| incoming.frame.received.elapsed());
         let record = FrameRecord {
-            times,
+            times: frame.times,
             ..FrameRecord::new(message, first_answer)
         };
         let (parts, outcome) = (&self.parts, &self.outcome);
-        match answer {
-            Answer::Late => parts.hand_over(self.tracker.count_late(&record)),
-            _ => self.tracker.count(&record),
+        match frame.first_answer {
+            Some(_) => parts.hand_over(self.tracker.count_late(&record)),
+            None => self.tracker.count(&record),
         }
         parts.board.record_frame(&record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
@@ -274,7 +280,7 @@ impl Camera {
         {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            (self.parts.drops).count(|dropped| &mut dropped.late, 1, &reason);
+            (self.parts.receiver.drops).count(|dropped| &mut dropped.late, 1, &reason);
             return None;
         }
         let restarted = (self.newest.replace((incoming.index, incoming.epoch)))
@@ -282,7 +288,7 @@ impl Camera {
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
         if restarted || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
             let given_up = self.decider.give_up(&mut self.outcome);
-            self.finish(given_up);
+            self.finish(given_up.map(Ok));
             self.decider.reset();
             self.last_index = None;
         }
@@ -314,29 +320,26 @@ impl Camera {
             threshold: knob.map(|(knob, value)| Threshold::new(knob.name, value)),
             taken,
             incoming,
+            first_answer: None,
+            times: Times::default(),
         })
     }
 
-    /// Publishes an answer of a frame. Of the boxes in the outcome those stay that are published.
-    fn answer(
-        &mut self,
-        frame: &BegunFrame,
-        times: &Times,
-        answer: Answer,
-    ) -> Arc<DetectionsMessage> {
+    /// Publishes an answer of a frame: a `pending` one, before the final one, or that. Of the boxes in the outcome those
+    /// stay that are published.
+    fn answer(&mut self, frame: &BegunFrame, pending: bool) -> Arc<DetectionsMessage> {
         let (parts, outcome) = (&self.parts, &mut self.outcome);
         // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
-        if outcome.cause == Some(CallCause::Screen) && times.overruled {
+        if outcome.cause == Some(CallCause::Screen) && frame.times.overruled {
             outcome.cause = Some(CallCause::EmptyLimit);
         }
         let BegunFrame { incoming, .. } = frame;
         let received = incoming.frame.received;
-        let pending = answer == Answer::Pending;
-        if let Some(settled) = &mut self.settled {
-            match answer {
-                Answer::Late => settled.late(incoming.index, outcome),
-                _ => settled.frame(incoming, &frame.clip, outcome, pending),
-            }
+        let late = frame.first_answer.is_some();
+        match &mut self.settled {
+            Some(settled) if late => settled.late(incoming.index, outcome),
+            Some(settled) => settled.frame(incoming, &frame.clip, outcome, pending),
+            None => {}
         }
         parts.min_confidence.select(&mut outcome.boxes);
         let message = Arc::new(detections_message(
@@ -350,24 +353,18 @@ impl Camera {
                 latency: Latency {
                     total: milliseconds(received.elapsed()),
                     waiting: milliseconds(frame.taken - received),
-                    decode: times.decode.map(milliseconds),
-                    screen: times.screen.map(milliseconds),
-                    detector: times.detector.map(milliseconds),
-                    policy: milliseconds(times.policy),
+                    ..frame.times.latency
                 },
             },
         ));
-        match answer {
-            Answer::Late => {
-                if let Some(late) = &parts.late {
-                    late.put(&*message);
-                }
-                parts.board.show_late(Arc::clone(&message));
+        if late {
+            if let Some(late) = &parts.late {
+                late.put(&*message);
             }
-            _ => {
-                parts.detections.put(&*message);
-                parts.board.show(Arc::clone(&message));
-            }
+            parts.board.show_late(Arc::clone(&message));
+        } else {
+            parts.detections.put(&*message);
+            parts.board.show(Arc::clone(&message));
         }
         message
     }
@@ -395,7 +392,7 @@ impl Drop for Camera {
     }
 }
 
-/// Waits until `due`; for ever without one.
+/// Waits until `due`; forever without one.
 async fn at(due: Option<Instant>) {
     match due {
         Some(due) => tokio::time::sleep_until(due).await,

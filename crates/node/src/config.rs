@@ -14,13 +14,13 @@ use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
 use albireo_power::PowerConfig;
 use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
-use albireo_vision::detector::DetectorConfig;
+use albireo_vision::detector::{ClassNames, DetectorConfig};
 use albireo_vision::picture::FrameLimits;
 use albireo_vision::screen::ScreenConfig;
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// All settings of a node.
@@ -101,6 +101,19 @@ impl NodeConfig {
         NodeKeys::new(&self.node.prefix, &self.node.name)
     }
 
+    /// The files of its models, by key.
+    fn model_files(&self) -> [(&'static str, Option<&Path>); 3] {
+        let names = match &self.detector.class_names {
+            Some(ClassNames::File(names)) => Some(names.as_path()),
+            _ => None,
+        };
+        [
+            ("detector.model", Some(&self.detector.model)),
+            ("detector.class_names", names),
+            ("screen.model", self.screen.model.as_deref()),
+        ]
+    }
+
     /// When a camera's frames are answered.
     pub(crate) fn answer_time(&self, camera: &CameraConfig) -> AnswerTime {
         camera.answer.unwrap_or(self.node.answer)
@@ -136,7 +149,7 @@ pub struct NodeSection {
     /// Longest time stopping may take, seconds, whatever hangs. No setting: service managers wait for 10 s and more.
     #[serde(skip)]
     pub stop_timeout_s: f64,
-    /// Under a service manager: a detector, screen or camera loop that has been broken for so long ends the feeding of
+    /// Under a service manager: a detector, screen or camera loop that has been broken for that long ends the feeding of
     /// the watchdog, seconds.
     pub stuck_after_s: f64,
 }

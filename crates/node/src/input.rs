@@ -1,7 +1,6 @@
 //! What a camera sends: how its frames are read and numbered, the ring they wait in, and cameras that the node opens.
 
 mod attachment;
-mod config;
 mod read;
 pub(crate) mod receiver;
 mod ring;
@@ -9,7 +8,34 @@ mod ros2;
 mod sequence;
 pub mod source;
 
-pub use config::{Delivery, PayloadFormat};
-pub use read::{Frame, RawSample, RejectedFrame, read_frame};
-pub(crate) use ring::{Pushed, Ring, RingLimits};
+pub use read::{Frame, RawSample, read_frame};
+pub(crate) use ring::{Pushed, Ring};
 pub use sequence::FrameNumber;
+
+use serde::{Deserialize, Serialize};
+
+/// How the payload of a camera's samples is to be read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PayloadFormat {
+    /// By the sample's Zenoh `Encoding`: `image/jpeg`, `image/png`, `image/raw;rgb8` (`bgr8`, `gray8`,
+    /// `nv12`; size in the attachment). Without an encoding the first bytes decide between JPEG and PNG.
+    #[default]
+    Encoding,
+    /// ROS 2 `sensor_msgs/msg/CompressedImage` in CDR.
+    Ros2CompressedImage,
+    /// ROS 2 `sensor_msgs/msg/Image` in CDR.
+    Ros2Image,
+}
+
+/// Which frames a camera's loop gets to see when they come faster than it works.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Delivery {
+    /// The newest; older ones are dropped and counted as overrun.
+    #[default]
+    Newest,
+    /// Every one: each frame comes as a query, answered when its turn has come, which holds the sender back; and the
+    /// detections wait for slow subscribers. For replays.
+    Every,
+}

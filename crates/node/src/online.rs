@@ -1,16 +1,15 @@
 //! Tries what a configuration names, as a node would use it: the models on their execution provider, cameras that the
 //! node opens, the router, the hub. For `albireo check --online`.
 
-use crate::config::{CameraConfig, NodeConfig};
-use crate::input::source::{LiveSource, SourceSink};
+use crate::config::NodeConfig;
+use crate::input::source::{LiveSource, SourceSettings, SourceSink};
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
 use albireo_vision::screen::ScreenHandle;
-use albireo_wire::NodeKeys;
-use std::fmt::Display;
+use std::error::Error;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Sender, channel};
@@ -22,6 +21,9 @@ const PICTURES: usize = 9;
 
 /// How long a router and a hub are waited for.
 const ANSWER: Duration = Duration::from_secs(10);
+
+/// Why something does not work, for people.
+type Failure = Box<dyn Error + Send + Sync>;
 
 /// What was seen of one thing that a configuration names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,87 +37,58 @@ pub struct Tried {
 /// Tries everything the configuration names, and reports each result as it comes. Nothing is published, and a node that runs
 /// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
 pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
-    let mut report = |key: &str, outcome| {
+    let mut report = |key: &str, outcome: Result<String, Failure>| {
         each(Tried {
             key: key.to_owned(),
-            outcome,
+            outcome: outcome.map_err(|error| error.to_string()),
         });
     };
     let detector = config.detector.clone();
     let found = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
-    report(
-        "detector",
-        found.unwrap_or_else(|error| Err(error.to_string())),
-    );
-    match ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref()).await {
-        Ok(None) => {}
-        Ok(Some(screen)) => {
-            let [_, _, rows, columns] = screen.input_format().shape();
-            report("screen", Ok(format!("input shape {rows} x {columns}")));
-        }
-        Err(error) => report("screen", Err(error.to_string())),
+    report("detector", found.unwrap_or_else(|error| Err(error.into())));
+    let onnxruntime = config.detector.onnxruntime.as_deref();
+    if let Some(screen) = (ScreenHandle::start(&config.screen, onnxruntime).await).transpose() {
+        let shape = screen.map(|screen| screen.input_format().shape());
+        let shown = shape.map(|[_, _, rows, columns]| format!("input shape {rows} x {columns}"));
+        report("screen", shown.map_err(Into::into));
     }
     for camera in &config.cameras {
-        if camera.source.is_some() {
+        if let Some(settings) = camera.source_settings(config.frame) {
             let key = format!("camera.{}.source", camera.name);
-            report(&key, try_source(config, camera).await);
+            report(&key, try_source(settings).await);
         }
     }
-    let fleet = config.keys();
     if config.uplink.is_set() {
-        let uplink = config.uplink.clone();
-        let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
-        let opened = in_time(&config.uplink.connect, opening).await;
-        let opened = opened.and_then(|opened| opened.map_err(|error| format!("{error:#}")));
-        report("uplink.connect", hub_answer(opened, fleet).await);
+        report("uplink.connect", try_hub(config).await);
     } else if !config.zenoh.connect.is_empty() && config.zenoh.config_file.is_none() {
-        // As a client that listens nowhere: the ports are the running node's.
-        let client = ZenohConfig {
-            mode: ZenohMode::Client,
-            listen: Vec::new(),
-            ..config.zenoh.clone()
-        };
-        let opening = session::open(&client, config.frame.max_payload_bytes, |_| {});
-        let reached = match in_time(&config.zenoh.connect, opening).await {
-            Err(reason) => Err(reason),
-            Ok(session) => {
-                close(session).await;
-                Ok(format!("{} answers", config.zenoh.connect.join(", ")))
-            }
-        };
-        report("zenoh.connect", reached);
+        report("zenoh.connect", try_router(config).await);
     }
 }
 
-/// What `opening` gives if that comes in time, or why it does not.
-async fn in_time<T, E: Display>(
+/// What `opening` gives if that comes in time.
+async fn in_time(
     endpoints: &[String],
-    opening: impl Future<Output = Result<T, E>>,
-) -> Result<T, String> {
-    match tokio::time::timeout(ANSWER, opening).await {
-        Ok(opened) => opened.map_err(|error| format!("{error:#}")),
-        Err(_) => Err(format!(
-            "{} did not answer in {} s",
-            endpoints.join(", "),
-            ANSWER.as_secs()
-        )),
-    }
+    opening: impl Future<Output = Result<Session, Failure>>,
+) -> Result<Session, Failure> {
+    let opened = tokio::time::timeout(ANSWER, opening).await;
+    opened.unwrap_or_else(|_| {
+        let (endpoints, seconds) = (endpoints.join(", "), ANSWER.as_secs());
+        Err(format!("{endpoints} did not answer in {seconds} s").into())
+    })
 }
 
 /// Which provider runs the model, and how long a run takes.
-fn try_detector(config: &DetectorConfig) -> Result<String, String> {
+fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let begun = Instant::now();
-    let mut network = DetectorNetwork::open(config).map_err(|error| error.to_string())?;
+    let mut network = DetectorNetwork::open(config)?;
     let loaded = begun.elapsed();
     let prepared = network
         .preparation()
-        .prepare(&Picture::black(network.input_format().size))
-        .map_err(|error| error.to_string())?;
+        .prepare(&Picture::black(network.input_format().size))?;
     let mut took = Vec::with_capacity(PICTURES);
     for _ in 0..PICTURES {
         let begun = Instant::now();
-        let found = network.detect(&prepared);
-        found.map_err(|error| error.to_string())?;
+        network.detect(&prepared)?;
         took.push(begun.elapsed());
     }
     took.sort();
@@ -139,7 +112,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, String> {
 }
 
 /// Hands on whether the first picture came, or why not.
-struct FirstPicture(Sender<Result<String, String>>);
+struct FirstPicture(Sender<Result<String, Failure>>);
 
 impl SourceSink for FirstPicture {
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _reopened: bool) {
@@ -149,26 +122,20 @@ impl SourceSink for FirstPicture {
                 picture.bytes.len().div_ceil(1000),
                 picture.format.as_str()
             )),
-            Err(fault) => Err(format!("a picture came that cannot be used: {fault}")),
+            Err(fault) => Err(format!("a picture came that cannot be used: {fault}").into()),
         };
         // Only the first is waited for.
         let _ = self.0.try_send(found);
     }
 
     fn fails(&mut self, reason: &str, _pause: Duration) {
-        let _ = self.0.try_send(Err(reason.to_owned()));
+        let _ = self.0.try_send(Err(reason.into()));
     }
 }
 
-async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String, String> {
-    let Some(settings) = camera.source_settings(config.frame) else {
-        return Err("it has no source".to_owned());
-    };
+async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
-    let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
-    let source = found
-        .map_err(|error| error.to_string())?
-        .map_err(|error| error.to_string())?;
+    let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();
     let source = Arc::new(source);
@@ -178,8 +145,8 @@ async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String
         stop.cancel();
         match first {
             Ok(Some(found)) => found,
-            Ok(None) => Err("its reader ended".to_owned()),
-            Err(_) => Err(format!("no picture in {} s", patience.as_secs())),
+            Ok(None) => Err("its reader ended".into()),
+            Err(_) => Err(format!("no picture in {} s", patience.as_secs()).into()),
         }
     };
     let (ended, found) = tokio::join!(running, waiting);
@@ -187,23 +154,37 @@ async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String
     found
 }
 
-/// Whether somebody takes reports behind the session.
-async fn hub_answer(
-    opened: Result<Session, String>,
-    keys: Result<NodeKeys, albireo_wire::KeyError>,
-) -> Result<String, String> {
-    let session = opened?;
-    let keys = keys.map_err(|error| error.to_string())?;
-    let found = hub_behind(&session, keys.report()).await;
+/// Whether the router can be reached, as a client that listens nowhere: the ports are the running node's.
+async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
+    let client = ZenohConfig {
+        mode: ZenohMode::Client,
+        listen: Vec::new(),
+        ..config.zenoh.clone()
+    };
+    let endpoints = &client.connect;
+    let opening = session::open(&client, config.frame.max_payload_bytes, |_| {});
+    close(in_time(endpoints, async { Ok(opening.await?) }).await?).await;
+    Ok(format!("{} answers", endpoints.join(", ")))
+}
+
+/// Whether somebody takes reports behind the hub's router.
+async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
+    let uplink = config.uplink.clone();
+    let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
+    let session = in_time(&config.uplink.connect, async {
+        opening.await?.map_err(Into::into)
+    });
+    let (session, key) = (session.await?, config.keys()?.report());
+    let found = hub_behind(&session, key.clone()).await;
     close(session).await;
     match found {
         Ok(true) => Ok("the router answers, and a hub takes reports".to_owned()),
         Ok(false) => Err(format!(
             "the router answers, but no hub takes reports: is the hub running, with hub.prefix as node.prefix, and does \
-             the router's access control let this node's certificate use `{}`?",
-            keys.report()
-        )),
-        Err(error) => Err(session::plain(&error)),
+             the router's access control let this node's certificate use `{key}`?"
+        )
+        .into()),
+        Err(error) => Err(session::plain(&error).into()),
     }
 }
 

@@ -29,25 +29,22 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let refused = |source| NodeError::System {
-        what: "the listener cannot be used",
-        source,
-    };
+    let refused = || NodeError::of("the listener cannot be used");
     // The state file is opened and checked: on a slow card that takes a while.
-    let listener = listener.into_std().map_err(refused)?;
+    let listener = listener.into_std().map_err(refused())?;
     let early = listener.try_clone().and_then(TcpListener::from_std);
     let opened = CancellationToken::new();
     let until_opened = opened.clone().drop_guard();
     let routes = early_routes(&config.node.name);
-    tokio::spawn(serve(config, routes, early.map_err(refused)?, opened));
+    tokio::spawn(serve(config, routes, early.map_err(refused())?, opened));
     let opening = config.clone();
     let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
     let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
         return Ok(());
     };
     drop(until_opened);
-    let prepared = prepared.map_err(|error| NodeError::State(error.to_string()))??;
-    let listener = TcpListener::from_std(listener).map_err(refused)?;
+    let listener = TcpListener::from_std(listener).map_err(refused())?;
+    let prepared = prepared.map_err(NodeError::new)??;
     run_prepared(config, prepared, listener, shutdown).await
 }
 
@@ -91,10 +88,7 @@ pub async fn run_prepared(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let address = listener.local_addr().map_err(|source| NodeError::System {
-        what: "the listener has no address",
-        source,
-    })?;
+    let address = (listener.local_addr()).map_err(NodeError::of("the listener has no address"))?;
     let view_board = Arc::clone(prepared.board());
     // HTTP outlives the node, so that the counters can be read until the end.
     let serving = CancellationToken::new();
@@ -106,13 +100,8 @@ pub async fn run_prepared(
     let http = async move {
         let ended = http.await;
         unserved.cancel();
-        match ended {
-            Ok(ended) => ended.map_err(NodeError::from),
-            Err(error) => Err(NodeError::System {
-                what: "the HTTP interface failed",
-                source: error.into(),
-            }),
-        }
+        let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
+        ended.map_err(NodeError::of("[http]"))
     };
     let (status_board, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
     let notifier = tokio::spawn(albireo_service::notify::run(

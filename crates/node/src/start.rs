@@ -18,7 +18,6 @@ use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::ScreenHandle;
-use albireo_wire::NodeKeys;
 use camera::{Cameras, Shared, Subscriptions};
 use std::fmt;
 use std::sync::Arc;
@@ -98,7 +97,7 @@ impl PreparedNode {
 
     /// Starts the node and returns when its cameras can be heard. It runs until `shutdown` is cancelled;
     /// then call [`Node::stopped`]. `None` when `shutdown` is cancelled before: a model may take minutes to
-    /// load, or for ever.
+    /// load, or forever.
     ///
     /// # Errors
     /// When a part cannot start: the message says which, and what to do.
@@ -123,14 +122,14 @@ impl PreparedNode {
         shutdown: CancellationToken,
     ) -> Result<Node, NodeError> {
         let Self { board, policies } = self;
-        let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
+        let keys = config.keys().map_err(NodeError::new)?;
         let zenoh = board.readiness.part(readiness::ZENOH);
         zenoh.not_ready("the session is not open yet");
         let session = session::open(&config.zenoh, config.frame.max_payload_bytes, |reason| {
             zenoh.not_ready(reason);
         })
         .await
-        .map_err(|error| NodeError::Zenoh(format!("{error:#}")))?;
+        .map_err(NodeError::new)?;
         zenoh.works();
         let probed = session.clone();
         (board.readiness).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
@@ -138,14 +137,15 @@ impl PreparedNode {
         });
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
-        let (power, sampler) = albireo_power::start(&config.power, sampling.clone()).await?;
+        let (power, sampler) = (albireo_power::start(&config.power, sampling.clone()).await)
+            .map_err(NodeError::of("[power]"))?;
         tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
-            .map_err(NodeError::Detector)?;
+            .map_err(NodeError::of("[detector]"))?;
         let screen = ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref())
             .await
-            .map_err(NodeError::Screen)?;
+            .map_err(NodeError::of("[screen]"))?;
 
         if let Some(screen) = &screen {
             let status = screen.status();
@@ -162,25 +162,20 @@ impl PreparedNode {
         );
         tasks.until_shutdown(
             "detector status",
-            tracing::info_span!("detector_status"),
             follow(detector.status(), Arc::clone(&board)),
         );
         let worker = detector.clone();
-        tasks.until_shutdown("detector", tracing::info_span!("detector"), async move {
-            worker.ended().await
-        });
+        tasks.until_shutdown("detector", async move { worker.ended().await });
         if let Some(worker) = screen.clone() {
-            tasks.until_shutdown("screen", tracing::info_span!("screen"), async move {
-                worker.ended().await
-            });
+            tasks.until_shutdown("screen", async move { worker.ended().await });
         }
         readiness::look_at_cameras(&board, readiness::CAMERA_SILENCE);
         readiness::look_at_power(&board, &power);
         let watched = board.readiness.clone();
-        tasks.until_shutdown("readiness", tracing::info_span!("readiness"), async move {
+        tasks.until_shutdown("readiness", async move {
             watched.watch(POLL_INTERVAL).await;
         });
-        tasks.until_shutdown("power sampler", tracing::info_span!("power"), sampler);
+        tasks.until_shutdown("power sampler", sampler);
         let give_up = CancellationToken::new();
         let mut cameras = Cameras {
             shared: Arc::new(Shared {
@@ -203,25 +198,21 @@ impl PreparedNode {
             shutdown: shutdown.clone(),
         };
         for (slot, camera) in config.cameras.iter().enumerate() {
-            let camera_keys = keys.camera(&camera.name)?;
+            let camera_keys = keys.camera(&camera.name).map_err(NodeError::new)?;
             cameras
                 .add(CameraSlot(slot), camera, &camera_keys)
                 .await
-                .map_err(|error| NodeError::Camera {
-                    camera: camera.name.clone(),
-                    error: Box::new(error),
-                })?;
+                .map_err(NodeError::of(format!("camera `{}`", camera.name)))?;
         }
         let subscriptions = cameras.subscriptions;
         let counters = Counters::declare(&session, &keys, Arc::clone(&board), power).await?;
-        tasks.essential(
-            "counters",
-            tracing::info_span!("counters"),
-            counters.run(shutdown.clone()),
-        );
+        tasks.essential("counters", counters.run(shutdown.clone()));
         let mut values = NodeKeyValues::new();
         for camera in &board.cameras {
-            let key = keys.camera(camera.name())?.threshold();
+            let key = keys
+                .camera(camera.name())
+                .map_err(NodeError::new)?
+                .threshold();
             (values
                 .add_threshold(&session, key, Arc::clone(camera))
                 .await)
@@ -231,23 +222,16 @@ impl PreparedNode {
             .add_target(&session, keys.target(), Arc::clone(&board))
             .await)
             .map_err(refused("the target cannot be served"))?;
-        tasks.essential(
-            "requests",
-            tracing::info_span!("requests"),
-            values.run(shutdown.clone()),
-        );
-        tasks.until_shutdown(
-            "disk",
-            tracing::info_span!("disk"),
-            retry_disk(board.outbox.clone(), board.settings.clone()),
-        );
+        tasks.essential("requests", values.run(shutdown.clone()));
+        let disk = retry_disk(board.outbox.clone(), board.settings.clone());
+        tasks.until_shutdown("disk", disk);
         let alive = NodeName::default();
         let holding = alive.clone().hold(
             session.clone(),
             keys.alive(),
             board.readiness.part_of(readiness::ZENOH, "name"),
         );
-        tasks.until_shutdown("name", tracing::info_span!("name"), holding);
+        tasks.until_shutdown("name", holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             config: config.clone(),
@@ -255,7 +239,7 @@ impl PreparedNode {
             desired: DesiredKeeper::open(&board.settings),
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
-        tasks.until_shutdown("uplink", tracing::info_span!("uplink"), ended);
+        tasks.until_shutdown("uplink", ended);
         board.readiness.part(readiness::CAMERAS).works();
         Ok(Node {
             session,
@@ -292,7 +276,7 @@ impl Node {
     /// the log and given up.
     ///
     /// # Errors
-    /// [`NodeError::Task`] when it ended because of a task.
+    /// When it ended because of a task.
     pub async fn stopped(mut self) -> Result<(), NodeError> {
         let ended = self.tasks.watch().await;
         // If a task failed, the others learn of it here.
@@ -353,13 +337,13 @@ impl Node {
             seconds = albireo_service::clock::seconds(start.elapsed()),
             "stopped"
         );
-        Ok(ended?)
+        ended.map_err(NodeError::new)
     }
 }
 
 /// For what Zenoh refuses.
 fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
-    move |error| NodeError::Zenoh(format!("{what}: {}", session::plain(&error)))
+    move |error| NodeError::of(what)(session::plain(&error))
 }
 
 /// Copies the detector's status to the board.

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use tokio::task::JoinSet;
 use tokio::time::{Duration, sleep};
 use tokio_util::sync::CancellationToken;
-use tracing::{Instrument, Span};
+use tracing::Instrument;
 
 /// The part of the readiness under which tasks are named.
 pub const PART: &str = "tasks";
@@ -111,12 +111,11 @@ impl Supervisor {
         }
     }
 
-    /// Runs what `task` makes, in `span`; when that ends before the shutdown, or panics, it is made again. Meanwhile the
-    /// readiness has the fault with that effect.
+    /// Runs what `task` makes; when that ends before the shutdown, or panics, it is made again. Meanwhile the readiness has
+    /// the fault with that effect.
     pub fn restarting<F>(
         &mut self,
         name: impl Into<String>,
-        span: Span,
         effect: HealthState,
         task: impl Fn() -> F + Send + Sync + 'static,
     ) where
@@ -125,7 +124,7 @@ impl Supervisor {
         let name = name.into();
         let part = self.readiness.part_of(PART, name.clone());
         let (tally, shutdown) = (self.tally.clone(), self.shutdown.clone());
-        self.essential(name.clone(), span, async move {
+        self.essential(name.clone(), async move {
             let mut pause = FIRST_PAUSE;
             loop {
                 // Made inside, so that a panic in the making counts as one of the task.
@@ -159,26 +158,27 @@ impl Supervisor {
         });
     }
 
-    /// Runs `task` in `span`; when that ends before the shutdown, or panics, the service ends.
-    pub fn essential<F>(&mut self, name: impl Into<String>, span: Span, task: F)
+    /// Runs `task`, in a span of its name; when it ends before the shutdown, or panics, the service ends.
+    pub fn essential<F>(&mut self, name: impl Into<String>, task: F)
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
         let name = name.into();
         self.tally.add(&name, 0, 0);
         self.names.insert(name.clone());
+        let span = tracing::info_span!("task", name);
         let run = async move { (name, end_of(task).await) };
         self.running.spawn(run.instrument(span));
     }
 
     /// As [`essential`](Self::essential), for a part that outlives the other tasks: from the shutdown on, `ended` is not
     /// waited for.
-    pub fn until_shutdown<F>(&mut self, name: impl Into<String>, span: Span, ended: F)
+    pub fn until_shutdown<F>(&mut self, name: impl Into<String>, ended: F)
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
         let shutdown = self.shutdown.clone();
-        self.essential(name, span, async move {
+        self.essential(name, async move {
             let ended = shutdown.run_until_cancelled(ended).await;
             ended.map_or_else(TaskEnd::default, Into::into)
         });

@@ -1,13 +1,13 @@
 //! A camera's policy, and the one frame that waits for evidence.
 
 use super::BegunFrame;
-use super::evidence::{LiveEvidence, Times};
+use super::evidence::LiveEvidence;
 use crate::rate_limit::SharedLimit;
 use albireo_core::policy::{Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy};
+use albireo_service::clock::milliseconds;
 use albireo_vision::picture::FrameFault;
 use std::future::Future;
 use std::pin::Pin;
-use std::time::Duration;
 use tokio::time::Instant;
 
 static BROKEN: SharedLimit = SharedLimit::new();
@@ -15,24 +15,15 @@ static BROKEN: SharedLimit = SharedLimit::new();
 /// Decides a camera's frames, one after the other.
 pub(crate) struct Decider {
     policy: LatePolicy,
-    /// The frame that waits for evidence.
-    pending: Option<PendingFrame>,
+    /// The frame that waits for evidence, and what it needs.
+    pending: Option<(BegunFrame, Need)>,
     /// Where evidence comes from; not here while some is being fetched.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
 }
 
-/// A frame that waits for evidence.
-pub(super) struct PendingFrame {
-    pub frame: BegunFrame,
-    /// From its reception to its prediction, if that has been published.
-    pub first_answer: Option<Duration>,
-    /// What its answer has taken.
-    pub times: Times,
-    /// Its picture is broken, and it gets no answer.
-    pub fault: Option<FrameFault>,
-    need: Need,
-}
+/// A frame that waits no longer: its final answer is known, unless its picture is broken and it gets none.
+pub(super) type Decided = Result<BegunFrame, FrameFault>;
 
 /// What was fetched of frame `index` of the camera.
 pub(super) struct Fetched {
@@ -82,21 +73,9 @@ impl Decider {
         self.policy.frame(head, outcome)
     }
 
-    /// Fetches what a frame needs, whose answer has taken `times` so far.
-    pub(super) fn fetch(
-        &mut self,
-        frame: BegunFrame,
-        need: Need,
-        first_answer: Option<Duration>,
-        times: Times,
-    ) {
-        self.pending = Some(PendingFrame {
-            frame,
-            first_answer,
-            times,
-            fault: None,
-            need,
-        });
+    /// Fetches what a frame needs.
+    pub(super) fn fetch(&mut self, frame: BegunFrame, need: Need) {
+        self.pending = Some((frame, need));
         if let Some(evidence) = &mut self.evidence {
             evidence.next_frame();
         }
@@ -105,14 +84,14 @@ impl Decider {
 
     /// Begins to fetch what the pending frame needs, unless the frame before is still being examined.
     fn fetch_next(&mut self) {
-        let Some(pending) = &self.pending else {
+        let Some((frame, need)) = &self.pending else {
             return;
         };
         let Some(mut evidence) = self.evidence.take() else {
             return;
         };
-        let (index, need) = (pending.frame.incoming.index, pending.need);
-        let picture = pending.frame.incoming.frame.picture.clone();
+        let (index, need) = (frame.incoming.index, *need);
+        let picture = frame.incoming.frame.picture.clone();
         self.fetching = Some(Box::pin(async move {
             let fetched = evidence.fetch(need, &picture).await;
             Fetched {
@@ -124,7 +103,7 @@ impl Decider {
         }));
     }
 
-    /// What was fetched last, when it comes; for ever when nothing is being fetched.
+    /// What was fetched last, when it comes; forever when nothing is being fetched.
     pub(super) async fn fetched(&mut self) -> Fetched {
         let Some(fetching) = &mut self.fetching else {
             return std::future::pending().await;
@@ -136,11 +115,7 @@ impl Decider {
 
     /// Gives the pending frame what was fetched, and fetches what it needs next; the frame, if it waits no longer. Its final
     /// answer is in `outcome` then.
-    pub(super) fn deliver(
-        &mut self,
-        fetched: Fetched,
-        outcome: &mut Outcome,
-    ) -> Option<PendingFrame> {
+    pub(super) fn deliver(&mut self, fetched: Fetched, outcome: &mut Outcome) -> Option<Decided> {
         let Fetched {
             index,
             need,
@@ -148,17 +123,17 @@ impl Decider {
             fetched,
         } = fetched;
         let mut decided = None;
-        if (self.pending.as_ref()).is_some_and(|pending| pending.frame.incoming.index == index) {
+        if (self.pending.as_ref()).is_some_and(|(frame, _)| frame.incoming.index == index) {
             decided = match fetched {
-                Ok(()) => self.give(evidence.fetched(need), outcome),
+                Ok(()) => self.give(evidence.fetched(need), outcome).map(Ok),
                 Err(fault) => self.broken(fault, outcome),
             };
-            if let Some(pending) = &mut decided {
-                let policy = pending.times.policy;
-                pending.times = Times {
-                    policy,
-                    ..evidence.times()
-                };
+            if let Some(decided) = &mut decided {
+                if let Ok(frame) = decided {
+                    let policy = frame.times.latency.policy;
+                    frame.times = evidence.times();
+                    frame.times.latency.policy = policy;
+                }
                 evidence.end_frame();
             }
         } else {
@@ -171,39 +146,38 @@ impl Decider {
     }
 
     /// Takes what the policy predicts for the final answer of the pending frame, if there is one.
-    pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<PendingFrame> {
+    pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<BegunFrame> {
         while self.pending.is_some() {
-            if let Some(pending) = self.give(Evidence::Unavailable, outcome) {
-                return Some(pending);
+            if let Some(frame) = self.give(Evidence::Unavailable, outcome) {
+                return Some(frame);
             }
         }
         None
     }
 
     /// The pending frame's picture is broken: it gets no answer, unless it has one that stays.
-    fn broken(&mut self, fault: FrameFault, outcome: &mut Outcome) -> Option<PendingFrame> {
+    fn broken(&mut self, fault: FrameFault, outcome: &mut Outcome) -> Option<Decided> {
         if self.answers_at_once() {
             BROKEN.log(|held_back| {
                 tracing::warn!(held_back, %fault, "a frame that was answered at once stays as predicted");
             });
-            return self.give(Evidence::Unavailable, outcome);
+            return self.give(Evidence::Unavailable, outcome).map(Ok);
         }
-        let mut pending = self.pending.take()?;
-        pending.fault = Some(fault);
-        Some(pending)
+        self.pending.take().map(|_| Err(fault))
     }
 
     /// Gives the policy evidence for the pending frame; the frame, if it needs nothing more.
-    fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<PendingFrame> {
-        let mut pending = self.pending.take()?;
+    fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<BegunFrame> {
+        let (mut frame, _) = self.pending.take()?;
         let deciding = Instant::now();
-        let delivered = (self.policy).deliver(pending.frame.head.index, evidence, outcome);
-        pending.need = delivered.unwrap_or(Need::Nothing);
-        pending.times.policy += deciding.elapsed();
-        if pending.need == Need::Nothing {
-            return Some(pending);
+        let delivered = (self.policy).deliver(frame.head.index, evidence, outcome);
+        frame.times.latency.policy += milliseconds(deciding.elapsed());
+        match delivered.unwrap_or(Need::Nothing) {
+            Need::Nothing => Some(frame),
+            need => {
+                self.pending = Some((frame, need));
+                None
+            }
         }
-        self.pending = Some(pending);
-        None
     }
 }

@@ -5,10 +5,12 @@
 mod tests;
 
 use albireo_core::policy::{Evidence, GreyPicture, Need};
+use albireo_service::clock::milliseconds;
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Source, Stage};
 use albireo_vision::screen::CameraScreen;
+use albireo_wire::Latency;
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -16,20 +18,15 @@ use tokio_util::sync::CancellationToken;
 /// Where the time of one frame went.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Times {
-    /// Decoding the picture.
-    pub decode: Option<Duration>,
-    /// The empty-scene screen.
-    pub screen: Option<Duration>,
-    /// The detector, with resizing the picture and waiting for a place to decode it in and for other cameras.
-    pub detector: Option<Duration>,
+    /// Each step's. The detector's is with resizing the picture and waiting for a place to decode it in and for other
+    /// cameras; `total` and `waiting` are not known here.
+    pub latency: Latency,
     /// The run that answered, and this frame's part in it.
     pub detector_run: Option<DetectorRun>,
     /// Whether a grey picture was looked at.
     pub examined: bool,
     /// The detector was asked although the screen said "empty", too often in a row.
     pub overruled: bool,
-    /// The policy.
-    pub policy: Duration,
 }
 
 /// The detector's run for a frame: what the frame's camera used of it. A run that failed or took too long is
@@ -96,7 +93,7 @@ impl LiveEvidence {
         self.place = Duration::ZERO;
     }
 
-    /// Gives back what was prepared from the current frame's picture: others wait for its place.
+    /// Drops what was prepared from the current frame's picture: others wait for its place.
     pub(crate) fn end_frame(&mut self) {
         self.frame = PreparedFrame::default();
     }
@@ -165,7 +162,7 @@ impl LiveEvidence {
             empty = self.screen.ask(self.slot, picture.shared()) => empty,
             () = self.give_up.cancelled() => None,
         };
-        self.times.screen = Some(start.elapsed());
+        self.times.latency.screen = Some(milliseconds(start.elapsed()));
         Ok(empty)
     }
 
@@ -191,7 +188,7 @@ impl LiveEvidence {
             () = self.give_up.cancelled() => None,
         };
         let end = Instant::now();
-        self.times.detector = Some(preparing + (end - start));
+        self.times.latency.detector = Some(milliseconds(preparing + (end - start)));
         if let Some(detected) = &answer {
             self.times.detector_run = Some(DetectorRun {
                 end,
@@ -228,7 +225,7 @@ impl LiveEvidence {
             let frame = std::mem::take(&mut self.frame);
             self.frame = self.pixels.look(frame, source, stage).await?;
         }
-        self.times.decode = self.frame.decode;
+        self.times.latency.decode = self.frame.decode.map(milliseconds);
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::Outlet;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits};
+use crate::input::{Frame, Pushed};
 use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
@@ -27,7 +27,7 @@ use zenoh::pubsub::Publisher;
 /// A camera whose frames are put into its ring by hand.
 struct Bench {
     board: Arc<Board>,
-    frames: Arc<Ring<SequencedFrame>>,
+    receiver: Arc<FrameReceiver>,
     picture: EncodedPicture,
     camera: Camera,
     clips: UnboundedReceiver<Clip>,
@@ -50,7 +50,12 @@ impl Bench {
         };
         let board = Board::open(&config).unwrap();
         let camera = Arc::clone(board.camera("front").unwrap());
-        let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
+        let settings = CameraConfig {
+            ring: 64,
+            ..CameraConfig::named("front")
+        };
+        let receiver = FrameReceiver::new(Arc::clone(&camera), &settings, FrameLimits::default());
+        let receiver = Arc::new(receiver);
         let detector = DetectorHandle::start(&DetectorConfig {
             model: Path::new(env!("CARGO_MANIFEST_DIR"))
                 .join("../../tests/fixtures/models/boxes.onnx"),
@@ -60,7 +65,6 @@ impl Bench {
         .await
         .unwrap();
         let slot = CameraSlot(0);
-        let frames = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, 64, 0)));
         let power = PowerHandle::none();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let audit = Arc::new(CameraAudit::new(audit, Arc::clone(&camera)));
@@ -78,8 +82,7 @@ impl Bench {
         let camera = Camera::new(
             Arc::new(CameraParts {
                 board: camera,
-                ring: Arc::clone(&frames),
-                drops,
+                receiver: Arc::clone(&receiver),
                 detections: Outlet::new(silent_publisher().await, Counter::default()),
                 late: None,
                 settled: None,
@@ -104,7 +107,7 @@ impl Bench {
         );
         Self {
             board,
-            frames,
+            receiver,
             picture: EncodedPicture {
                 format: PictureFormat::Jpeg,
                 bytes: scene.frame(0).jpeg(85).unwrap().into(),
@@ -120,7 +123,6 @@ impl Bench {
     fn put(&self, index: u64, epoch: u64, received: Instant) {
         let frame = Frame {
             sequence: index,
-            number: FrameNumber::default(),
             time_ns: 0,
             clip: Some("drive".into()),
             picture: self.picture.clone(),
@@ -133,7 +135,7 @@ impl Bench {
             epoch,
             query: None,
         };
-        let pushed = self.frames.push(frame, 0);
+        let pushed = self.receiver.ring.push(frame, 0);
         assert!(matches!(pushed, Pushed::Queued));
     }
 
@@ -141,10 +143,10 @@ impl Bench {
     async fn play(mut self) -> (Arc<Board>, Vec<Clip>) {
         let stop = CancellationToken::new();
         let camera = tokio::spawn(self.camera.run(stop.clone()));
-        while self.frames.waiting() > 0 {
+        while self.receiver.ring.waiting() > 0 {
             tokio::task::yield_now().await;
         }
-        // The frame in hand is finished.
+        // The current frame is finished.
         stop.cancel();
         camera.await.unwrap();
         let mut clips = Vec::new();
@@ -217,7 +219,7 @@ async fn a_new_stream_is_begun_with_an_empty_policy_whichever_of_its_frames_come
 #[ignore = "needs ONNX Runtime"]
 async fn a_frame_that_was_overtaken_is_counted_late_and_one_dropped_before_a_clip_in_the_next() {
     let bench = Bench::new(vanilla(), ClipConfig::default()).await;
-    let drops = &bench.camera.parts.drops;
+    let drops = &bench.receiver.drops;
     drops.count(|dropped| &mut dropped.undecodable, 3, &"broken");
     for index in [1, 0, 2, 2, 3] {
         bench.put(index, 0, Instant::now());
@@ -244,9 +246,8 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut events = board.subscribe();
     let stop = CancellationToken::new();
     let auditor = bench.auditor;
-    let (looking, stopped) = (stop.clone(), stop.clone());
-    let auditing = tokio::spawn(async move { auditor.run(looking).await });
-    let camera = tokio::spawn(bench.camera.run(stopped));
+    let auditing = tokio::spawn(auditor.run());
+    let camera = tokio::spawn(bench.camera.run(stop.clone()));
     let mut published = Vec::new();
     let mut skipped = 0;
     for index in 0..60 {
@@ -254,7 +255,6 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         let frame = SequencedFrame {
             frame: Frame {
                 sequence: index,
-                number: FrameNumber::default(),
                 time_ns: 0,
                 clip: Some("drive".into()),
                 picture: EncodedPicture {
@@ -268,7 +268,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
             epoch: 0,
             query: None,
         };
-        bench.frames.push(frame, 0);
+        bench.receiver.ring.push(frame, 0);
         let mut message = loop {
             if let News::Frame(event) = &events.recv().await.unwrap().news {
                 break DetectionsMessage::clone(&event.detections);
@@ -285,7 +285,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     }
     stop.cancel();
     camera.await.unwrap();
-    auditing.await.unwrap();
+    auditing.abort();
     let closed = bench.clips.recv().await.unwrap();
     let report = report(closed).await;
     let counted = board.camera("front").unwrap().snapshot().audit;

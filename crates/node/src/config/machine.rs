@@ -5,7 +5,8 @@ use super::NodeConfig;
 use crate::input::source::LiveSource;
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::token_file_fault;
-use albireo_vision::detector::{ClassNames, ExecutionProvider, find_library};
+use albireo_vision::detector::{ExecutionProvider, find_library};
+use std::fmt::Display;
 use std::net::TcpListener;
 use std::path::Path;
 
@@ -13,12 +14,9 @@ impl NodeConfig {
     /// What is missing on this machine: a node would not start. Everything at once.
     pub fn missing_here(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
-        let detector = &self.detector;
-        file("detector.model", Some(&detector.model), &mut findings);
-        if let Some(ClassNames::File(names)) = &detector.class_names {
-            file("detector.class_names", Some(names), &mut findings);
+        for (key, path) in self.model_files() {
+            file(key, path, &mut findings);
         }
-        file("screen.model", self.screen.model.as_deref(), &mut findings);
         self.check_library(&mut findings);
         if let Some(fault) = self.http.token_file.as_deref().and_then(token_file_fault) {
             findings.add("http.token_file", fault);
@@ -33,9 +31,8 @@ impl NodeConfig {
         }
         for camera in &self.cameras {
             let settings = camera.source_settings(self.frame);
-            if let Some(Err(error)) = settings.map(LiveSource::find) {
-                findings.add(format!("camera.{}.source", camera.name), error.to_string());
-            }
+            let found = settings.map(LiveSource::find).transpose();
+            findings.check(format!("camera.{}.source", camera.name), found);
         }
         findings.into_vec()
     }
@@ -44,10 +41,12 @@ impl NodeConfig {
     pub fn in_the_way(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         let port = self.http.listen;
-        if port.port() != 0
-            && let Err(error) = TcpListener::bind(port)
-        {
-            findings.add("http.listen", format!("{port} cannot be used now: {error}"));
+        let used = |place: &dyn Display, error: std::io::Error| {
+            format!("{place} cannot be used now: {error}")
+        };
+        if port.port() != 0 {
+            let bound = TcpListener::bind(port).map_err(|error| used(&port, error));
+            findings.check("http.listen", bound);
         }
         if self.zenoh.config_file.is_none() {
             for endpoint in &self.zenoh.listen {
@@ -55,21 +54,17 @@ impl NodeConfig {
                     continue;
                 };
                 let address = address.split(['?', '#']).next().unwrap_or(address);
-                if let Err(error) = TcpListener::bind(address) {
-                    findings.add(
-                        "zenoh.listen",
-                        format!("{endpoint} cannot be used now: {error}"),
-                    );
-                }
+                let bound = TcpListener::bind(address).map_err(|error| used(endpoint, error));
+                findings.check("zenoh.listen", bound);
             }
         }
         findings.into_vec()
     }
 
     fn check_library(&self, findings: &mut Findings) {
-        let library = match find_library(self.detector.onnxruntime.as_deref()) {
-            Ok(library) => library,
-            Err(error) => return findings.add("detector.onnxruntime", error.to_string()),
+        let library = find_library(self.detector.onnxruntime.as_deref());
+        let Some(library) = findings.check("detector.onnxruntime", library) else {
+            return;
         };
         // Where another provider is listed after it, a missing one is no fault.
         let name = match self.detector.providers.as_slice() {
@@ -145,6 +140,7 @@ fn refuses_files(folder: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_vision::detector::ClassNames;
     use std::path::PathBuf;
 
     #[test]

@@ -7,23 +7,8 @@ use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
 use albireo_core::policy::{Albireo, ExpectedLoss, Knob, LatePolicy, Policy};
 use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
-use albireo_vision::detector::ClassNames;
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
-
-const PROFILE: &str =
-    "its numbers are those of the paper or of its published code: choose by policy.profile";
-const FITTED: &str = "its numbers are fitted to recordings and fixed; `expected-loss+flow` in policy.name follows \
-                      boxes in pictures";
-const PICTURE: &str = "a picture may have 7680x4320 pixels and 128 MiB when decoded";
-const RETRY: &str = "a batch is sent again after 1 s, then after pauses that double up to 60 s";
-const CERTIFICATE: &str =
-    "a node shows its certificate: uplink.certificate, which `albireo certificate` makes";
-const NO_BATTERY: &str = "a battery renews its figures too seldom to measure clips by; `estimate` works on every machine";
-const ONE_METER: &str =
-    "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
-const NO_GPU: &str =
-    "the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
 const WRITTEN: &str = "is what this node writes or answers itself; frames need a key of their own";
 const NO_SOURCE: &str = "is of a camera with a source, and this one has none";
@@ -39,117 +24,56 @@ impl Configuration for NodeConfig {
         "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
-    const REMOVED: &'static [(&'static str, &'static str)] = &[
-        (
-            "node.hub_wins",
-            "a value set at the node stays until the hub desires a new one",
-        ),
-        ("node.stop_timeout_s", "stopping takes at most 5 s"),
-        (
-            "node.camera_silence_s",
-            "a camera counts as silent after 30 s without a frame",
-        ),
-        (
-            "outbox.max_bytes",
-            "the file of reports takes at most 256 MiB",
-        ),
-        (
-            "outbox.gather_reports",
-            "12 reports go together; outbox.gather_s = 0 sends each at once",
-        ),
-        (
-            "outbox.answer_timeout_ms",
-            "a hub may take 10 s to answer a batch",
-        ),
-        ("outbox.retry_min_ms", RETRY),
-        ("outbox.retry_max_ms", RETRY),
-        ("outbox.status_s", "a heartbeat goes every 30 s"),
-        (
-            "uplink.retry_max_ms",
-            "the router is tried again after at most 30 s",
-        ),
-        (
-            "uplink.verify_name",
-            "the router's certificate is always compared with its name: `albireo certificate` takes several names and \
-             addresses",
-        ),
-        ("uplink.user", CERTIFICATE),
-        ("uplink.password_file", CERTIFICATE),
-        ("http.timeout_ms", "a request may take 10 s"),
-        (
-            "http.idle_timeout_ms",
-            "a connection that is silent for 30 s is closed",
-        ),
-        (
-            "http.max_connections",
-            "256 connections may be open at a time",
-        ),
-        (
-            "detector.suppression_per_class",
-            "boxes of one class suppress each other",
-        ),
-        (
-            "detector.most_detections",
-            "a frame has at most 300 detections",
-        ),
-        (
-            "detector.batch_wait_ms",
-            "a frame waits 5 ms for those that share its run",
-        ),
-        (
-            "detector.may_fall_back",
-            "each provider in detector.providers replaces those before it if they fail: list a single one to allow no other",
-        ),
-        (
-            "detector.gpu.device",
-            "the environment variable CUDA_VISIBLE_DEVICES chooses the GPU",
-        ),
-        (
-            "detector.gpu.memory_limit_mib",
-            "there is no limit but the card's memory",
-        ),
-        (
-            "screen.empty_class",
-            "the first of the network's two outputs means \"empty\"",
-        ),
-        (
-            "screen.timeout_ms",
-            "a verdict that takes longer than 1 s counts as \"not empty\"",
-        ),
-        (
-            "screen.longest_empty_run",
-            "the detector runs after 100 empty frames in a row",
-        ),
-        ("power.sysfs", "sysfs is read at /sys"),
-        ("power.procfs", "procfs is read at /proc"),
-        ("power.nvpmodel", "nvpmodel is looked for in PATH"),
-        ("power.nvml_cards", "all cards of the machine count"),
-        (
-            "power.sudo",
-            "power.tegrastats may name a script that runs `exec sudo -n tegrastats \"$@\"`",
-        ),
-        ("camera.ring", "two frames may wait"),
-        (
-            "camera.source_timeout_s",
-            "a source without a picture for 15 s is opened again",
-        ),
-        ("policy.albireo", PROFILE),
-        ("policy.expected_loss", FITTED),
-        ("audit.wait_s", "a drawn frame waits 5 s for the detector"),
-        ("uplink.lease_ms", "the lease of the uplink is 120 s"),
-        (
-            "uplink.reopen_s",
-            "after 300 s without an answer the uplink is opened again",
-        ),
-        ("frame.max_width", PICTURE),
-        ("frame.max_height", PICTURE),
-        ("frame.max_decoded_bytes", PICTURE),
-        ("power.source = battery", NO_BATTERY),
-        ("power.source = sum", ONE_METER),
-        ("power.sum", ONE_METER),
-        ("power.gpu_idle_watts", NO_GPU),
-        ("power.gpu_busy_watts", NO_GPU),
-    ];
+    const REMOVED: &'static str = "\
+node.hub_wins: a value set at the node stays until the hub desires a new one
+node.stop_timeout_s: stopping takes at most 5 s
+node.camera_silence_s: a camera counts as silent after 30 s without a frame
+outbox.max_bytes: the file of reports takes at most 256 MiB
+outbox.gather_reports: 12 reports go together; outbox.gather_s = 0 sends each at once
+outbox.answer_timeout_ms: a hub may take 10 s to answer a batch
+outbox.retry_min_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
+outbox.retry_max_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
+outbox.status_s: a heartbeat goes every 30 s
+uplink.retry_max_ms: the router is tried again after at most 30 s
+uplink.verify_name: the router's certificate is always compared with its name: `albireo certificate` takes \
+    several names and addresses
+uplink.user: a node shows its certificate: uplink.certificate, which `albireo certificate` makes
+uplink.password_file: a node shows its certificate: uplink.certificate, which `albireo certificate` makes
+http.timeout_ms: a request may take 10 s
+http.idle_timeout_ms: a connection that is silent for 30 s is closed
+http.max_connections: 256 connections may be open at a time
+detector.suppression_per_class: boxes of one class suppress each other
+detector.most_detections: a frame has at most 300 detections
+detector.batch_wait_ms: a frame waits 5 ms for those that share its run
+detector.may_fall_back: each provider in detector.providers replaces those before it if they fail: list a single \
+    one to allow no other
+detector.gpu.device: the environment variable CUDA_VISIBLE_DEVICES chooses the GPU
+detector.gpu.memory_limit_mib: there is no limit but the card's memory
+screen.empty_class: the first of the network's two outputs means \"empty\"
+screen.timeout_ms: a verdict that takes longer than 1 s counts as \"not empty\"
+screen.longest_empty_run: the detector runs after 100 empty frames in a row
+power.sysfs: sysfs is read at /sys
+power.procfs: procfs is read at /proc
+power.nvpmodel: nvpmodel is looked for in PATH
+power.nvml_cards: all cards of the machine count
+power.sudo: power.tegrastats may name a script that runs `exec sudo -n tegrastats \"$@\"`
+camera.ring: two frames may wait
+camera.source_timeout_s: a source without a picture for 15 s is opened again
+policy.albireo: its numbers are those of the paper or of its published code: choose by policy.profile
+policy.expected_loss: its numbers are fitted to recordings and fixed; `expected-loss+flow` in policy.name follows \
+    boxes in pictures
+audit.wait_s: a drawn frame waits 5 s for the detector
+uplink.lease_ms: the lease of the uplink is 120 s
+uplink.reopen_s: after 300 s without an answer the uplink is opened again
+frame.max_width: a picture may have 7680x4320 pixels and 128 MiB when decoded
+frame.max_height: a picture may have 7680x4320 pixels and 128 MiB when decoded
+frame.max_decoded_bytes: a picture may have 7680x4320 pixels and 128 MiB when decoded
+power.source = battery: a battery renews its figures too seldom to measure clips by; `estimate` works on every \
+    machine
+power.source = sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
+power.sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
+power.gpu_idle_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)
+power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
     /// Whether files are there is not looked at: that is seen when they are opened.
     fn findings(&self) -> Vec<Finding> {
@@ -174,26 +98,23 @@ impl Configuration for NodeConfig {
 
 impl NodeConfig {
     fn check_names(&self, findings: &mut Findings) {
-        if let Err(error) = albireo_wire::check_segment("node name", &self.node.name) {
-            findings.add("node.name", error.to_string());
-        } else if let Err(error) = self.keys() {
-            findings.add("node.prefix", error.to_string());
+        let name = albireo_wire::check_segment("node name", &self.node.name);
+        if findings.check("node.name", name).is_some() {
+            findings.check("node.prefix", self.keys());
         }
         findings.path("node.state_dir", self.node.state_dir.as_deref());
         findings.above_zero("node.stuck_after_s", self.node.stuck_after_s, DAY_S);
     }
 
     fn check_models(&self, findings: &mut Findings) {
-        let detector = &self.detector;
-        findings.path("detector.model", Some(&detector.model));
-        if let Some(ClassNames::File(names)) = &detector.class_names {
-            findings.path("detector.class_names", Some(names));
+        for (key, path) in self.model_files() {
+            findings.path(key, path);
         }
-        for (key, reason) in detector.problems() {
+        for (key, reason) in self.detector.problems() {
             findings.add(format!("detector.{key}"), reason);
         }
-        findings.path("detector.onnxruntime", detector.onnxruntime.as_deref());
-        findings.path("screen.model", self.screen.model.as_deref());
+        let library = self.detector.onnxruntime.as_deref();
+        findings.path("detector.onnxruntime", library);
     }
 
     fn check_figures(&self, findings: &mut Findings) {
@@ -220,27 +141,20 @@ impl NodeConfig {
     }
 
     fn check_policy(&self, findings: &mut Findings) -> Option<Box<dyn Policy>> {
-        match self.policy.build() {
-            Ok(policy) => Some(policy),
-            Err(error) => {
-                // The message begins with the key, as other users of the error want it.
-                let message = error.to_string();
-                let (key, reason) = message.split_once(": ").unwrap_or(("policy", &message));
-                findings.add(key, reason);
-                // A wrong name must not hide a wrong number.
-                for (name, knob, value) in [
-                    ("policy.u", Albireo::KNOB, self.policy.u),
-                    ("policy.lambda", ExpectedLoss::KNOB, self.policy.lambda),
-                ] {
-                    if key == "policy.name"
-                        && let Err(error) = knob.check(value)
-                    {
-                        findings.add(name, error.to_string());
-                    }
-                }
-                None
-            }
+        let error = match self.policy.build() {
+            Ok(policy) => return Some(policy),
+            Err(error) => error.to_string(),
+        };
+        // The message begins with the key, as other users of the error want it.
+        let (key, reason) = error.split_once(": ").unwrap_or(("policy", &error));
+        findings.add(key, reason);
+        // A wrong name must not hide a wrong number.
+        if key == "policy.name" {
+            findings.check("policy.u", Albireo::KNOB.check(self.policy.u));
+            let lambda = ExpectedLoss::KNOB.check(self.policy.lambda);
+            findings.check("policy.lambda", lambda);
         }
+        None
     }
 
     /// Whether the policy can answer at once, and settled frames wait long enough for the detector.
@@ -252,9 +166,7 @@ impl NodeConfig {
         if !at_once {
             return;
         }
-        if let Some(Err(error)) = policy.map(LatePolicy::new) {
-            findings.add("node.answer", error.to_string());
-        }
+        findings.check("node.answer", policy.map(LatePolicy::new).transpose());
         let deadline = self.detector.timeout_ms;
         if self.settle.enabled && longest < deadline {
             findings.add(
@@ -269,19 +181,16 @@ impl NodeConfig {
 
     fn check_target(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
         let target = self.target.hold;
-        if let Some(Err(error)) = target.map(Target::check) {
-            findings.add("target.hold", error.to_string());
-        }
+        findings.check("target.hold", target.map(Target::check).transpose());
         if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
             findings.add("target.hold", "`recall` needs an audit: audit.share is 0");
         }
         let (least, most) = (self.target.least, self.target.most);
-        let Some(knob) = knob.filter(|_| target.is_some() || least.is_some() || most.is_some())
-        else {
-            return;
-        };
-        if let Err(error) = KnobRange::of(&self.policy.name, knob.as_ref(), least, most) {
-            findings.add("target", error.to_string());
+        if let Some(knob) = knob
+            && (target.is_some() || least.is_some() || most.is_some())
+        {
+            let range = KnobRange::of(&self.policy.name, knob.as_ref(), least, most);
+            findings.check("target", range);
         }
     }
 
@@ -351,21 +260,17 @@ impl NodeConfig {
         let (Some(threshold), Some(knob)) = (camera.threshold, knob) else {
             return;
         };
-        match knob.map(|knob| knob.check(threshold)) {
-            Some(Ok(_)) => {}
-            Some(Err(error)) => findings.add(key("threshold"), error.to_string()),
-            None => findings.add(
-                key("threshold"),
-                format!("policy `{}` has no threshold", self.policy.name),
-            ),
+        let none = || format!("policy `{}` has no threshold", self.policy.name);
+        if let Some(knob) = findings.check(key("threshold"), knob.ok_or_else(none)) {
+            findings.check(key("threshold"), knob.check(threshold));
         }
     }
 }
 
 fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &mut Findings) {
-    if let Err(error) = albireo_wire::check_segment("camera name", &camera.name) {
-        findings.add(key("name"), error.to_string());
-    } else if camera.name.bytes().all(|byte| byte == b'.') {
+    let name = albireo_wire::check_segment("camera name", &camera.name);
+    let is_right = findings.check(key("name"), name).is_some();
+    if is_right && camera.name.bytes().all(|byte| byte == b'.') {
         findings.add(
             key("name"),
             "dots alone mean something else in an HTTP path",
@@ -393,18 +298,9 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if camera.hardware.as_ref().is_some_and(String::is_empty) {
         findings.add(key("hardware"), "is empty; leave the key out instead");
     }
-    let checks = [
-        camera
-            .source
-            .as_ref()
-            .map(|source| ("source", source.check())),
-        Some(("source_options", camera.source_options.check())),
-    ];
-    for (name, checked) in checks.into_iter().flatten() {
-        if let Err(error) = checked {
-            findings.add(key(name), error.to_string());
-        }
-    }
+    let source = camera.source.as_ref().map(SourceAddress::check).transpose();
+    findings.check(key("source"), source);
+    findings.check(key("source_options"), camera.source_options.check());
     let source = camera.source.as_ref().map(SourceAddress::kind);
     let (none, is_pipeline) = (source.is_none(), source == Some(SourceKind::Pipeline));
     let rate = camera.max_rate.is_some();

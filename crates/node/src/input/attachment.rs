@@ -1,33 +1,22 @@
 //! Reads the attachment of a frame: this program's JSON, or what ROS 2's rmw_zenoh puts there.
 
-use super::{FrameNumber, PayloadFormat};
-use albireo_core::geometry::PictureSize;
+use super::PayloadFormat;
 use albireo_vision::picture::FrameFault;
 use albireo_wire::FrameAttachment;
-use std::sync::Arc;
 
 /// Longest attachment that is read, bytes.
 const MAX_ATTACHMENT_BYTES: usize = 4096;
 /// Longest clip id, bytes: it goes into every message of the clip.
 const MAX_CLIP_BYTES: usize = 200;
 
-/// What is known about a frame without its payload.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Attachment {
-    pub number: FrameNumber,
-    pub time_ns: Option<u64>,
-    pub clip: Option<Arc<str>>,
-    pub size: Option<PictureSize>,
-}
-
 /// Reads the attachment. A ROS 2 camera's attachment is not this program's, so whatever it holds is
 /// either understood or passed over.
 pub(super) fn read_attachment(
     attachment: Option<&[u8]>,
     format: PayloadFormat,
-) -> Result<Attachment, FrameFault> {
+) -> Result<FrameAttachment, FrameFault> {
     let Some(bytes) = attachment.filter(|bytes| !bytes.is_empty()) else {
-        return Ok(Attachment::default());
+        return Ok(FrameAttachment::default());
     };
     match format {
         PayloadFormat::Encoding => read_json(bytes),
@@ -37,7 +26,7 @@ pub(super) fn read_attachment(
     }
 }
 
-fn read_json(bytes: &[u8]) -> Result<Attachment, FrameFault> {
+fn read_json(bytes: &[u8]) -> Result<FrameAttachment, FrameFault> {
     if bytes.len() > MAX_ATTACHMENT_BYTES {
         return Err(FrameFault::unknown_format(format!(
             "the attachment has {} bytes, {MAX_ATTACHMENT_BYTES} are read",
@@ -57,26 +46,14 @@ fn read_json(bytes: &[u8]) -> Result<Attachment, FrameFault> {
             "the attachment's clip id must be 1 to {MAX_CLIP_BYTES} bytes without control characters"
         )));
     }
-    let size = match (attachment.width, attachment.height) {
-        (Some(width), Some(height)) => Some(PictureSize::new(width, height)),
-        _ => None,
-    };
-    Ok(Attachment {
-        number: FrameNumber {
-            seq: attachment.seq,
-            stream: attachment.stream,
-        },
-        time_ns: attachment.t_ns,
-        clip: attachment.clip.map(Arc::from),
-        size,
-    })
+    Ok(attachment)
 }
 
 /// Reads the attachment of rmw_zenoh (ros2/rmw_zenoh, rmw_zenoh_cpp/src/detail/attachment_helpers.cpp):
 /// sequence number and source time in nanoseconds as little-endian `int64`, then the sender's id of
 /// 16 bytes, in some releases with its length before it. The first releases put a name, with its
 /// length before it, before each of the three.
-fn read_rmw_zenoh(bytes: &[u8]) -> Option<Attachment> {
+fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
     let (sequence, rest) = match strip_name(bytes, b"sequence_number") {
         Some(rest) => {
             let (sequence, rest) = take_i64(rest)?;
@@ -94,13 +71,11 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<Attachment> {
         let id = u128::from_le_bytes(*id);
         (id >> 64) as u64 ^ id as u64
     });
-    Some(Attachment {
-        number: FrameNumber {
-            seq: Some(u64::try_from(sequence).ok()?),
-            stream,
-        },
-        time_ns: u64::try_from(time_ns).ok().filter(|time| *time > 0),
-        ..Attachment::default()
+    Some(FrameAttachment {
+        seq: Some(u64::try_from(sequence).ok()?),
+        stream,
+        t_ns: u64::try_from(time_ns).ok().filter(|time| *time > 0),
+        ..FrameAttachment::default()
     })
 }
 
@@ -144,9 +119,9 @@ mod tests {
             let bytes = rmw(named, length_byte);
             for format in [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image] {
                 let attachment = read_attachment(Some(&bytes), format).unwrap();
-                assert_eq!(attachment.number.seq, Some(41), "{named} {length_byte}");
-                assert_eq!(attachment.time_ns, Some(1_700_000_000_123_456_789));
-                assert!(attachment.number.stream.is_some(), "a publisher's id");
+                assert_eq!(attachment.seq, Some(41), "{named} {length_byte}");
+                assert_eq!(attachment.t_ns, Some(1_700_000_000_123_456_789));
+                assert!(attachment.stream.is_some(), "a publisher's id");
             }
         }
     }
@@ -156,12 +131,12 @@ mod tests {
         for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
             assert_eq!(
                 read_attachment(Some(bytes), PayloadFormat::Ros2Image).unwrap(),
-                Attachment::default()
+                FrameAttachment::default()
             );
         }
         let json = br#"{"v":1,"seq":3}"#;
         let attachment = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
-        assert_eq!(attachment.number.seq, Some(3));
+        assert_eq!(attachment.seq, Some(3));
     }
 
     #[test]
@@ -173,14 +148,14 @@ mod tests {
         .unwrap();
         assert_eq!(
             attachment,
-            Attachment {
-                number: FrameNumber {
-                    seq: Some(9),
-                    stream: None,
-                },
-                time_ns: Some(5),
-                clip: Some("a".into()),
-                size: Some(PictureSize::new(4, 2)),
+            FrameAttachment {
+                v: 1,
+                seq: Some(9),
+                t_ns: Some(5),
+                clip: Some("a".to_owned()),
+                width: Some(4),
+                height: Some(2),
+                ..FrameAttachment::default()
             }
         );
         for (bytes, part) in [

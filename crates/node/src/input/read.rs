@@ -1,6 +1,6 @@
 //! Reads a Zenoh sample or query as a frame, whose picture stays encoded.
 
-use super::attachment::{Attachment, read_attachment};
+use super::attachment::read_attachment;
 use super::{FrameNumber, PayloadFormat, ros2};
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
@@ -8,6 +8,7 @@ use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, check_picture,
     check_raw_length, format_of, picture_of_kind,
 };
+use albireo_wire::FrameAttachment;
 use bytes::Bytes;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -39,8 +40,6 @@ pub struct RawSample<'a> {
 pub struct Frame {
     /// The camera's sequence number; by arrival when it sends none.
     pub sequence: u64,
-    /// How the camera itself numbers it.
-    pub number: FrameNumber,
     /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
     /// this machine's clock.
     pub time_ns: u64,
@@ -52,17 +51,6 @@ pub struct Frame {
     pub received: Instant,
     /// Size of the payload.
     pub payload_bytes: usize,
-}
-
-/// A sample that is not a usable frame. Its number still counts as arrived, so that it is not counted
-/// as lost too.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{fault}")]
-pub struct RejectedFrame {
-    /// How the camera numbers it, as far as that could be read.
-    pub number: FrameNumber,
-    /// What was wrong.
-    pub fault: FrameFault,
 }
 
 impl<'a> From<&'a Sample> for RawSample<'a> {
@@ -110,50 +98,49 @@ fn shared_bytes(payload: &ZBytes) -> Bytes {
     }
 }
 
-/// Reads a sample as a frame. Nothing is decoded; all limits are checked here, before memory is taken.
-///
-/// # Errors
-/// [`RejectedFrame`] when the sample is too large, of an unknown format, or not a picture.
+/// How the camera numbers a sample, as far as that can be read, and the sample as a frame, or the fault of one that is too
+/// large, of an unknown format, or not a picture. Nothing is decoded; all limits are checked here, before memory is taken.
 pub fn read_frame(
     raw: RawSample<'_>,
     format: PayloadFormat,
     limits: &FrameLimits,
-) -> Result<Frame, RejectedFrame> {
+) -> (FrameNumber, Result<Frame, FrameFault>) {
     let payload_bytes = raw.payload.len();
-    let attachment =
-        read_attachment(raw.attachment.as_deref(), format).map_err(|fault| RejectedFrame {
-            number: FrameNumber::default(),
-            fault,
-        })?;
-    let number = attachment.number;
-    let (picture, stamp) = check_payload(payload_bytes, limits)
-        .and_then(|()| read_picture(&raw, &attachment, format, limits))
-        .map_err(|fault| RejectedFrame { number, fault })?;
-    Ok(Frame {
+    let attachment = match read_attachment(raw.attachment.as_deref(), format) {
+        Ok(attachment) => attachment,
+        Err(fault) => return (FrameNumber::default(), Err(fault)),
+    };
+    let read = check_payload(payload_bytes, limits)
+        .and_then(|()| read_picture(&raw, &attachment, format, limits));
+    let number = FrameNumber {
+        seq: attachment.seq,
+        stream: attachment.stream,
+    };
+    let frame = read.map(|(picture, stamp)| Frame {
         sequence: number.seq.unwrap_or(raw.arrival),
-        number,
         // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
         time_ns: stamp
-            .or(attachment.time_ns)
+            .or(attachment.t_ns)
             .or(raw.timestamp_ns)
             .unwrap_or_else(unix_nanoseconds),
-        clip: attachment.clip,
+        clip: attachment.clip.map(Arc::from),
         picture,
         received: raw.received,
         payload_bytes,
-    })
+    });
+    (number, frame)
 }
 
 /// The picture, and the capture time where the payload has it.
 fn read_picture(
     raw: &RawSample<'_>,
-    attachment: &Attachment,
+    attachment: &FrameAttachment,
     format: PayloadFormat,
     limits: &FrameLimits,
 ) -> Result<(EncodedPicture, Option<u64>), FrameFault> {
     match format {
         PayloadFormat::Encoding => {
-            read_by_encoding(raw, attachment.size, limits).map(|picture| (picture, None))
+            read_by_encoding(raw, attachment, limits).map(|picture| (picture, None))
         }
         PayloadFormat::Ros2CompressedImage => {
             let message = ros2::read_compressed_image(&raw.payload)?;
@@ -182,7 +169,7 @@ fn read_picture(
 
 fn read_by_encoding(
     raw: &RawSample<'_>,
-    size: Option<PictureSize>,
+    attachment: &FrameAttachment,
     limits: &FrameLimits,
 ) -> Result<EncodedPicture, FrameFault> {
     let (kind, schema) = raw.encoding.split_once(';').unwrap_or((&raw.encoding, ""));
@@ -201,11 +188,11 @@ fn read_by_encoding(
             let Some(format) = PictureFormat::raw_from_name(schema.trim()) else {
                 return Err(unknown_encoding(&raw.encoding));
             };
-            let size = size.ok_or_else(|| {
-                FrameFault::unknown_format(
-                    "a raw picture needs `width` and `height` in the attachment",
-                )
-            })?;
+            let (Some(width), Some(height)) = (attachment.width, attachment.height) else {
+                let reason = "a raw picture needs `width` and `height` in the attachment";
+                return Err(FrameFault::unknown_format(reason));
+            };
+            let size = PictureSize::new(width, height);
             check_picture(size, limits)?;
             check_raw_length(format, size, bytes.len())?;
             Ok(EncodedPicture {

@@ -1,16 +1,15 @@
 //! Takes a camera's frames as they arrive: reads them, follows their numbers, counts what cannot be used, and puts the
 //! rest into the camera's ring. Runs on Zenoh's receiving threads, so it neither decodes nor waits.
 
-mod source;
-
-pub(crate) use source::SourceFeed;
-
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
-use super::{Frame, FrameNumber, PayloadFormat, Pushed, RejectedFrame, Ring};
+use super::source::SourceSink;
+use super::{Frame, FrameNumber, PayloadFormat, Pushed, Ring};
+use crate::config::CameraConfig;
 use crate::rate_limit::RateLimit;
 use crate::state::board::{CameraBoard, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
+use albireo_service::readiness::Part;
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{DroppedFrames, FrameAnswer, VERSION};
 use parking_lot::Mutex;
@@ -49,17 +48,10 @@ pub(crate) struct SequencedFrame {
 }
 
 impl SequencedFrame {
-    /// Tells the sender, if it waits, that the frame's turn has come.
-    pub(crate) fn taken(&mut self) {
+    /// Tells the sender, if it waits, that the frame's turn has come, or why it will not be processed.
+    pub(crate) fn answer(&mut self, refused: Option<&str>) {
         if let Some(query) = self.query.take() {
-            query.answer(None);
-        }
-    }
-
-    /// Tells the sender, if it waits, why the frame will not be processed.
-    pub(crate) fn refuse(&mut self, reason: &str) {
-        if let Some(query) = self.query.take() {
-            query.answer(Some(reason.to_owned()));
+            query.answer(refused.map(str::to_owned));
         }
     }
 }
@@ -69,24 +61,24 @@ impl SequencedFrame {
 #[derive(Debug)]
 pub(crate) struct FrameQuery {
     query: Query,
-    answers: Arc<Answers>,
-}
-
-/// Sends answers, off the threads that must not wait for the network.
-#[derive(Debug)]
-struct Answers {
+    /// Where answers are sent: off the threads that must not wait for the network.
     runtime: Handle,
-    waiting: Arc<Semaphore>,
+    /// One place for each answer that waits for the network.
+    places: Arc<Semaphore>,
 }
 
 impl FrameQuery {
     /// Tells the sender that its frame's turn has come, or why it will not be processed.
     fn answer(self, refused: Option<String>) {
-        let Self { query, answers } = self;
-        let Ok(permit) = Arc::clone(&answers.waiting).try_acquire_owned() else {
+        let Self {
+            query,
+            runtime,
+            places,
+        } = self;
+        let Ok(place) = places.try_acquire_owned() else {
             return;
         };
-        answers.runtime.spawn_blocking(move || {
+        runtime.spawn_blocking(move || {
             let answer = FrameAnswer {
                 v: VERSION,
                 refused,
@@ -100,7 +92,7 @@ impl FrameQuery {
             if let Err(error) = sent {
                 tracing::debug!(%error, "a frame's sender was not answered");
             }
-            drop(permit);
+            drop(place);
         });
     }
 }
@@ -119,14 +111,6 @@ struct DropState {
 }
 
 impl DropCounts {
-    /// No drops yet, for the camera of `board`.
-    pub(crate) fn new(board: Arc<CameraBoard>) -> Self {
-        Self {
-            board,
-            state: Mutex::default(),
-        }
-    }
-
     /// Counts `number` frames as dropped, and logs `reason` from time to time.
     pub(crate) fn count(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
         let mut more = DroppedFrames::default();
@@ -176,13 +160,19 @@ pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
 #[derive(Debug)]
 pub(crate) struct FrameReceiver {
     board: Arc<CameraBoard>,
-    drops: Arc<DropCounts>,
-    ring: Arc<Ring<SequencedFrame>>,
+    /// Frames that are not processed.
+    pub drops: DropCounts,
+    /// Frames that wait for the camera's loop.
+    pub ring: Ring<SequencedFrame>,
     format: PayloadFormat,
     limits: FrameLimits,
     stream: Mutex<StreamState>,
-    answers: Arc<Answers>,
+    runtime: Handle,
+    answers: Arc<Semaphore>,
 }
+
+/// How a camera numbers what it sent, and the frame, if it can be used.
+type Read = (FrameNumber, Result<Frame, FrameFault>);
 
 #[derive(Debug, Default)]
 struct StreamState {
@@ -192,25 +182,20 @@ struct StreamState {
 }
 
 impl FrameReceiver {
-    /// A receiver that pushes into `ring`. Called where the runtime is that its answers are sent from.
-    pub(crate) fn new(
-        board: Arc<CameraBoard>,
-        drops: Arc<DropCounts>,
-        ring: Arc<Ring<SequencedFrame>>,
-        format: PayloadFormat,
-        limits: FrameLimits,
-    ) -> Self {
+    /// The receiver of the camera of `board`. Called where the runtime is that its answers are sent from.
+    pub(crate) fn new(board: Arc<CameraBoard>, config: &CameraConfig, limits: FrameLimits) -> Self {
         Self {
+            drops: DropCounts {
+                board: Arc::clone(&board),
+                state: Mutex::default(),
+            },
             board,
-            drops,
-            ring,
-            format,
+            ring: Ring::new(config.delivery, config.ring, limits.max_payload_bytes),
+            format: config.format,
             limits,
             stream: Mutex::default(),
-            answers: Arc::new(Answers {
-                runtime: Handle::current(),
-                waiting: Arc::new(Semaphore::new(MAX_ANSWERS)),
-            }),
+            runtime: Handle::current(),
+            answers: Arc::new(Semaphore::new(MAX_ANSWERS)),
         }
     }
 
@@ -219,28 +204,22 @@ impl FrameReceiver {
         if sample.payload().as_shm().is_some() {
             self.board.count_shared_frame();
         }
-        self.place(None, |arrival| {
-            let raw = RawSample {
-                arrival,
-                ..RawSample::from(sample)
-            };
-            read_frame(raw, self.format, &self.limits)
-        });
+        self.place(None, |arrival| self.read(sample.into(), arrival));
     }
 
     /// Takes a frame that came as a query. Without room for it the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
         let waiting = FrameQuery {
             query: query.clone(),
-            answers: Arc::clone(&self.answers),
+            runtime: self.runtime.clone(),
+            places: Arc::clone(&self.answers),
         };
-        self.place(Some(waiting), |arrival| {
-            let raw = RawSample {
-                arrival,
-                ..RawSample::from(&query)
-            };
-            read_frame(raw, self.format, &self.limits)
-        });
+        self.place(Some(waiting), |arrival| self.read((&query).into(), arrival));
+    }
+
+    fn read(&self, raw: RawSample<'_>, arrival: u64) -> Read {
+        let raw = RawSample { arrival, ..raw };
+        read_frame(raw, self.format, &self.limits)
     }
 
     /// Takes one picture of a source that the node itself reads. `reopened`: it is the first since the source was
@@ -250,17 +229,15 @@ impl FrameReceiver {
             self.stream.lock().epoch += 1;
         }
         self.place(None, |arrival| {
-            let number = FrameNumber::default();
-            let picture = picture.map_err(|fault| RejectedFrame { number, fault })?;
-            Ok(Frame {
+            let frame = picture.map(|picture| Frame {
                 sequence: arrival,
-                number,
                 time_ns: unix_nanoseconds(),
                 clip: None,
                 payload_bytes: picture.bytes.len(),
                 picture,
                 received: Instant::now(),
-            })
+            });
+            (FrameNumber::default(), frame)
         });
     }
 
@@ -270,11 +247,7 @@ impl FrameReceiver {
     }
 
     /// Numbers what `read` reads and puts it into the ring.
-    fn place(
-        &self,
-        mut query: Option<FrameQuery>,
-        read: impl FnOnce(u64) -> Result<Frame, RejectedFrame>,
-    ) {
+    fn place(&self, mut query: Option<FrameQuery>, read: impl FnOnce(u64) -> Read) {
         // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
         // more than one thread.
         let mut stream = self.stream.lock();
@@ -302,20 +275,15 @@ impl FrameReceiver {
     fn admit(
         &self,
         stream: &mut StreamState,
-        read: impl FnOnce(u64) -> Result<Frame, RejectedFrame>,
+        read: impl FnOnce(u64) -> Read,
     ) -> Result<SequencedFrame, String> {
-        let read = read(stream.arrivals);
+        let (number, read) = read(stream.arrivals);
         stream.arrivals += 1;
-        let number = match &read {
-            Ok(frame) => Some(frame.number),
-            Err(rejected) => Some(rejected.number).filter(|number| number.seq.is_some()),
-        };
-        let arrival = match number {
-            Some(number) => Some(stream.tracker.arrive(&number, Instant::now())),
-            None => {
-                stream.tracker.arrive_unreadable();
-                None
-            }
+        let arrival = if read.is_err() && number.seq.is_none() {
+            stream.tracker.arrive_unreadable();
+            None
+        } else {
+            Some(stream.tracker.arrive(&number, Instant::now()))
         };
         if let Some(Arrival::New {
             lost, restarted, ..
@@ -327,9 +295,7 @@ impl FrameReceiver {
                 self.drops.count(|dropped| &mut dropped.lost, lost, &reason);
             }
         }
-        let frame = read.map_err(|rejected| {
-            self.refuse(kind_of(&rejected.fault), rejected.fault.to_string())
-        })?;
+        let frame = read.map_err(|fault| self.refuse(kind_of(&fault), fault.to_string()))?;
         let sequence = frame.sequence;
         let (kind, reason): (DropKind, _) = match arrival {
             Some(Arrival::New { index, .. }) => {
@@ -352,7 +318,7 @@ impl FrameReceiver {
         Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
     }
 
-    /// Counts a frame that will not be processed, and gives back why.
+    /// Counts a frame that will not be processed, and returns why.
     fn refuse(&self, kind: DropKind, reason: String) -> String {
         self.drops.count(kind, 1, &reason);
         reason
@@ -378,8 +344,32 @@ impl FrameReceiver {
                 "the camera's loop does not run: it has failed, or the node stops",
             ),
         };
-        frame.refuse(reason);
+        frame.answer(Some(reason));
         Err(self.refuse(kind, reason.to_owned()))
+    }
+}
+
+/// Where the pictures of a source go that the node keeps open.
+#[derive(Clone, Debug)]
+pub(crate) struct SourceFeed {
+    pub receiver: Arc<FrameReceiver>,
+    /// The camera's part of the readiness.
+    pub part: Part,
+}
+
+impl SourceSink for SourceFeed {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+        self.receiver.take_picture(picture, reopened);
+    }
+
+    fn works(&mut self) {
+        self.part.works();
+    }
+
+    fn fails(&mut self, reason: &str, pause: Duration) {
+        let seconds = pause.as_secs_f64();
+        self.part
+            .degraded(format!("failed: {reason}; next attempt in {seconds} s"));
     }
 }
 

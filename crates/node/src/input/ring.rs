@@ -9,36 +9,6 @@ use tokio::sync::Notify;
 /// Frames that may wait where none is to be missed. A sender that heeds the answers has one here.
 const EVERY_FRAMES: usize = 64;
 
-/// How much a ring holds.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RingLimits {
-    /// Items, at least 1.
-    pub items: usize,
-    /// Bytes of all items; a single one may have more.
-    pub bytes: usize,
-    /// Whether a new item pushes out the oldest when there is no room.
-    pub newest_wins: bool,
-}
-
-impl RingLimits {
-    /// The limits of a camera's ring: `frames` that may wait, of at most `max_payload` bytes each.
-    pub(crate) fn new(delivery: Delivery, frames: usize, max_payload: usize) -> Self {
-        match delivery {
-            Delivery::Newest => Self {
-                items: frames,
-                bytes: usize::MAX,
-                newest_wins: true,
-            },
-            Delivery::Every => Self {
-                items: frames.max(EVERY_FRAMES),
-                // A few of the largest that are accepted, or many of the usual ones.
-                bytes: max_payload.saturating_mul(4),
-                newest_wins: false,
-            },
-        }
-    }
-}
-
 /// What became of a pushed item.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Pushed<T> {
@@ -55,7 +25,12 @@ pub(crate) enum Pushed<T> {
 /// Items on their way to the one task that takes them.
 #[derive(Debug)]
 pub(crate) struct Ring<T> {
-    limits: RingLimits,
+    /// Items that may wait, at least 1.
+    most_items: usize,
+    /// Bytes of all of them; a single one may have more.
+    most_bytes: usize,
+    /// Whether a new item pushes out the oldest when there is no room.
+    newest_wins: bool,
     state: Mutex<State<T>>,
     came: Notify,
 }
@@ -68,10 +43,23 @@ struct State<T> {
 }
 
 impl<T> Ring<T> {
-    /// Open, with nothing in it.
-    pub(crate) fn new(limits: RingLimits) -> Self {
+    /// The ring of a camera, open and empty: for `frames` that may wait, of at most `max_payload` bytes each.
+    pub(crate) fn new(delivery: Delivery, frames: usize, max_payload: usize) -> Self {
+        match delivery {
+            Delivery::Newest => Self::holding(frames, usize::MAX, true),
+            // A few of the largest that are accepted, or many of the usual ones.
+            Delivery::Every => {
+                let most_bytes = max_payload.saturating_mul(4);
+                Self::holding(frames.max(EVERY_FRAMES), most_bytes, false)
+            }
+        }
+    }
+
+    fn holding(most_items: usize, most_bytes: usize, newest_wins: bool) -> Self {
         Self {
-            limits,
+            most_items,
+            most_bytes,
+            newest_wins,
             state: Mutex::new(State {
                 items: VecDeque::new(),
                 closed: false,
@@ -88,7 +76,7 @@ impl<T> Ring<T> {
         }
         let mut pushed = Pushed::Queued;
         if !self.fits(&state, bytes) {
-            if !self.limits.newest_wins {
+            if !self.newest_wins {
                 return Pushed::Full(item);
             }
             if let Some((_, oldest)) = state.items.pop_front() {
@@ -104,14 +92,14 @@ impl<T> Ring<T> {
     /// Whether an item of that size would be queued.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let state = self.state.lock();
-        state.closed || self.limits.newest_wins || self.fits(&state, bytes)
+        state.closed || self.newest_wins || self.fits(&state, bytes)
     }
 
     fn fits(&self, state: &State<T>, bytes: usize) -> bool {
         let waiting: usize = state.items.iter().map(|(bytes, _)| bytes).sum();
         state.items.is_empty()
-            || (state.items.len() < self.limits.items
-                && waiting.saturating_add(bytes) <= self.limits.bytes)
+            || (state.items.len() < self.most_items
+                && waiting.saturating_add(bytes) <= self.most_bytes)
     }
 
     /// The oldest item; waits for one. Cancelling the future loses nothing.
@@ -127,7 +115,7 @@ impl<T> Ring<T> {
         }
     }
 
-    /// Lets nothing more in, and gives back what waits.
+    /// Lets nothing more in, and returns what waits.
     pub(crate) fn close(&self) -> impl Iterator<Item = T> + use<T> {
         let mut state = self.state.lock();
         state.closed = true;
@@ -158,11 +146,7 @@ mod tests {
 
     /// In these tests numbers stand for frames, of as many bytes.
     fn ring(items: usize, newest_wins: bool) -> Ring<u32> {
-        Ring::new(RingLimits {
-            items,
-            bytes: 1000,
-            newest_wins,
-        })
+        Ring::holding(items, 1000, newest_wins)
     }
 
     impl Ring<u32> {

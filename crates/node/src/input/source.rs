@@ -13,7 +13,11 @@ mod live;
 mod program;
 mod templates;
 
-pub use address::{AddressError, SourceAddress, SourceKind, SourceOptions};
+pub use address::{SourceAddress, SourceKind, SourceOptions};
 pub use live::{LiveSource, SourceSink};
-pub use program::SourceError;
 pub use templates::{Handover, RtspTransport, SourceSettings};
+
+/// Why a source cannot be opened: in words, without credentials.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct SourceError(String);

@@ -9,9 +9,9 @@ use crate::camera::{AnswerTime, Camera, CameraParts, Decider, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
 use crate::error::NodeError;
-use crate::input::receiver::{DropCounts, FrameReceiver, SourceFeed};
+use crate::input::Delivery;
+use crate::input::receiver::{FrameReceiver, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
-use crate::input::{Delivery, Ring, RingLimits};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};
@@ -65,18 +65,12 @@ impl Cameras<'_> {
         config: &CameraConfig,
         keys: &CameraKeys,
     ) -> Result<(), NodeError> {
-        let board = self
-            .board
-            .camera(&config.name)
-            .ok_or_else(|| NodeError::State("it is not on the board".to_owned()))?;
+        let board = self.board.camera(&config.name);
+        let board = board.ok_or_else(|| NodeError::new("it is not on the board"))?;
         let name = &config.name;
         let shared = Arc::clone(&self.shared);
-        let drops = Arc::new(DropCounts::new(Arc::clone(board)));
-        let ring = Arc::new(Ring::new(RingLimits::new(
-            config.delivery,
-            config.ring,
-            shared.config.frame.max_payload_bytes,
-        )));
+        let receiver = FrameReceiver::new(Arc::clone(board), config, shared.config.frame);
+        let receiver = Arc::new(receiver);
         let (closed, clips) = mpsc::unbounded_channel();
 
         let detections = self.publisher(config, keys.detections(), board).await?;
@@ -104,8 +98,7 @@ impl Cameras<'_> {
         let report = shared.config.report.confidence;
         let parts = Arc::new(CameraParts {
             board: Arc::clone(board),
-            ring: Arc::clone(&ring),
-            drops: Arc::clone(&drops),
+            receiver: Arc::clone(&receiver),
             detections,
             late,
             settled: settled.map(Arc::new),
@@ -116,44 +109,28 @@ impl Cameras<'_> {
             reset_at_clip: config.reset_at_clip,
         });
         let stop = self.shutdown.clone();
-        self.tasks.restarting(
-            format!("camera {name}"),
-            tracing::info_span!("camera", name),
-            HealthState::NotReady,
-            move || {
+        self.tasks
+            .restarting(format!("camera {name}"), HealthState::NotReady, move || {
                 let camera = shared.camera(slot, Arc::clone(&parts));
                 let stop = stop.clone();
                 async move {
                     camera?.run(stop).await;
                     Ok::<(), NodeError>(())
                 }
-            },
-        );
+            });
         let reporter = Reporter {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: self.shared.detector.clone(),
             listeners: reports,
         };
-        self.tasks.essential(
-            format!("reporter {name}"),
-            tracing::info_span!("reporter", camera = name),
-            reporter.run(clips),
-        );
+        (self.tasks).essential(format!("reporter {name}"), reporter.run(clips));
 
-        let receiver = FrameReceiver::new(
-            Arc::clone(board),
-            drops,
-            ring,
-            config.format,
-            self.shared.config.frame,
-        );
         if let Some(settings) = config.source_settings(self.shared.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
         let key = &board.key;
         let refused = || refused(format!("frames on `{key}` cannot be received"));
-        let receiver = Arc::new(receiver);
         if config.delivery == Delivery::Every {
             let every_frame = Arc::clone(&receiver);
             let queryable = self
@@ -221,35 +198,29 @@ impl Cameras<'_> {
             pixels: shared.pixels.clone(),
             energy: shared.power.camera(name),
         };
-        self.tasks.essential(
-            format!("audit {name}"),
-            tracing::info_span!("audit", camera = name),
-            auditor.run(self.shutdown.clone()),
-        );
+        (self.tasks).until_shutdown(format!("audit {name}"), auditor.run());
     }
 
     /// Feeds the camera from a source that the node keeps open.
     async fn add_source(
         &mut self,
         name: &str,
-        receiver: FrameReceiver,
+        receiver: Arc<FrameReceiver>,
         settings: SourceSettings,
     ) -> Result<(), NodeError> {
         // It asks the programs for their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
-        let source = found.map_err(|error| NodeError::State(error.to_string()))??;
+        let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
         let readiness = &self.board.readiness;
         let feed = SourceFeed {
-            receiver: Arc::new(receiver),
+            receiver,
             part: readiness.part_of(readiness::CAMERAS, name.to_owned()),
         };
         let (source, stop) = (Arc::new(source), self.shutdown.clone());
-        self.tasks.restarting(
-            format!("source {name}"),
-            tracing::info_span!("source", camera = name),
-            HealthState::Degraded,
-            move || Arc::clone(&source).run(feed.clone(), stop.clone()),
-        );
+        self.tasks
+            .restarting(format!("source {name}"), HealthState::Degraded, move || {
+                Arc::clone(&source).run(feed.clone(), stop.clone())
+            });
         Ok(())
     }
 }
@@ -262,7 +233,7 @@ impl Shared {
             config, detector, ..
         } = self;
         let name = parts.board.name();
-        let policy = (self.policies)(name)?;
+        let policy = (self.policies)(name).map_err(NodeError::new)?;
         let evidence = LiveEvidence::new(
             detector.clone(),
             CameraScreen::new(&config.screen, self.screen.clone()),
@@ -271,9 +242,7 @@ impl Shared {
             self.give_up.clone(),
         );
         let policy = match parts.late {
-            Some(_) => {
-                LatePolicy::new(policy).map_err(|error| NodeError::State(error.to_string()))?
-            }
+            Some(_) => LatePolicy::new(policy).map_err(NodeError::new)?,
             None => LatePolicy::waiting(policy),
         };
         let decider = Decider::new(policy, evidence);
@@ -287,7 +256,7 @@ impl Shared {
         });
         let energy = self.power.camera(name);
         let clip = ClipTracker::new(config.clip, energy, parts.audit.share());
-        parts.ring.open();
+        parts.receiver.ring.open();
         Ok(Camera::new(parts, decider, settled, clip))
     }
 }

@@ -89,9 +89,9 @@ impl Board {
     /// What cannot be used: the state directory, or what a checked configuration does not have.
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
-        let outbox = Outbox::open(&config.outbox, directory)?;
+        let outbox = Outbox::open(&config.outbox, directory).map_err(NodeError::new)?;
         let settings = Settings::open(directory);
-        let policy = config.policy.build()?;
+        let policy = config.policy.build().map_err(NodeError::new)?;
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
         let started = Instant::now();
         let begin = config.cameras.first().and_then(|camera| camera.threshold);
@@ -110,7 +110,7 @@ impl Board {
         };
         let cameras = (config.cameras.iter())
             .map(|camera| CameraBoard::new(config, camera, &*policy, shared.clone()).map(Arc::new));
-        let cameras = cameras.collect::<Result<_, _>>()?;
+        let cameras = cameras.collect::<Result<_, _>>().map_err(NodeError::new)?;
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(DetectorStatus::Starting));
         let status = Arc::clone(&detector);

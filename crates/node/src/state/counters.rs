@@ -41,14 +41,18 @@ impl Counters {
     ) -> Result<Self, NodeError> {
         let mut outlets = BTreeMap::new();
         for camera in &board.cameras {
+            let key = keys
+                .camera(camera.name())
+                .map_err(NodeError::new)?
+                .counters();
             let publisher = session
-                .declare_publisher(keys.camera(camera.name())?.counters())
+                .declare_publisher(key)
                 .congestion_control(CongestionControl::Drop)
                 .priority(publishing::COUNTERS)
                 .await
                 .map_err(|error| {
                     let error = albireo_service::session::plain(&error);
-                    NodeError::Zenoh(format!("counters cannot be published: {error}"))
+                    NodeError::of("counters cannot be published")(error)
                 })?;
             let outlet = Outlet::new(publisher, camera.unpublished());
             outlets.insert(camera.name().to_owned(), outlet);

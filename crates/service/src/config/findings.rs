@@ -1,6 +1,7 @@
 //! Collects what is wrong with a configuration's values beyond their types.
 
 use super::Finding;
+use std::fmt::Display;
 use std::path::Path;
 
 /// Seconds of a day: longer timeouts and windows are slips of the pen.
@@ -13,6 +14,17 @@ impl Findings {
     /// Notes that something is wrong with `key`.
     pub fn add(&mut self, key: impl Into<String>, reason: impl Into<String>) {
         self.0.push(Finding::new(key, reason));
+    }
+
+    /// What is right; notes what is wrong with `key`.
+    pub fn check<T>(
+        &mut self,
+        key: impl Into<String>,
+        checked: Result<T, impl Display>,
+    ) -> Option<T> {
+        checked
+            .map_err(|error| self.add(key, error.to_string()))
+            .ok()
     }
 
     /// Wants a value above 0 and at most `high`.

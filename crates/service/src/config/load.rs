@@ -19,8 +19,8 @@ pub trait Configuration: DeserializeOwned {
     /// Its sections in capitals, as they stand in the names of environment variables.
     const SECTIONS: &'static [&'static str];
 
-    /// Keys that an earlier version had, and values (`section.key = value`), each with what became of it.
-    const REMOVED: &'static [(&'static str, &'static str)] = &[];
+    /// Keys that an earlier version had, and values (`section.key = value`), a line each: the key, `: `, what became of it.
+    const REMOVED: &'static str = "";
 
     /// Everything that is wrong with the values; empty when they can be used.
     fn findings(&self) -> Vec<Finding>;
@@ -188,7 +188,7 @@ fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) ->
 
 /// What is wrong with the value at `path`. Of removed keys and values it says what became of them, of whichever camera:
 /// `camera[1].ring` is `camera.ring`.
-fn finding(error: &Kind, path: &[String], removed: &[(&str, &str)]) -> Finding {
+fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     let (mut key, mut of_any) = (String::new(), Vec::new());
     for part in path {
         if part.bytes().all(|byte| byte.is_ascii_digit()) {
@@ -204,7 +204,8 @@ fn finding(error: &Kind, path: &[String], removed: &[(&str, &str)]) -> Finding {
         Kind::UnknownVariant(value, _) => format!("{} = {value}", of_any.join(".")),
         _ => String::new(),
     };
-    match removed.iter().find(|(name, _)| *name == gone) {
+    let mut removed = removed.lines().filter_map(|line| line.split_once(": "));
+    match removed.find(|(name, _)| *name == gone) {
         Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
         None => Finding::new(key, reason(error)),
     }
@@ -279,10 +280,9 @@ mod tests {
 
     impl Configuration for Small {
         const SECTIONS: &'static [&'static str] = &["HTTP"];
-        const REMOVED: &'static [(&'static str, &'static str)] = &[
-            ("http.backlog", "the system's own is used"),
-            ("mode = slow", "there is one mode"),
-        ];
+        const REMOVED: &'static str = "\
+http.backlog: the system's own is used
+mode = slow: there is one mode";
 
         fn findings(&self) -> Vec<Finding> {
             let mut findings = Vec::new();

@@ -28,15 +28,10 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     let mut supervisor = Supervisor::new(readiness.clone(), tally.clone(), shutdown.clone());
     let (started, starts) = unbounded_channel();
     let (number, stop) = (AtomicU32::new(0), shutdown.clone());
-    supervisor.restarting(
-        "camera/front",
-        Span::none(),
-        HealthState::NotReady,
-        move || {
-            let _ = started.send(Instant::now());
-            what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
-        },
-    );
+    supervisor.restarting("camera/front", HealthState::NotReady, move || {
+        let _ = started.send(Instant::now());
+        what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
+    });
     let watching = tokio::spawn(async move {
         let ended = supervisor.watch().await;
         supervisor.finish().await;
@@ -134,8 +129,8 @@ async fn an_essential_task_that_fails_ends_the_service() {
     let (readiness, shutdown) = (Readiness::default(), CancellationToken::new());
     let mut supervisor = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
     let stop = shutdown.clone();
-    supervisor.essential("http", Span::none(), async move { stop.cancelled().await });
-    supervisor.essential("ingest", Span::none(), async { the_disk_is_gone() });
+    supervisor.essential("http", async move { stop.cancelled().await });
+    supervisor.essential("ingest", async { the_disk_is_gone() });
     let failed = supervisor.watch().await.unwrap_err();
     assert_eq!(
         (failed.task.as_str(), failed.reason.as_str()),
@@ -153,14 +148,14 @@ async fn a_part_that_outlives_the_others_is_watched_until_the_shutdown() {
     let shutdown = CancellationToken::new();
     let mut supervisor =
         Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
-    supervisor.until_shutdown("uplink", Span::none(), std::future::pending::<()>());
+    supervisor.until_shutdown("uplink", std::future::pending::<()>());
     shutdown.cancel();
     assert_eq!(supervisor.watch().await, Ok(()));
     supervisor.finish().await;
     let shutdown = CancellationToken::new();
     let mut supervisor =
         Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
-    supervisor.until_shutdown("uplink", Span::none(), async {});
+    supervisor.until_shutdown("uplink", async {});
     let failed = supervisor.watch().await.unwrap_err();
     assert_eq!(
         (failed.task.as_str(), failed.reason.as_str()),

@@ -10,7 +10,6 @@ use albireo_vision::screen::decoding_target;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
-use tokio_util::sync::CancellationToken;
 
 /// A drawn frame that the detector had no time for in this long counts as missed. A detector that is busy for longer is
 /// overloaded, and waiting on would keep pictures in memory.
@@ -31,20 +30,11 @@ pub(crate) struct Auditor {
 }
 
 impl Auditor {
-    /// Looks at frames until `shutdown`.
-    pub(crate) async fn run(self, shutdown: CancellationToken) {
+    /// Looks at frames, forever. What it looks at when it is dropped is counted as missed where the last clip ends.
+    pub(crate) async fn run(self) {
         loop {
-            let frame = tokio::select! {
-                biased;
-                () = shutdown.cancelled() => return,
-                next = self.audit.next() => next,
-            };
-            let found = tokio::select! {
-                biased;
-                // The current frame is counted as missed where the last clip ends.
-                () = shutdown.cancelled() => return,
-                found = self.look(&frame) => found,
-            };
+            let frame = self.audit.next().await;
+            let found = self.look(&frame).await;
             self.audit.done(found);
         }
     }

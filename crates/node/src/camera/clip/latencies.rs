@@ -1,8 +1,6 @@
 //! Latencies of a clip and their exact percentiles.
 
-use albireo_service::clock::milliseconds;
 use albireo_wire::Percentiles;
-use std::time::Duration;
 
 /// The latencies of one clip, milliseconds. A clip is reported in parts, which bounds their number.
 #[derive(Debug, Default)]
@@ -10,8 +8,8 @@ pub(crate) struct Latencies(Vec<f32>);
 
 impl Latencies {
     /// Adds one.
-    pub(crate) fn add(&mut self, latency: Duration) {
-        self.0.push(milliseconds(latency) as f32);
+    pub(crate) fn add(&mut self, ms: f64) {
+        self.0.push(ms as f32);
     }
 
     /// How many there are.
@@ -49,7 +47,7 @@ mod tests {
     fn percentiles_are_exact_nearest_ranks() {
         let mut latencies = Latencies::default();
         for ms in (1..=200).rev() {
-            latencies.add(Duration::from_millis(ms));
+            latencies.add(f64::from(ms));
         }
         let found = latencies.into_percentiles();
         assert_eq!((found.p50, found.p95, found.p99), (100.0, 190.0, 198.0));

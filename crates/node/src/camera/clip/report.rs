@@ -46,8 +46,8 @@ impl Clip {
         report.frames += 1;
         report.states.count(frame.detections.state);
         report.degraded_frames += u64::from(frame.detections.degraded);
-        self.total.add(frame.first_answer);
-        if let Some(detector) = frame.times.detector {
+        self.total.add(milliseconds(frame.first_answer));
+        if let Some(detector) = frame.times.latency.detector {
             self.detector.add(detector);
         }
         let run = frame.times.detector_run;

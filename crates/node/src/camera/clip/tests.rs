@@ -6,7 +6,7 @@ use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
-use albireo_wire::{ClipEnd, ClipReport, DroppedFrames, Threshold};
+use albireo_wire::{ClipReport, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -45,6 +45,31 @@ impl Camera {
         self.start + ms(at)
     }
 
+    fn tick(&mut self, at: u64) -> Option<Clip> {
+        self.tracker.tick(self.at(at))
+    }
+
+    fn shutdown(&mut self, at: u64) -> Option<Clip> {
+        self.tracker.shutdown(self.at(at))
+    }
+
+    /// Clips that have ended, in words.
+    fn shown(&self, closed: impl IntoIterator<Item = Clip>) -> String {
+        let shown = closed.into_iter().map(|closed| {
+            let Clip {
+                report, start, end, ..
+            } = closed;
+            assert_eq!(report.frames, report.states.frames());
+            let [start, end] = [start, end].map(|at| (at - self.start).as_millis());
+            let (clip, part, frames) = (report.clip, report.part, report.frames);
+            format!(
+                "{clip}/{part}: {frames} frames, {start} to {end} ms, {:?}",
+                report.ended_by
+            )
+        });
+        shown.collect::<Vec<_>>().join("; ")
+    }
+
     pub(super) fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<Clip> {
         self.frame_with(at, clip, Some(3e-4))
     }
@@ -65,7 +90,10 @@ impl Camera {
         FrameRecord {
             answered: self.at(at) + ms(12),
             times: Times {
-                detector: (!state.is_skipped()).then_some(ms(10)),
+                latency: Latency {
+                    detector: (!state.is_skipped()).then_some(10.0),
+                    ..Latency::default()
+                },
                 ..Times::default()
             },
             ..FrameRecord::new(answer(seq, state, degraded, threshold), ms(12))
@@ -79,13 +107,11 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
     for i in 0..20 {
         assert!(camera.frame(i * 100, Some("a")).is_none());
     }
-    let closed = camera.frame(2000, Some("b")).unwrap();
+    let closed = camera.frame(2000, Some("b"));
     assert_eq!(
-        (&*closed.report.clip, closed.report.ended_by),
-        ("a", ClipEnd::NextClip)
+        camera.shown(closed),
+        "a/0: 20 frames, 0 to 2000 ms, NextClip"
     );
-    assert_eq!(closed.report.states.frames(), 20);
-    assert_eq!(closed.duration(), ms(2000));
     assert_eq!(&**camera.tracker.clip().unwrap(), "b");
     assert_eq!(camera.tracker.deadline(), Some(camera.at(7000)));
 }
@@ -93,18 +119,13 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
 #[test]
 fn windows_tile_time_while_frames_keep_coming() {
     let mut camera = Camera::new();
-    let mut closed = Vec::new();
-    for i in 0..900 {
-        closed.extend(camera.frame(i * 111, None));
-    }
-    assert_eq!(closed.len(), 2);
-    for (i, clip) in closed.iter().enumerate() {
-        assert_eq!(clip.report.clip, format!("window-{i}"));
-        assert_eq!(clip.report.ended_by, ClipEnd::Window);
-        assert_eq!(clip.duration(), ms(40_000));
-    }
-    assert_eq!(closed[0].end, closed[1].start);
-    assert_eq!(closed[0].report.states.frames(), 361);
+    let closed: Vec<_> = (0..900)
+        .filter_map(|i| camera.frame(i * 111, None))
+        .collect();
+    assert_eq!(
+        camera.shown(closed),
+        "window-0/0: 361 frames, 0 to 40000 ms, Window; window-1/0: 360 frames, 40000 to 80000 ms, Window"
+    );
 }
 
 #[test]
@@ -113,13 +134,12 @@ fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
     for i in 0..=190 {
         camera.frame(i * 210, None);
     }
-    let deadline = camera.tracker.deadline().unwrap();
-    assert_eq!(deadline, camera.at(40_000));
-    assert!(camera.tracker.tick(deadline - ms(1)).is_none());
-    let closed = camera.tracker.tick(deadline).unwrap();
+    assert_eq!(camera.tracker.deadline(), Some(camera.at(40_000)));
+    assert!(camera.tick(39_999).is_none());
+    let closed = camera.tick(40_000);
     assert_eq!(
-        (closed.report.ended_by, closed.end),
-        (ClipEnd::Window, deadline)
+        camera.shown(closed),
+        "window-0/0: 191 frames, 0 to 40000 ms, Window"
     );
     assert!(camera.tracker.clip().is_none());
 }
@@ -130,27 +150,29 @@ fn silence_ends_a_clip_and_is_not_charged_to_it() {
     for i in 0..10 {
         camera.frame(i * 200, Some("a"));
     }
-    assert!(camera.tracker.tick(camera.at(6799)).is_none());
-    let closed = camera.tracker.tick(camera.at(6800)).unwrap();
-    assert_eq!(closed.report.ended_by, ClipEnd::Silence);
-    assert_eq!(closed.duration(), ms(2000), "ten frames at five a second");
+    assert!(camera.tick(6799).is_none());
+    let closed = camera.tick(6800);
+    // Ten frames at five a second.
+    assert_eq!(
+        camera.shown(closed),
+        "a/0: 10 frames, 0 to 2000 ms, Silence"
+    );
 }
 
 #[test]
 fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
     let mut camera = Camera::new();
     camera.frame(0, None);
-    let closed = camera.frame(60_000, None).unwrap();
-    assert_eq!(closed.report.ended_by, ClipEnd::Silence);
+    let closed = camera.frame(60_000, None);
+    // One frame lasts as long as its answer took.
     assert_eq!(
-        closed.duration(),
-        ms(12),
-        "one frame lasts as long as its answer took"
+        camera.shown(closed),
+        "window-0/0: 1 frames, 0 to 12 ms, Silence"
     );
-    let closed = camera.tracker.shutdown(camera.at(60_050)).unwrap();
+    let closed = camera.shutdown(60_050);
     assert_eq!(
-        (&*closed.report.clip, closed.start),
-        ("window-1", camera.at(60_000))
+        camera.shown(closed),
+        "window-1/0: 1 frames, 60000 to 60012 ms, Shutdown"
     );
 }
 
@@ -163,15 +185,17 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     for at in [0, 1000, 1900] {
         assert!(camera.frame(at, None).is_none());
     }
-    let closed = camera.tracker.tick(camera.at(2000)).unwrap();
+    let closed = camera.tick(2000);
     assert_eq!(
-        (closed.report.ended_by, closed.end),
-        (ClipEnd::Window, camera.at(2000))
+        camera.shown(closed),
+        "window-0/0: 3 frames, 0 to 2000 ms, Window"
     );
     assert!(camera.frame(6000, None).is_none());
-    let closed = camera.tracker.shutdown(camera.at(6100)).unwrap();
-    assert_eq!(closed.start, camera.at(6000));
-    assert!(closed.end >= camera.at(6000));
+    let closed = camera.shutdown(6100);
+    assert_eq!(
+        camera.shown(closed),
+        "window-1/0: 1 frames, 6000 to 6012 ms, Shutdown"
+    );
 }
 
 #[test]
@@ -180,33 +204,14 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
         longest_s: 60.0,
         ..ClipConfig::default()
     });
-    let mut closed = Vec::new();
-    for i in 0..1500 {
-        closed.extend(camera.frame(i * 100, Some("drive")));
-    }
-    closed.extend(camera.tracker.shutdown(camera.at(150_000)));
-    let told: Vec<_> = (closed.iter())
-        .map(|part| {
-            (
-                &*part.report.clip,
-                part.report.part,
-                part.report.ended_by,
-                part.duration(),
-            )
-        })
-        .collect();
+    let closed = (0..1500).filter_map(|i| camera.frame(i * 100, Some("drive")));
+    let mut closed: Vec<_> = closed.collect();
+    closed.extend(camera.shutdown(150_000));
     assert_eq!(
-        told,
-        [
-            ("drive", 0, ClipEnd::Length, ms(60_000)),
-            ("drive", 1, ClipEnd::Length, ms(60_000)),
-            ("drive", 2, ClipEnd::Shutdown, ms(30_000)),
-        ]
+        camera.shown(closed),
+        "drive/0: 600 frames, 0 to 60000 ms, Length; drive/1: 600 frames, 60000 to 120000 ms, Length; \
+         drive/2: 300 frames, 120000 to 150000 ms, Shutdown"
     );
-    assert_eq!(closed[0].end, closed[1].start);
-    assert_eq!(closed[1].end, closed[2].start);
-    let frames: u64 = closed.iter().map(|part| part.report.states.frames()).sum();
-    assert_eq!(frames, 1500);
 }
 
 #[test]
@@ -218,26 +223,29 @@ fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
     for i in 0..600 {
         assert!(camera.frame(i * 100, Some("drive")).is_none());
     }
-    let closed = camera.tracker.tick(camera.at(60_000)).unwrap();
+    let closed = camera.tick(60_000);
     assert_eq!(
-        (closed.report.part, closed.report.ended_by),
-        (0, ClipEnd::Length)
+        camera.shown(closed),
+        "drive/0: 600 frames, 0 to 60000 ms, Length"
     );
     assert!(camera.frame(70_000, Some("drive")).is_none());
-    let closed = camera.tracker.shutdown(camera.at(70_100)).unwrap();
-    assert_eq!((closed.report.part, closed.start), (0, camera.at(70_000)));
+    let closed = camera.shutdown(70_100);
+    assert_eq!(
+        camera.shown(closed),
+        "drive/0: 1 frames, 70000 to 70012 ms, Shutdown"
+    );
 }
 
 #[test]
 fn shutdown_ends_the_open_clip_and_only_that() {
     let mut camera = Camera::new();
-    assert!(camera.tracker.shutdown(camera.at(0)).is_none());
+    assert!(camera.shutdown(0).is_none());
     camera.frame(0, Some("a"));
     camera.frame(100, Some("a"));
-    let closed = camera.tracker.shutdown(camera.at(150)).unwrap();
-    assert_eq!(closed.report.ended_by, ClipEnd::Shutdown);
-    assert_eq!(closed.end, camera.at(150), "no clip ends in the future");
-    assert!(camera.tracker.shutdown(camera.at(200)).is_none());
+    let closed = camera.shutdown(150);
+    // No clip ends in the future.
+    assert_eq!(camera.shown(closed), "a/0: 2 frames, 0 to 150 ms, Shutdown");
+    assert!(camera.shutdown(200).is_none());
 }
 
 #[test]
@@ -251,48 +259,37 @@ fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
     assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());
     let late = camera.result(300, 1, Some(3e-4));
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
-    assert_eq!(
-        (&*closed.report.clip, closed.report.states.frames()),
-        ("a", 2)
-    );
     assert_eq!(closed.report.threshold, u(3e-4));
-    let closed = camera.tracker.shutdown(camera.at(400)).unwrap();
     assert_eq!(
-        (&*closed.report.clip, closed.report.states.frames()),
-        ("b", 1)
+        camera.shown([closed]),
+        "a/0: 2 frames, 0 to 200 ms, NextClip"
     );
+    let closed = camera.shutdown(400).unwrap();
     assert_eq!(closed.report.threshold_changes.len(), 1);
-}
-
-#[test]
-fn the_threshold_at_the_start_and_each_change_are_told_once() {
-    let mut camera = Camera::new();
-    for u in [3e-4, 3e-4, 5e-4, 5e-4, 3e-4] {
-        camera.frame_with(camera.seq * 100, Some("a"), Some(u));
-    }
-    let closed = camera.tracker.shutdown(camera.at(1000)).unwrap();
-    let told: Vec<_> = closed
-        .report
-        .threshold_changes
-        .iter()
-        .map(|c| (c.seq, c.threshold.value))
-        .collect();
-    assert_eq!(told, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
     assert_eq!(
-        closed.report.threshold.map(|threshold| threshold.value),
-        Some(3e-4)
+        camera.shown([closed]),
+        "b/0: 1 frames, 200 to 212 ms, Shutdown"
     );
 }
 
 #[test]
-fn a_threshold_that_never_rests_does_not_fill_the_memory() {
-    let mut camera = Camera::new();
-    for i in 0..5000 {
-        camera.frame_with(i * 10, Some("a"), Some(i as f64));
-    }
-    let closed = camera.tracker.shutdown(camera.at(50_000)).unwrap();
-    assert_eq!(closed.report.threshold_changes.len(), 256);
-    assert_eq!(closed.report.threshold_changes[255].threshold.value, 4999.0);
+fn the_threshold_at_the_start_and_each_change_are_told_once_and_never_fill_the_memory() {
+    let changes_of = |thresholds: &mut dyn Iterator<Item = f64>| {
+        let mut camera = Camera::new();
+        for u in thresholds {
+            camera.frame_with(camera.seq * 10, Some("a"), Some(u));
+        }
+        let report = camera.shutdown(50_000).unwrap().report;
+        let last = report.threshold.unwrap().value;
+        let changes = report.threshold_changes.into_iter();
+        let changes: Vec<_> = changes.map(|c| (c.seq, c.threshold.value)).collect();
+        assert_eq!(changes.last().unwrap().1, last);
+        changes
+    };
+    let few = changes_of(&mut [3e-4, 3e-4, 5e-4, 5e-4, 3e-4].into_iter());
+    assert_eq!(few, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
+    let many = changes_of(&mut (0..5000).map(f64::from));
+    assert_eq!((many.len(), many[255]), (256, (4999, 4999.0)));
 }
 
 #[derive(Clone, Debug)]
@@ -346,11 +343,11 @@ proptest! {
                 }
                 Event::Tick { wait } => {
                     now += wait;
-                    closed.extend(camera.tracker.tick(camera.at(now)));
+                    closed.extend(camera.tick(now));
                 }
             }
         }
-        closed.extend(camera.tracker.shutdown(camera.at(now)));
+        closed.extend(camera.shutdown(now));
         prop_assert_eq!(closed.iter().map(|c| c.report.states.frames()).sum::<u64>(), frames);
         prop_assert_eq!(closed.iter().map(|c| c.report.dropped.total()).sum::<u64>(), dropped);
         prop_assert_eq!(closed.iter().map(|c| c.total.len() as u64).sum::<u64>(), frames);

@@ -90,7 +90,7 @@ impl ClipTracker {
     }
 
     /// Takes note of a frame about to be processed, of that capture time, clip (if the camera names one) and arrival: it
-    /// belongs to the clip that is open afterwards (see [`clip`](Self::clip)). Gives back the clip that ended before it.
+    /// belongs to the clip that is open afterwards (see [`clip`](Self::clip)). Returns the clip that ended before it.
     pub(crate) fn arrive(
         &mut self,
         t_ns: u64,
@@ -131,7 +131,7 @@ impl ClipTracker {
         }
     }
 
-    /// Counts the outcome of the pending frame. Gives back its clip if that has ended.
+    /// Counts the outcome of the pending frame. Returns its clip if that has ended.
     pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<Clip> {
         self.count_energy(frame);
         match (&mut self.ended, &mut self.open) {
@@ -142,7 +142,7 @@ impl ClipTracker {
         self.nothing_is_pending()
     }
 
-    /// The pending frame gets no answer. Gives back its clip if that has ended.
+    /// The pending frame gets no answer. Returns its clip if that has ended.
     pub(crate) fn nothing_is_pending(&mut self) -> Option<Clip> {
         if let Some(open) = &mut self.open {
             open.pending = false;

@@ -115,7 +115,7 @@ impl Node {
                 faults: Arc::clone(&self.faults),
             };
             let opened = Outbox::open_on(Box::new(disk), config.max_bytes, now);
-            opened.map_err(|error| NodeError::State(error.to_string()))
+            opened.map_err(NodeError::new)
         }));
         self.schedule = Schedule::new(&config, random, now.at);
         self.schedule.begin(now.at);

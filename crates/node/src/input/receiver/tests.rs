@@ -1,28 +1,21 @@
 //! What a receiver promises of the order and the numbering of frames.
 
 use super::*;
-use crate::config::{CameraConfig, NodeConfig};
-use crate::input::{Delivery, RingLimits};
+use crate::config::NodeConfig;
 use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
 use futures_util::FutureExt;
 use std::thread;
 
-/// A receiver whose ring holds `capacity` frames, and the ring's other end.
-fn receiver(capacity: usize) -> (Arc<FrameReceiver>, Arc<Ring<SequencedFrame>>) {
-    let config = NodeConfig {
-        cameras: vec![CameraConfig::named("front")],
-        ..NodeConfig::default()
-    };
+/// A receiver whose ring holds `capacity` frames.
+fn receiver(capacity: usize) -> Arc<FrameReceiver> {
+    let mut config = NodeConfig::default();
+    config.cameras[0].ring = capacity;
     let board = Board::open(&config).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
-    let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
-    let limits = FrameLimits::default();
-    let ring = Arc::new(Ring::new(RingLimits::new(Delivery::Newest, capacity, 0)));
-    let format = PayloadFormat::Encoding;
-    let receiver = FrameReceiver::new(camera, drops, Arc::clone(&ring), format, limits);
-    (Arc::new(receiver), ring)
+    let receiver = FrameReceiver::new(camera, &config.cameras[0], FrameLimits::default());
+    Arc::new(receiver)
 }
 
 fn number(seq: impl Into<Option<u64>>, stream: impl Into<Option<u64>>) -> FrameNumber {
@@ -32,10 +25,9 @@ fn number(seq: impl Into<Option<u64>>, stream: impl Into<Option<u64>>) -> FrameN
     }
 }
 
-fn frame(number: FrameNumber) -> Result<Frame, RejectedFrame> {
-    Ok(Frame {
+fn frame(number: FrameNumber) -> Read {
+    let frame = Frame {
         sequence: number.seq.unwrap_or_default(),
-        number,
         time_ns: 0,
         clip: None,
         picture: EncodedPicture {
@@ -45,20 +37,19 @@ fn frame(number: FrameNumber) -> Result<Frame, RejectedFrame> {
         },
         received: Instant::now(),
         payload_bytes: 0,
-    })
+    };
+    (number, Ok(frame))
 }
 
-fn rejected(seq: Option<u64>) -> Result<Frame, RejectedFrame> {
-    Err(RejectedFrame {
-        number: number(seq, None),
-        fault: FrameFault::Undecodable {
-            reason: "half a picture".to_owned(),
-        },
-    })
+fn rejected(seq: Option<u64>) -> Read {
+    (
+        number(seq, None),
+        Err(FrameFault::undecodable("half a picture")),
+    )
 }
 
 impl FrameReceiver {
-    fn give(&self, read: Result<Frame, RejectedFrame>) {
+    fn give(&self, read: Read) {
         self.place(None, |_| read);
     }
 }
@@ -74,43 +65,31 @@ fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
 
 #[tokio::test]
 async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
-    let (receiver, ring) = receiver(8);
+    let receiver = receiver(8);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
     receiver.give(rejected(Some(0)));
     receiver.give(frame(number(1, None)));
-    assert_eq!(waiting(&ring), [(0, 0), (2, 1)]);
+    assert_eq!(waiting(&receiver.ring), [(0, 0), (2, 1)]);
 
-    let (receiver, ring) = self::receiver(1);
+    let receiver = self::receiver(1);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
     for seq in [0, 1, 2] {
         receiver.give(frame(number(seq, 2)));
     }
-    assert_eq!(waiting(&ring), [(3, 1)]);
+    assert_eq!(waiting(&receiver.ring), [(3, 1)]);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.overrun, dropped.total()), (3, 3));
 }
 
 #[tokio::test]
-async fn a_stray_frame_is_counted_as_that_and_nothing_is_counted_lost() {
-    let (receiver, ring) = receiver(8);
-    for seq in [1000, 1001, 900, 1002] {
-        receiver.give(frame(number(seq, None)));
-    }
-    receiver.give(frame(number(1003, 77)));
-    assert_eq!(waiting(&ring), [(0, 0), (1, 0), (2, 0)]);
-    let dropped = receiver.board.snapshot().dropped;
-    assert_eq!((dropped.stray, dropped.lost, dropped.total()), (2, 0, 2));
-}
-
-#[tokio::test]
 async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
-    let (receiver, ring) = receiver(8);
+    let receiver = receiver(8);
     receiver.give(frame(number(5, None)));
     receiver.give(rejected(None));
     receiver.give(frame(number(7, None)));
-    assert_eq!(waiting(&ring).len(), 2);
+    assert_eq!(waiting(&receiver.ring).len(), 2);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
 }
@@ -118,7 +97,7 @@ async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
 #[tokio::test]
 async fn two_receiving_threads_cannot_swap_frames() {
     const FRAMES: u64 = 40_000;
-    let (receiver, ring) = receiver(FRAMES as usize);
+    let receiver = receiver(FRAMES as usize);
     let numbers = Arc::new(std::sync::atomic::AtomicU64::new(0));
     let threads: Vec<_> = (0..4)
         .map(|_| {
@@ -137,7 +116,7 @@ async fn two_receiving_threads_cannot_swap_frames() {
     for thread in threads {
         thread.join().unwrap();
     }
-    let waiting = waiting(&ring);
+    let waiting = waiting(&receiver.ring);
     assert!(waiting.len() > 100, "{}", waiting.len());
     assert!(waiting.is_sorted_by(|a, b| a.0 < b.0));
 }

@@ -1,6 +1,7 @@
 //! The address of a source, and options for it. Both may hold a password, or the name of an environment variable that
 //! does: they are shown without, and what a program says of them is cleaned of it.
 
+use super::SourceError;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
@@ -21,6 +22,15 @@ const SCHEMES: [&str; 12] = [
 /// What is shown in place of a secret.
 const MASK: &str = "***";
 
+const CONTROL: &str = "has a control character in it";
+
+fn no_control(text: &str) -> Result<(), String> {
+    match text.contains(char::is_control) {
+        true => Err(CONTROL.to_owned()),
+        false => Ok(()),
+    }
+}
+
 /// A source as a user names it, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(transparent)]
@@ -37,29 +47,6 @@ pub enum SourceKind {
     Network(String),
     /// A video file.
     File,
-}
-
-/// Why an address cannot be used. Never contains the address itself.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AddressError {
-    /// There is nothing in it.
-    #[error("is empty")]
-    Empty,
-    /// It has a line break or the like.
-    #[error("has a control character in it")]
-    Control,
-    /// Its scheme is misspelt.
-    #[error("begins with `{0}://`; did you mean `{1}://`?")]
-    Scheme(String, &'static str),
-    /// A variable is begun and not ended.
-    #[error("has `${{` without `}}` behind the variable's name")]
-    Open,
-    /// Variables that are not set.
-    #[error("needs environment variables that are not set: `{0}`")]
-    Unset(String),
-    /// A quotation mark is not closed.
-    #[error("has a quotation mark that is not closed")]
-    Quote,
 }
 
 /// An address with its variables filled in.
@@ -159,22 +146,22 @@ impl SourceAddress {
     ///
     /// # Errors
     /// What is wrong with it.
-    pub fn check(&self) -> Result<(), AddressError> {
-        self.resolve(&environment).map(|_| ())
+    pub fn check(&self) -> Result<(), SourceError> {
+        let resolved = self.resolve(&environment);
+        resolved.map(drop).map_err(SourceError)
     }
 
-    /// Fills in the variables: percent-encoded where user and password stand, and as they are elsewhere.
-    pub(super) fn resolved(&self) -> Result<Resolved, AddressError> {
-        self.resolve(&environment)
+    /// Fills in the variables: percent-encoded where user and password stand, and as they are elsewhere. What is wrong is
+    /// said without the address.
+    pub(super) fn resolved(&self) -> Result<Resolved, SourceError> {
+        (self.resolve(&environment)).map_err(|reason| SourceError(format!("the source {reason}")))
     }
 
-    fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, AddressError> {
+    fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, String> {
         if self.0.trim().is_empty() {
-            return Err(AddressError::Empty);
+            return Err("is empty".to_owned());
         }
-        if self.0.chars().any(char::is_control) {
-            return Err(AddressError::Control);
-        }
+        no_control(&self.0)?;
         let kind = self.kind();
         if let SourceKind::Network(scheme) = &kind
             && !SCHEMES.contains(&scheme.as_str())
@@ -182,7 +169,9 @@ impl SourceAddress {
                 .iter()
                 .find(|&known| osa_distance(known, scheme) == 1)
         {
-            return Err(AddressError::Scheme(scheme.clone(), meant));
+            return Err(format!(
+                "begins with `{scheme}://`; did you mean `{meant}://`?"
+            ));
         }
         let mut secrets = Secrets::default();
         let mut unset = Vec::new();
@@ -190,7 +179,9 @@ impl SourceAddress {
             let mut filled = String::new();
             let mut rest = text;
             while let Some((before, after)) = rest.split_once("${") {
-                let (name, after) = after.split_once('}').ok_or(AddressError::Open)?;
+                let after = after.split_once('}');
+                let (name, after) =
+                    after.ok_or("has `${` without `}` behind the variable's name")?;
                 let value = variable(name).unwrap_or_default();
                 if value.is_empty() {
                     unset.push(name.to_owned());
@@ -207,10 +198,11 @@ impl SourceAddress {
                 rest = after;
             }
             filled.push_str(rest);
-            Ok(filled)
+            Ok::<_, String>(filled)
         };
         let words = if kind == SourceKind::Pipeline {
-            let words = shlex::split(&self.0).ok_or(AddressError::Quote)?;
+            let words = shlex::split(&self.0);
+            let words = words.ok_or("has a quotation mark that is not closed")?;
             let filled = words.iter().map(|word| fill(word, false));
             filled.collect::<Result<Vec<_>, _>>()?
         } else {
@@ -219,11 +211,12 @@ impl SourceAddress {
             vec![fill(login, true)? + &fill(rest, false)?]
         };
         if !unset.is_empty() {
-            return Err(AddressError::Unset(unset.join("`, `")));
+            let names = unset.join("`, `");
+            return Err(format!(
+                "needs environment variables that are not set: `{names}`"
+            ));
         }
-        if words.iter().any(|word| word.contains(char::is_control)) {
-            return Err(AddressError::Control);
-        }
+        words.iter().try_for_each(|word| no_control(word))?;
         for word in &words {
             // A pipeline's locations, and properties such as user-pw=…
             let value = word
@@ -310,9 +303,9 @@ impl Serialize for SourceAddress {
 }
 
 impl std::str::FromStr for SourceAddress {
-    type Err = AddressError;
+    type Err = std::convert::Infallible;
 
-    fn from_str(text: &str) -> Result<Self, AddressError> {
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
         Ok(Self::new(text))
     }
 }
@@ -342,13 +335,9 @@ impl SourceOptions {
     ///
     /// # Errors
     /// What is wrong with them.
-    pub fn check(&self) -> Result<(), AddressError> {
-        let bad = self.0.iter().any(|word| word.contains(char::is_control));
-        if bad {
-            Err(AddressError::Control)
-        } else {
-            Ok(())
-        }
+    pub fn check(&self) -> Result<(), SourceError> {
+        let checked = self.0.iter().try_for_each(|word| no_control(word));
+        checked.map_err(SourceError)
     }
 
     /// Name, without its `-`, and value. An option without a value is a flag.
@@ -403,7 +392,7 @@ impl fmt::Debug for SourceOptions {
 mod tests {
     use super::*;
 
-    fn resolve(text: &str) -> Result<Resolved, AddressError> {
+    fn resolve(text: &str) -> Result<Resolved, String> {
         SourceAddress::new(text).resolve(&|name| match name {
             "USER" => Some("viewer".to_owned()),
             "PASSWORD" => Some("p@ss/w:rd".to_owned()),
@@ -470,25 +459,28 @@ mod tests {
     #[test]
     fn an_address_that_cannot_be_used_says_why_without_telling_it() {
         for (text, error) in [
-            ("", AddressError::Empty),
-            ("rtsp://a\nfile x", AddressError::Control),
-            ("rtsp://${USER@cam", AddressError::Open),
+            ("", "is empty"),
+            ("rtsp://a\nfile x", CONTROL),
+            (
+                "rtsp://${USER@cam",
+                "has `${` without `}` behind the variable's name",
+            ),
             (
                 "rtsp://${NOBODY}@cam",
-                AddressError::Unset("NOBODY".to_owned()),
+                "needs environment variables that are not set: `NOBODY`",
             ),
             (
                 "rtsp://${NOBODY}:${NONE}@cam",
-                AddressError::Unset("NOBODY`, `NONE".to_owned()),
+                "needs environment variables that are not set: `NOBODY`, `NONE`",
             ),
-            ("rtsp://cam/${LINES}", AddressError::Control),
-            ("a caps=\"b ! c", AddressError::Quote),
+            ("rtsp://cam/${LINES}", CONTROL),
+            ("a caps=\"b ! c", "has a quotation mark that is not closed"),
             (
                 "rtps://cam/s",
-                AddressError::Scheme("rtps".to_owned(), "rtsp"),
+                "begins with `rtps://`; did you mean `rtsp://`?",
             ),
         ] {
-            assert_eq!(resolve(text).err(), Some(error), "{text}");
+            assert_eq!(resolve(text).err().as_deref(), Some(error), "{text}");
         }
     }
 
@@ -516,6 +508,6 @@ mod tests {
         assert_eq!(secrets, ["Authorization: Bearer abc", "0123"]);
         options.check().unwrap();
         let broken = SourceOptions::new(vec!["-headers".to_owned(), "A: b\r\nC: d".to_owned()]);
-        assert_eq!(broken.check(), Err(AddressError::Control));
+        assert_eq!(broken.check().unwrap_err().to_string(), CONTROL);
     }
 }

@@ -1,7 +1,8 @@
 //! A source that is opened again whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
+use super::SourceError;
 use super::address::{SourceAddress, SourceKind};
-use super::program::{PictureProgram, RunningProgram, SourceError, output_of};
+use super::program::{PictureProgram, RunningProgram, output_of};
 use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
 use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
 use bytes::Bytes;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::net::TcpStream;
+use tokio::task::JoinError;
 use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 use url::Url;
@@ -18,7 +20,7 @@ use url::Url;
 /// Pause before a source is opened again; doubles up to the longest while it does not stay open.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-/// A source that was open for so long ends for another reason than the time before.
+/// A source that was open for that long ends for another reason than the time before.
 const STAYED: Duration = Duration::from_secs(10);
 /// The longest silence that can be set.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
@@ -87,7 +89,7 @@ impl LiveSource {
         let resolved = settings.address.resolved()?;
         let path = resolved.text().trim_start_matches("file://");
         if resolved.kind == SourceKind::File && !Path::new(path).exists() {
-            return Err(SourceError::NoFile(name));
+            return Err(SourceError(format!("{name}: no such file")));
         }
         let is_pipeline = resolved.kind == SourceKind::Pipeline;
         let found = match is_pipeline {
@@ -99,11 +101,8 @@ impl LiveSource {
                 true => ("no `gst-launch-1.0`", INSTALL_GSTREAMER),
                 false => ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG),
             };
-            return Err(SourceError::Missing {
-                source_name: name,
-                programs,
-                remedy,
-            });
+            let missing = format!("{name}: {programs} was found. {remedy}");
+            return Err(SourceError(missing));
         }
         let motion_jpeg = match &resolved.kind {
             SourceKind::Network(scheme) if scheme.starts_with("http") => {
@@ -150,7 +149,7 @@ impl LiveSource {
         self: Arc<Self>,
         mut sink: S,
         shutdown: CancellationToken,
-    ) -> Result<(), String> {
+    ) -> Result<(), JoinError> {
         let mut pause = FIRST_PAUSE;
         loop {
             let begun = Instant::now();
@@ -160,7 +159,7 @@ impl LiveSource {
                 (sink, end)
             });
             let end;
-            (sink, end) = reading.await.map_err(|error| error.to_string())?;
+            (sink, end) = reading.await?;
             if shutdown.is_cancelled() {
                 return Ok(());
             }

@@ -1,90 +1,31 @@
 //! The one way a source is opened: a program that writes pictures to its output. It gets a clean environment and bounded
 //! memory, its output is read under a deadline, and it is killed with everything it started.
 
-use super::address::{AddressError, Secrets};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use super::SourceError;
+use super::address::Secrets;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process_group, prlimit};
 use std::collections::VecDeque;
-use std::io::{self, ErrorKind, Read, Write};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::io::{self, ErrorKind, Read};
+use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::process::{Child, ChildStderr, ChildStdout, Command};
+use tokio::runtime::Handle;
+use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
 /// What a pipe is to hold: a picture has several times as much.
 const PIPE_BYTES: usize = 1 << 20;
-/// How often a waiting reader checks whether it must stop.
-const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// How long a program may take to end by itself once its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
 /// Complaints of a program that are kept, and the length of each.
 const MAX_COMPLAINTS: usize = 12;
 const MAX_LINE: usize = 4096;
 
-/// What a program gets of this process's environment: where to find libraries, devices and proxies, and no secrets.
-const ENVIRONMENT: [&str; 6] = [
-    "PATH",
-    "HOME",
-    "LANG",
-    "TMPDIR",
-    "XDG_RUNTIME_DIR",
-    "LD_LIBRARY_PATH",
-];
-const ENVIRONMENT_BEGINNINGS: [&str; 4] = ["GST_", "LIBVA_", "CUDA_", "LC_"];
-const PROXIES: [&str; 5] = [
-    "http_proxy",
-    "https_proxy",
-    "rtsp_proxy",
-    "all_proxy",
-    "no_proxy",
-];
-
-/// Why a source cannot be opened. Never contains credentials.
-#[derive(Debug, thiserror::Error)]
-pub enum SourceError {
-    /// The program that opens it is not installed.
-    #[error("{source_name}: {programs} was found. {remedy}")]
-    Missing {
-        /// The source.
-        source_name: String,
-        /// What was looked for.
-        programs: &'static str,
-        /// How to get it.
-        remedy: &'static str,
-    },
-    /// The program cannot be started.
-    #[error("`{program}` cannot be started: {error}")]
-    NotStarted {
-        /// Its name.
-        program: &'static str,
-        /// Why.
-        error: io::Error,
-    },
-    /// The address cannot be used.
-    #[error("the source {0}")]
-    Address(AddressError),
-    /// The file is not there.
-    #[error("{0}: no such file")]
-    NoFile(String),
-    /// It can be opened only so that its credentials show.
-    #[error(
-        "{0}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give a GStreamer \
-         pipeline of your own"
-    )]
-    WouldShow(String),
-    /// The installed ffmpeg takes options for a hidden address on its command line only.
-    #[error(
-        "{0}: before version 5 ffmpeg takes no options for an address with a password: install a newer one, or leave \
-         source_options out"
-    )]
-    OldFfmpeg(String),
-}
-
-impl From<AddressError> for SourceError {
-    fn from(error: AddressError) -> Self {
-        Self::Address(error)
-    }
-}
+/// What a program gets of this process's environment: where to find libraries, devices and proxies, and no secrets. A `*`
+/// stands for any end; capitals do not matter, as for proxies both are usual.
+const ENVIRONMENT: &str = "PATH HOME LANG TMPDIR XDG_RUNTIME_DIR LD_LIBRARY_PATH GST_* LIBVA_* CUDA_* LC_* HTTP_PROXY \
+    HTTPS_PROXY RTSP_PROXY ALL_PROXY NO_PROXY";
 
 /// A program that writes pictures.
 #[derive(Default)]
@@ -102,16 +43,16 @@ pub(super) struct PictureProgram {
     pub max_memory: Option<u64>,
 }
 
-/// A program that runs, as its output.
+/// A program that runs, as its output. To be used on a thread that may wait.
 pub(super) struct RunningProgram {
     child: Child,
+    process: Pid,
     output: ChildStdout,
-    errors: Option<ChildStderr>,
-    stderr: ErrorOutput,
+    errors: ErrorOutput,
     stop: CancellationToken,
     silence: Duration,
     deadline: Instant,
-    status: Option<ExitStatus>,
+    runtime: Handle,
 }
 
 impl PictureProgram {
@@ -130,56 +71,61 @@ impl PictureProgram {
             .args(&self.arguments)
             .env_clear()
             .envs(std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(is_passed_on)))
-            .stdin(
-                self.input
-                    .as_ref()
-                    .map_or_else(Stdio::null, |_| Stdio::piped()),
-            )
+            .stdin(match self.input {
+                Some(_) => Stdio::piped(),
+                None => Stdio::null(),
+            })
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // Ctrl-C in a terminal is for the owner, who ends it.
             .process_group(0);
         let mut child = command.spawn()?;
+        let process = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
+        let (Some(process), Some(output), pipe) =
+            (process, child.stdout.take(), child.stderr.take())
+        else {
+            return Err(io::Error::other("it has no output"));
+        };
         if let Some(bytes) = self.max_memory {
             let limit = Rlimit {
                 current: Some(bytes),
                 maximum: Some(bytes),
             };
-            if let Err(error) = prlimit(Some(Pid::from_child(&child)), Resource::Data, limit) {
+            if let Err(error) = prlimit(Some(process), Resource::Data, limit) {
                 tracing::debug!(%error, "the memory of a source's program is not limited");
             }
         }
+        let runtime = Handle::current();
         if let (Some(text), Some(mut pipe)) = (self.input, child.stdin.take()) {
             // A few lines fit into any pipe; a program that has ended says why by itself.
-            let _ = pipe.write_all(text.as_bytes());
+            let _ = runtime.block_on(pipe.write_all(text.as_bytes()));
         }
-        let (Some(output), errors) = (child.stdout.take(), child.stderr.take()) else {
-            return Err(io::Error::other("it has no output"));
-        };
         // Where the system allows less, the pipe is what it was.
         let _ = rustix::pipe::fcntl_setpipe_size(&output, PIPE_BYTES);
         Ok(RunningProgram {
             child,
+            process,
             output,
-            errors,
-            stderr: ErrorOutput {
+            errors: ErrorOutput {
+                pipe,
                 secrets: self.secrets,
                 ..ErrorOutput::default()
             },
             stop,
             silence,
             deadline: Instant::now() + silence,
-            status: None,
+            runtime,
         })
     }
 }
 
 fn is_passed_on(name: &str) -> bool {
-    ENVIRONMENT.contains(&name)
-        || ENVIRONMENT_BEGINNINGS
-            .iter()
-            .any(|begin| name.starts_with(begin))
-        || PROXIES.iter().any(|proxy| name.eq_ignore_ascii_case(proxy))
+    let name = name.to_ascii_uppercase();
+    let mut patterns = ENVIRONMENT.split_whitespace();
+    patterns.any(|pattern| match pattern.strip_suffix('*') {
+        Some(begin) => name.starts_with(begin),
+        None => name == pattern,
+    })
 }
 
 impl RunningProgram {
@@ -190,12 +136,12 @@ impl RunningProgram {
 
     /// Codec of its input, once it has named it.
     pub(super) fn codec(&self) -> Option<&str> {
-        self.stderr.codec.as_deref()
+        self.errors.codec.as_deref()
     }
 
     #[cfg(test)]
-    pub(super) fn process(&self) -> u32 {
-        self.child.id()
+    pub(super) fn process(&self) -> Pid {
+        self.process
     }
 
     /// Ends it, and says why it failed: in its own words where it did so by itself.
@@ -203,14 +149,12 @@ impl RunningProgram {
     /// # Errors
     /// Why it failed.
     pub(super) fn end(&mut self) -> Result<(), String> {
-        self.wait(END_LIMIT);
-        let by_itself = self.status;
-        self.kill();
+        let by_itself = self.wait();
+        let reason = self.abort();
         match by_itself {
-            Some(status) if !status.success() => Err(self
-                .stderr
-                .reason()
-                .unwrap_or_else(|| format!("it ended with {status}"))),
+            Some(status) if !status.success() => {
+                Err(reason.unwrap_or_else(|| format!("it ended with {status}")))
+            }
             _ => Ok(()),
         }
     }
@@ -218,85 +162,68 @@ impl RunningProgram {
     /// Kills it, and gives its last complaint.
     pub(super) fn abort(&mut self) -> Option<String> {
         self.kill();
-        self.stderr.reason()
+        self.errors.reason()
     }
 
-    /// Waits for its end and the end of what it says.
-    fn wait(&mut self, limit: Duration) {
-        let until = Instant::now() + limit;
-        loop {
-            if self.status.is_none() {
-                self.status = self.child.try_wait().ok().flatten();
-            }
-            if (self.status.is_some() && self.errors.is_none()) || Instant::now() >= until {
-                return;
-            }
-            self.listen(Duration::from_millis(10));
-        }
+    /// Waits for its end and the end of what it says, but not forever.
+    fn wait(&mut self) -> Option<ExitStatus> {
+        let Self { child, errors, .. } = self;
+        let ended = async {
+            tokio::join!(child.wait(), async {
+                while errors.pipe.is_some() {
+                    errors.listen().await;
+                }
+            })
+        };
+        let _ = (self.runtime).block_on(async { timeout(END_LIMIT, ended).await });
+        self.child.try_wait().ok().flatten()
     }
 
-    /// Kills it with what it started, and waits, but not for ever: a process that hangs in the kernel is left.
+    /// Kills it with what it started, and waits. A process that hangs in the kernel is left.
     fn kill(&mut self) {
-        if self.status.is_some() && self.errors.is_none() {
+        if self.errors.pipe.is_none() && matches!(self.child.try_wait(), Ok(Some(_))) {
             return;
         }
         // It fails when no process is left.
-        let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
-        self.wait(END_LIMIT);
-        if self.status.is_none() {
-            tracing::warn!(
-                process = self.child.id(),
-                "a source's program does not end: it is left"
-            );
+        let _ = kill_process_group(self.process, Signal::KILL);
+        if self.wait().is_none() {
+            let process = self.process.as_raw_pid();
+            tracing::warn!(process, "a source's program does not end: it is left");
         }
+        self.errors.pipe = None;
     }
-
-    /// Reads what it says within `limit`; sleeps once its error output has ended.
-    fn listen(&mut self, limit: Duration) {
-        let Some(errors) = &mut self.errors else {
-            return std::thread::sleep(limit);
-        };
-        if !is_ready(errors, limit) {
-            return;
-        }
-        let mut bytes = [0; MAX_LINE];
-        match errors.read(&mut bytes) {
-            Ok(length @ 1..) => self.stderr.take(&bytes[..length]),
-            _ => self.errors = None,
-        }
-    }
-}
-
-fn is_ready(pipe: &impl std::os::fd::AsFd, limit: Duration) -> bool {
-    let limit = Timespec::try_from(limit).ok();
-    poll(&mut [PollFd::new(pipe, PollFlags::IN)], limit.as_ref()).is_ok_and(|ready| ready > 0)
 }
 
 /// Its output, as long as it comes in time.
 impl Read for RunningProgram {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        loop {
-            if self.stop.is_cancelled() {
-                return Err(io::Error::new(ErrorKind::ConnectionAborted, "told to stop"));
+        let Self {
+            output,
+            errors,
+            stop,
+            silence,
+            deadline,
+            runtime,
+            ..
+        } = self;
+        runtime.block_on(async {
+            loop {
+                tokio::select! {
+                    biased;
+                    () = stop.cancelled() => {
+                        return Err(io::Error::new(ErrorKind::ConnectionAborted, "told to stop"));
+                    }
+                    () = sleep_until(*deadline) => {
+                        let seconds = silence.as_secs_f64();
+                        let reason = format!("no picture for more than {seconds} s");
+                        return Err(io::Error::new(ErrorKind::TimedOut, reason));
+                    }
+                    // It names the codec before the first picture, and blocks without a reader.
+                    () = errors.listen() => {}
+                    read = output.read(bytes) => return read,
+                }
             }
-            let left = self.deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                let seconds = self.silence.as_secs_f64();
-                let reason = format!("no picture for more than {seconds} s");
-                return Err(io::Error::new(ErrorKind::TimedOut, reason));
-            }
-            // Its error output comes first: it names the codec before the first picture, and blocks without a reader.
-            while self
-                .errors
-                .as_ref()
-                .is_some_and(|errors| is_ready(errors, Duration::ZERO))
-            {
-                self.listen(Duration::ZERO);
-            }
-            if is_ready(&self.output, left.min(POLL_INTERVAL)) {
-                return self.output.read(bytes);
-            }
-        }
+        })
     }
 }
 
@@ -309,6 +236,8 @@ impl Drop for RunningProgram {
 /// What a program says on its error output.
 #[derive(Default)]
 struct ErrorOutput {
+    /// Until it has ended.
+    pipe: Option<ChildStderr>,
     secrets: Secrets,
     line: Vec<u8>,
     /// Codec of the input, as ffmpeg names it.
@@ -319,6 +248,18 @@ struct ErrorOutput {
 }
 
 impl ErrorOutput {
+    /// Takes what comes next; waits forever once nothing more comes.
+    async fn listen(&mut self) {
+        let Some(pipe) = &mut self.pipe else {
+            return std::future::pending().await;
+        };
+        let mut bytes = [0; MAX_LINE];
+        match pipe.read(&mut bytes).await {
+            Ok(length @ 1..) => self.take(&bytes[..length]),
+            _ => self.pipe = None,
+        }
+    }
+
     fn take(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             if byte != b'\n' && self.line.len() < MAX_LINE {
@@ -350,18 +291,10 @@ impl ErrorOutput {
     fn reason(&mut self) -> Option<String> {
         let rest = std::mem::take(&mut self.line);
         self.take_line(String::from_utf8_lossy(&rest).trim());
-        let answer = self
-            .complaints
-            .iter()
-            .find_map(|complaint| refusal(complaint));
+        let complaints = self.complaints.make_contiguous();
+        let answer = complaints.iter().find_map(|complaint| refusal(complaint));
         answer.or_else(|| {
-            let last = self.complaints.len().saturating_sub(2);
-            let last: Vec<_> = self
-                .complaints
-                .iter()
-                .skip(last)
-                .map(String::as_str)
-                .collect();
+            let last = &complaints[complaints.len().saturating_sub(2)..];
             (!last.is_empty()).then(|| last.join("; "))
         })
     }
@@ -415,14 +348,13 @@ pub(super) fn output_of(
     program: &'static str,
     argument: &str,
 ) -> Result<Option<String>, SourceError> {
-    let output = Command::new(program)
-        .arg(argument)
-        .stdin(Stdio::null())
-        .output();
-    match output {
+    let mut command = std::process::Command::new(program);
+    match command.arg(argument).stdin(Stdio::null()).output() {
         Ok(output) => Ok(Some(String::from_utf8_lossy(&output.stdout).into_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(SourceError::NotStarted { program, error }),
+        Err(error) => Err(SourceError(format!(
+            "`{program}` cannot be started: {error}"
+        ))),
     }
 }
 
@@ -430,8 +362,12 @@ pub(super) fn output_of(
 mod tests {
     use super::*;
     use std::path::Path;
+    use std::sync::LazyLock;
+    use tokio::runtime::Runtime;
 
     const SILENCE: Duration = Duration::from_secs(20);
+
+    static RUNTIME: LazyLock<Runtime> = LazyLock::new(|| Runtime::new().unwrap());
 
     fn shell(script: &str) -> PictureProgram {
         PictureProgram {
@@ -441,10 +377,13 @@ mod tests {
         }
     }
 
+    fn started(program: PictureProgram, silence: Duration) -> RunningProgram {
+        let _inside = RUNTIME.enter();
+        program.start(silence, CancellationToken::new()).unwrap()
+    }
+
     fn start(script: &str) -> RunningProgram {
-        shell(script)
-            .start(SILENCE, CancellationToken::new())
-            .unwrap()
+        started(shell(script), SILENCE)
     }
 
     fn output(running: &mut RunningProgram) -> String {
@@ -502,7 +441,7 @@ mod tests {
         let mut program =
             shell("echo a picture; echo '[error] rtsp://u:hidden@cam: refused' >&2; exit 3");
         program.secrets = address.resolved().unwrap().secrets;
-        let mut running = program.start(SILENCE, CancellationToken::new()).unwrap();
+        let mut running = started(program, SILENCE);
         assert_eq!(output(&mut running), "a picture\n");
         let reason = running.end().unwrap_err();
         assert!(reason.contains("refused"), "{reason}");
@@ -518,7 +457,8 @@ mod tests {
             running.read_exact(&mut byte).unwrap();
             child.push(char::from(byte[0]));
         }
-        let processes = [running.process().to_string(), child.trim().to_owned()];
+        let process = running.process().as_raw_pid();
+        let processes = [process.to_string(), child.trim().to_owned()];
         let state = |id: &String| std::fs::read_to_string(format!("/proc/{id}/stat")).ok();
         assert!(processes.iter().all(|id| state(id).is_some()));
         drop(running);
@@ -549,15 +489,13 @@ mod tests {
     #[test]
     fn silence_ends_a_reading_when_it_is_to_and_a_stop_at_once() {
         let silence = Duration::from_millis(300);
-        let running = shell("echo one; sleep 1000").start(silence, CancellationToken::new());
-        let mut running = running.unwrap();
+        let mut running = started(shell("echo one; sleep 1000"), silence);
         let begun = Instant::now();
         let error = running.read_to_end(&mut Vec::new()).unwrap_err();
         assert_eq!(error.to_string(), "no picture for more than 0.3 s");
         assert!(begun.elapsed() >= silence);
-        let stop = CancellationToken::new();
-        let mut running = shell("sleep 1000").start(SILENCE, stop.clone()).unwrap();
-        stop.cancel();
+        let mut running = start("sleep 1000");
+        running.stop.cancel();
         let error = running.read_to_end(&mut Vec::new()).unwrap_err();
         assert_eq!(error.to_string(), "told to stop");
     }
@@ -588,7 +526,7 @@ mod tests {
         let mut program = shell("read go; grep 'Max data size' /proc/self/limits");
         program.max_memory = Some(123 << 20);
         program.input = Some("go\n".to_owned());
-        let mut running = program.start(SILENCE, CancellationToken::new()).unwrap();
+        let mut running = started(program, SILENCE);
         let limits = output(&mut running);
         assert!(limits.contains("128974848"), "{limits}");
     }

@@ -1,7 +1,8 @@
 //! The command lines of ffmpeg and GStreamer that make pictures of a source.
 
+use super::SourceError;
 use super::address::{Resolved, SourceAddress, SourceKind, SourceOptions};
-use super::program::{PictureProgram, SourceError};
+use super::program::PictureProgram;
 use albireo_vision::picture::FrameLimits;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -77,7 +78,7 @@ pub struct SourceSettings {
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
     pub options: SourceOptions,
-    /// A source without a picture for so long is opened again.
+    /// A source without a picture for that long is opened again.
     pub silence: Duration,
     /// What pictures are handed over as where they must be decoded.
     pub decoded: Handover,
@@ -180,7 +181,11 @@ pub(super) fn ffmpeg(
     }
     let input = if scripted {
         if !takes_options && !settings.options.is_empty() {
-            return Err(SourceError::OldFfmpeg(settings.address.to_string()));
+            return Err(SourceError(format!(
+                "{}: before version 5 ffmpeg takes no options for an address with a password: install a newer one, or leave \
+             source_options out",
+                settings.address
+            )));
         }
         arguments.add(&["-f", "concat", "-safe", "0"]);
         arguments.add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
@@ -253,7 +258,11 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
     } = &resolved;
     // The program takes an address on its command line only.
     if *kind != SourceKind::Pipeline && !secrets.is_empty() {
-        return Err(SourceError::WouldShow(settings.address.to_string()));
+        return Err(SourceError(format!(
+            "{}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give a GStreamer \
+             pipeline of your own",
+            settings.address
+        )));
     }
     let text = resolved.text();
     let mut arguments = Arguments::default();

@@ -75,40 +75,41 @@ fn energy_of_a_part_of_the_time_makes_no_product() {
     }
 }
 
-/// A board that draws ten watts, as long as it answers.
-struct TenWatts {
-    since: Instant,
-    until_s: f64,
+/// A board that draws these watts (without any the meter answers with nothing new), until the meter fails.
+struct Steady {
+    watts: Option<f64>,
+    until: Option<Instant>,
 }
 
-impl TenWatts {
-    fn start(interval: Duration, until_s: f64) -> (PowerHandle, CancellationToken) {
+impl Steady {
+    fn start(self, interval: u64) -> (PowerHandle, CancellationToken) {
         let stop = CancellationToken::new();
-        let meter = Self {
-            since: Instant::now(),
-            until_s,
-        };
-        let (power, _task) = start_with(Box::new(meter), interval, stop.clone());
+        let (power, _task) = start_with(Box::new(self), ms(interval), stop.clone());
         (power, stop)
     }
 }
 
-impl Meter for TenWatts {
+impl Meter for Steady {
     fn source(&self) -> &str {
-        "ten"
+        "steady"
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        if now.duration_since(self.since).as_secs_f64() > self.until_s {
+        if self.until.is_some_and(|until| now > until) {
             return Err(MeterError::Failed("it has stopped".to_owned()));
         }
-        Ok(vec![Reading {
+        let reading = |watts| Reading {
             at: None,
-            values: [Some(Value::Power(10.0)), None, None, None],
+            values: [Some(Value::Power(watts)), None, None, None],
             total_from: "input_rail".into(),
             rails: Vec::new(),
-        }])
+        };
+        Ok(self.watts.map(reading).into_iter().collect())
     }
+}
+
+fn tracker(power: &PowerHandle, camera: &str) -> ClipTracker {
+    ClipTracker::new(ClipConfig::default(), power.camera(camera), None)
 }
 
 impl ClipTracker {
@@ -120,12 +121,10 @@ impl ClipTracker {
 
 #[tokio::test(start_paused = true)]
 async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
-    let (power, stop) = TenWatts::start(ms(100), f64::MAX);
+    let (watts, until) = (Some(10.0), None);
+    let (power, stop) = Steady { watts, until }.start(100);
     let start = Instant::now();
-    let mut cameras: Vec<_> = ["front", "rear"]
-        .iter()
-        .map(|name| ClipTracker::new(ClipConfig::default(), power.camera(name), None))
-        .collect();
+    let mut cameras = ["front", "rear"].map(|name| tracker(&power, name));
     for second in 0..60_u32 {
         for (i, tracker) in cameras.iter_mut().enumerate() {
             tracker.frame("drive");
@@ -162,14 +161,11 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
 
 #[tokio::test(start_paused = true)]
 async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails() {
-    for (interval, until_s) in [
-        (10, f64::MAX),
-        (100, f64::MAX),
-        (10_000, f64::MAX),
-        (10_000, 15.0),
-    ] {
-        let (power, stop) = TenWatts::start(ms(interval), until_s);
-        let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"), None);
+    for (interval, fails) in [(10, false), (100, false), (10_000, false), (10_000, true)] {
+        let until = fails.then(|| Instant::now() + ms(15_000));
+        let watts = Some(10.0);
+        let (power, stop) = Steady { watts, until }.start(interval);
+        let mut tracker = tracker(&power, "front");
         // Past an interval, so that the next is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
@@ -179,17 +175,14 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
             let asked = Instant::now();
             let report = report(closed).await;
             let waited = asked.elapsed();
-            if until_s == f64::MAX {
-                assert!(waited <= ms(interval), "{waited:?} at {interval} ms");
+            let most = if fails { 2 * interval + 51 } else { interval };
+            assert!(waited <= ms(most), "{waited:?} at {interval} ms");
+            if fails {
+                assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
+            } else {
                 let joules = report.energy.joules.unwrap();
                 assert!((joules - 10.0).abs() < 1e-6, "{joules} J at {interval} ms");
                 assert!(report.energy.coverage > 1.0 - 1e-9);
-            } else {
-                assert!(
-                    waited <= ms(2 * interval + 51),
-                    "{waited:?} at {interval} ms"
-                );
-                assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
             }
             tracker.shutdown(Instant::now());
         }
@@ -199,11 +192,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
 
 #[tokio::test(start_paused = true)]
 async fn without_a_meter_no_report_waits() {
-    let mut tracker = ClipTracker::new(
-        ClipConfig::default(),
-        PowerHandle::none().camera("front"),
-        None,
-    );
+    let mut tracker = tracker(&PowerHandle::none(), "front");
     let start = Instant::now();
     for clip in 0..1000 {
         if let Some(closed) = tracker.frame(&clip.to_string()) {
@@ -216,20 +205,10 @@ async fn without_a_meter_no_report_waits() {
 
 #[tokio::test(start_paused = true)]
 async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
-    // A meter that answers with nothing new, as tegrastats does between its lines.
-    struct Silent;
-    impl Meter for Silent {
-        fn source(&self) -> &str {
-            "silent"
-        }
-
-        fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
-            Ok(Vec::new())
-        }
-    }
-    let stop = CancellationToken::new();
-    let (power, _task) = start_with(Box::new(Silent), ms(10_000), stop.clone());
-    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera("front"), None);
+    // As tegrastats does between its lines.
+    let (watts, until) = (None, None);
+    let (power, stop) = Steady { watts, until }.start(10_000);
+    let mut tracker = tracker(&power, "front");
     tracker.frame("last");
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();

@@ -10,6 +10,7 @@ use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
+use albireo_service::clock::milliseconds;
 use albireo_wire::{ClipReport, EnergyQuality};
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -131,7 +132,7 @@ async fn play(
             need = match need {
                 Need::Detections => {
                     let end = detector.run().await;
-                    times.detector = Some(arrival.elapsed());
+                    times.latency.detector = Some(milliseconds(arrival.elapsed()));
                     times.detector_run = Some(DetectorRun { end, used: CALL });
                     let found = scene(camera, index as f64 / rate);
                     policy.answer(Evidence::Detections(&found))
