@@ -4,6 +4,7 @@
 
 use crate::support::PATIENCE;
 use crate::support::fleet::{HubProcess, from_environment, now_ns, send, settings, sqlite, uplink};
+use crate::support::postgres::Postgres;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -59,7 +60,18 @@ async fn more_than(acknowledged: &AtomicU64, before: u64) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let (zenoh, settings) = settings(&sqlite(folder.path()));
+    killed_in_the_middle_of_ingest(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
+    let server = Postgres::start();
+    killed_in_the_middle_of_ingest(&server.url()).await;
+}
+
+async fn killed_in_the_middle_of_ingest(database: &str) {
+    let (zenoh, settings) = settings(database);
     let mut hub = HubProcess::start(&settings);
     let stop = Arc::new(AtomicBool::new(false));
     let acknowledged = Arc::new(AtomicU64::new(0));

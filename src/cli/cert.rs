@@ -1,6 +1,6 @@
 //! `albireo cert`: the certificates of a fleet.
 
-use albireo_router::authority::{Authority, DAY, Issued, Request, Role};
+use albireo_router::authority::{Authority, DAY, Issued, Role};
 use albireo_service::clock::unix_milliseconds;
 use anyhow::{Context, bail};
 use clap::Subcommand;
@@ -141,8 +141,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Result<()> {
     for name in &members.names {
-        let request = Request::lasting(role, name, &members.hosts, DAY * members.days)?;
-        print_issued(&authority.issue(&request)?);
+        let lasts = DAY * members.days;
+        print_issued(&authority.issue(role, name, &members.hosts, lasts)?);
     }
     Ok(())
 }

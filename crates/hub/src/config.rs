@@ -126,7 +126,10 @@ impl Configuration for HubConfig {
 http.timeout_ms: a request may take 10 s
 http.idle_timeout_ms: a connection that is silent for 30 s is closed
 http.max_connections: 256 connections may be open at a time
-tuning.set_back_times: a node is set back three times";
+tuning.set_back_times: a node is set back three times
+database.readers: four connections read
+ingest.busy_after_ms: a batch that would wait longer than 3 s is answered \"busy\"
+ingest.busy_retry_ms: a node that is answered \"busy\" comes again after 2 s";
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

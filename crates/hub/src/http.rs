@@ -28,7 +28,7 @@ use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
 use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
-use albireo_wire::CountersMessage;
+use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Extension, Router};
@@ -94,6 +94,14 @@ impl HubView {
             config: Arc::new(diag::without_secrets(config)),
             timeout: Duration::from_millis(config.http.timeout_ms),
             started: Instant::now(),
+        }
+    }
+
+    /// What is desired of `node`, and whether it is to send its full status.
+    pub(crate) fn desired(&self, node: &str) -> Desired {
+        Desired {
+            send_full_status: self.fleet.needs_full_status(node),
+            ..self.desires.of(node)
         }
     }
 

@@ -5,7 +5,6 @@
 //! goes out after the commit: so a slow or absent database holds acknowledgements back, and never fills the memory.
 
 mod clip;
-mod commit;
 mod counters;
 mod decode;
 mod limits;
@@ -16,21 +15,20 @@ mod replies;
 mod tests;
 mod writer;
 
-pub(crate) use counters::Queued;
-pub use counters::{IngestCounters, IngestSnapshot};
-pub use decode::{Batch, DecodeError, decode};
+use counters::Queued;
+pub use counters::{IngestCounters, IngestCounts};
+pub use decode::{Batch, decode};
 pub(crate) use plan::Counts;
 pub use recorder::{Recorded, Recorder};
-pub(crate) use replies::{Replies, refusal};
-pub(crate) use writer::{WriterSetup, start};
+pub(crate) use replies::Replies;
+pub(crate) use writer::start;
 
-use crate::config::IngestConfig;
 use crate::per_node::Place;
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
-use limits::{Admission, NodeLimits};
+use limits::{BUSY_RETRY, NodeLimits};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::{Duration, Instant};
 use zenoh::query::Query;
 
@@ -40,6 +38,10 @@ const LARGEST_PAYLOAD: usize = 1 << 20;
 /// Batches that may wait, and their compressed bytes; one more is answered "busy" at once.
 const MOST_BATCHES: usize = 4096;
 const MOST_BYTES: u64 = 32 << 20;
+
+/// A batch that comes while what is being written has waited longer than this is answered "busy". It is well below the time that
+/// nodes wait for an answer: what is written after that is sent once more for nothing.
+const BUSY_AFTER: Duration = Duration::from_secs(3);
 
 /// Why a batch is refused when the queue is full.
 const FULL: &str = "too many batches wait to be written";
@@ -53,43 +55,21 @@ pub(crate) struct Waiting {
     pub(crate) query: Query,
     /// When it came.
     pub(crate) since: Instant,
-    /// Its node, and its place among the batches of that.
-    pub(crate) place: Place,
-    /// Its place among those that are counted.
-    _queued: Queued,
+    /// Its node.
+    pub(crate) node: String,
+    /// Its place among the batches of its node, and among those that are counted.
+    _places: (Place, Queued),
 }
 
 /// What Zenoh calls for each batch.
-#[derive(Debug)]
 pub(crate) struct ReportQueue {
     queue: SyncSender<Waiting>,
     limits: Arc<NodeLimits>,
     replies: Replies,
-    busy_after: Duration,
-    busy_retry: Duration,
     counters: Arc<IngestCounters>,
 }
 
 impl ReportQueue {
-    /// A queue and its other end.
-    pub(crate) fn new(
-        config: &IngestConfig,
-        limits: Arc<NodeLimits>,
-        replies: Replies,
-        counters: Arc<IngestCounters>,
-    ) -> (Self, Receiver<Waiting>) {
-        let (queue, waiting) = sync_channel(MOST_BATCHES);
-        let queue = Self {
-            queue,
-            limits,
-            replies,
-            busy_after: Duration::from_millis(config.busy_after_ms),
-            busy_retry: Duration::from_millis(config.busy_retry_ms),
-            counters,
-        };
-        (queue, waiting)
-    }
-
     /// Takes a query over. Never waits.
     pub(crate) fn take(&self, mut query: Query) {
         let now = Instant::now();
@@ -100,44 +80,37 @@ impl ReportQueue {
             return self.counters.refuse(RefusalReason::Unreadable);
         };
         if payload.len() > LARGEST_PAYLOAD {
-            self.counters.refuse(RefusalReason::Unreadable);
-            if self.limits.may_refuse(&node, now) {
-                let detail = format!("a batch of more than {LARGEST_PAYLOAD} bytes");
-                let refusal = refusal(RefusalReason::Unreadable, detail, None);
-                self.replies.refuse(query, refusal);
-            }
-            return;
+            let detail = format!("a batch of more than {LARGEST_PAYLOAD} bytes");
+            return self.refuse(query, RefusalReason::Unreadable, &detail, None);
         }
         let place = match self.limits.admit(&node, now) {
-            Admission::Taken(place) => place,
-            Admission::Later(Some((wait, why))) => return self.busy(query, wait, why),
-            Admission::Later(None) => return self.counters.refuse(RefusalReason::Busy),
+            Ok(place) => place,
+            Err((wait, why)) => return self.refuse(query, RefusalReason::Busy, why, Some(wait)),
         };
+        let full = |query| self.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
         // Written in time or not at all: what a node has given up waiting for it sends again.
-        let full = self.counters.queued_bytes() + payload.len() as u64 > MOST_BYTES;
-        if full || self.counters.waited() > self.busy_after {
-            return self.busy(query, self.busy_retry, FULL);
+        let bytes = self.counters.queued_bytes() + payload.len() as u64;
+        if bytes > MOST_BYTES || self.counters.waited() > BUSY_AFTER {
+            return full(query);
         }
         // A copy, so that what waits holds no buffers of the network.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
         let waiting = Waiting {
-            _queued: self.counters.queue(payload.len()),
+            _places: (place, self.counters.queue(payload.len())),
             payload,
             query,
             since: now,
-            place,
+            node,
         };
         if let Err(TrySendError::Full(waiting) | TrySendError::Disconnected(waiting)) =
             self.queue.try_send(waiting)
         {
-            self.busy(waiting.query, self.busy_retry, FULL);
+            full(waiting.query);
         }
     }
 
-    fn busy(&self, query: Query, wait: Duration, why: &str) {
-        self.counters.refuse(RefusalReason::Busy);
-        let wait_ms = u64::try_from(wait.as_millis()).unwrap_or(u64::MAX);
-        let refusal = refusal(RefusalReason::Busy, why, Some(wait_ms));
-        self.replies.refuse(query, refusal);
+    fn refuse(&self, query: Query, reason: RefusalReason, why: &str, wait: Option<Duration>) {
+        self.counters.refuse(reason);
+        self.replies.refuse(query, reason, why, wait);
     }
 }

@@ -3,62 +3,39 @@
 use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// How much waits of each node.
+/// The places of each node.
 #[derive(Debug)]
 pub(crate) struct PerNode {
-    most: u32,
-    waiting: Mutex<HashMap<Arc<str>, u32>>,
+    most: usize,
+    places: Mutex<HashMap<String, Arc<Semaphore>>>,
 }
 
 /// The place of one thing of a node; free again when dropped.
-#[derive(Debug)]
-pub(crate) struct Place {
-    of: Arc<PerNode>,
-    node: Arc<str>,
-}
+pub(crate) type Place = OwnedSemaphorePermit;
 
 impl PerNode {
     /// At most this many of a node may wait.
-    pub(crate) fn new(most: u32) -> Arc<Self> {
-        Arc::new(Self {
+    pub(crate) fn new(most: usize) -> Self {
+        Self {
             most,
-            waiting: Mutex::default(),
-        })
+            places: Mutex::default(),
+        }
     }
 
     /// A place for one more of `node`; none when too many wait.
-    pub(crate) fn place(self: &Arc<Self>, node: &str) -> Option<Place> {
-        let mut waiting = self.waiting.lock();
-        let node = match waiting.get_key_value(node) {
-            Some((_, count)) if *count >= self.most => return None,
-            Some((name, _)) => Arc::clone(name),
-            None => Arc::from(node),
-        };
-        *waiting.entry(Arc::clone(&node)).or_default() += 1;
-        Some(Place {
-            of: Arc::clone(self),
-            node,
-        })
-    }
-}
-
-impl Place {
-    /// The node.
-    pub(crate) fn node(&self) -> &str {
-        &self.node
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        let mut waiting = self.of.waiting.lock();
-        if let Some(count) = waiting.get_mut(&self.node) {
-            *count = count.saturating_sub(1);
-            if *count == 0 {
-                waiting.remove(&self.node);
+    pub(crate) fn place(&self, node: &str) -> Option<Place> {
+        let mut all = self.places.lock();
+        let places = match all.get(node) {
+            Some(places) => Arc::clone(places),
+            None => {
+                let places = Arc::new(Semaphore::new(self.most));
+                all.insert(node.to_owned(), Arc::clone(&places));
+                places
             }
-        }
+        };
+        places.try_acquire_owned().ok()
     }
 }
 
@@ -75,6 +52,5 @@ mod tests {
         assert!(all.place("b").is_some());
         drop(places);
         assert!(all.place("a").is_some());
-        assert!(all.waiting.lock().is_empty());
     }
 }

@@ -12,12 +12,11 @@ mod tests;
 mod today;
 
 pub use fleet::{Fleet, FleetTallies, NodeView};
+pub(crate) use listen::listen;
 pub use listen::{ListenCounters, Notifier};
-pub(crate) use listen::{ListenSetup, listen};
 pub use news::News;
 pub(crate) use settings::NodeSettings;
 #[cfg(test)]
 pub(crate) use settings::tests::reported;
-pub use state::{Limits, PresenceInput, PresenceState, Token, judge};
+pub use state::{Limits, PresenceInput, PresenceState, judge};
 pub use today::TodaysEnergy;
-pub(crate) use today::{Used, day_of};

@@ -3,24 +3,21 @@
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
 use crate::http::{self, HubView, Reach};
-use crate::ingest::{self, Replies, WriterSetup};
-use crate::presence::{Fleet, ListenSetup, Used, day_of, listen};
+use crate::ingest::{self, Replies};
+use crate::presence::listen;
 use crate::readiness::Readiness;
-use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
+use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::config::ZenohMode;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
-use albireo_wire::EnergyQuality;
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
-use zenoh::Session;
 
 /// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
 /// router busy for half a minute, and a session that is lost then declares everything again and makes it longer. Room
@@ -60,7 +57,7 @@ pub async fn run(
 ) -> Result<(), HubError> {
     let address = listener
         .local_addr()
-        .map_err(HubError::system("the listener has no address"))?;
+        .map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
     let readiness = Arc::new(Readiness::default());
     readiness.hold("zenoh", "the session is not open yet");
@@ -83,13 +80,13 @@ pub async fn run(
         "listening"
     );
     let hub = async {
-        let ended = parts(config, &view, &shutdown).await;
+        let ended = parts(config, &view).await;
         serving.cancel();
         ended
     };
     let (http, hub) = tokio::join!(
         async {
-            let ended = http.await.map_err(HubError::from);
+            let ended = http.await.map_err(HubError::at("[http]"));
             // Without its interface a hub cannot be watched or stopped: it ends.
             shutdown.cancel();
             ended
@@ -109,11 +106,10 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
         let reasons: Vec<_> = (view.readiness.reasons().iter())
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
-        let ingest = view.ingest.snapshot();
-        let all = ingest.counts;
+        let all = view.ingest.counts();
         let tried = all.commits + all.database_errors + all.refused_unavailable + all.batches;
         let mut moved = moved.lock();
-        if ingest.queued == 0 || tried != moved.0 {
+        if view.ingest.queued() == 0 || tried != moved.0 {
             *moved = (tried, Instant::now());
         }
         let stuck = moved.1.elapsed() >= STUCK_AFTER;
@@ -126,44 +122,34 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
 }
 
 /// Starts the parts in order, waits for the shutdown, and stops them in the opposite one.
-async fn parts(
-    config: &HubConfig,
-    view: &HubView,
-    shutdown: &CancellationToken,
-) -> Result<(), HubError> {
-    let readiness = &view.readiness;
+async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
+    let (readiness, shutdown) = (&view.readiness, &view.shutdown);
     // A database may go away again at any moment, also between two questions of the start.
-    let opening = || remembered(config, &view.fleet);
-    let opened = patiently(config, readiness, shutdown, opening).await?;
-    let Some((store, nodes, used)) = opened else {
+    let opening = || async {
+        let store = Store::open(&config.database).await?;
+        let nodes = view.fleet.read(&store, Instant::now()).await?;
+        Ok((store, nodes))
+    };
+    let opened = patiently(config, view, opening).await?;
+    let Some((store, nodes)) = opened else {
         return Ok(());
     };
     tracing::info!(database = store.kind(), nodes, "history is open");
-    for (node, at_ms, one) in used {
-        view.fleet.used(&node, at_ms, one);
-    }
     // Each of these is set once.
     let _ = view.opened.set(store.clone());
     readiness.release("database");
-    let Some(session) = open_session(config, readiness, shutdown).await? else {
+    let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
+        readiness.hold("zenoh", &error.to_string());
+    });
+    let Some(session) = shutdown.run_until_cancelled(opening).await.transpose()? else {
         store.close().await;
         return Ok(());
     };
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
-        .map_err(HubError::system("the answering thread cannot be started"))?;
-    let (queue, written) = ingest::start(WriterSetup {
-        config: config.ingest.clone(),
-        history: config.history.clone(),
-        store: store.clone(),
-        replies: replies.clone(),
-        counters: Arc::clone(&view.ingest),
-        readiness: Arc::clone(readiness),
-        fleet: Arc::clone(&view.fleet),
-        desires: Arc::clone(&view.desires),
-        events: view.events.clone(),
-    })
-    .map_err(HubError::system("the threads of ingest cannot be started"))?;
+        .map_err(HubError::at("the answering thread cannot be started"))?;
+    let (queue, written) = ingest::start(config, view, &store, &replies)
+        .map_err(HubError::at("the threads of ingest cannot be started"))?;
     // A hub that has lost a task would look well and do half of its work: it ends, and is started again.
     // Their end ends the hub, so that no readiness has to name them.
     let mut tasks = Supervisor::new(
@@ -172,20 +158,12 @@ async fn parts(
         shutdown.clone(),
     );
     tasks.essential("writer", written);
-    let (listening, receiving) = listen(ListenSetup {
-        session: &session,
-        prefix: &config.hub.prefix,
-        tokens: config.presence.tokens,
-        fleet: Arc::clone(&view.fleet),
-        desires: Arc::clone(&view.desires),
-        replies,
-        counters: Arc::clone(&view.listen),
-        readiness: Arc::clone(readiness),
-        is_client: config.zenoh.mode == ZenohMode::Client,
-        shutdown: shutdown.clone(),
-    })
-    .await?;
+    let (listening, receiving) = listen(config, view, &session, replies).await?;
     tasks.essential("presence", receiving);
+    let (fleet, history) = (Arc::clone(&view.fleet), store.clone());
+    tasks.until_shutdown("today", async move {
+        fleet.follow_today(&history).await;
+    });
     let _ = view.reaches.set(Reach {
         session: session.clone(),
         notifier: listening.notifier.clone(),
@@ -195,7 +173,7 @@ async fn parts(
         .complete(true)
         .callback(move |query| queue.take(query))
         .await
-        .map_err(HubError::declaration("reports cannot be taken"))?;
+        .map_err(HubError::at("reports cannot be taken"))?;
     // Without one the hub is being stopped: what was taken in the meantime is committed below.
     let opening = || {
         Tuner::open(
@@ -208,7 +186,7 @@ async fn parts(
             unix_milliseconds(),
         )
     };
-    let tuner = patiently(config, readiness, shutdown, opening).await?;
+    let tuner = patiently(config, view, opening).await?;
     readiness.release("database");
     if let Some(tuner) = tuner.map(Arc::new) {
         let _ = view.tunes.set(Arc::clone(&tuner));
@@ -252,43 +230,10 @@ async fn parts(
     Ok(watched?)
 }
 
-/// Nodes with what they used, and a time of the day on which they did.
-type UsedToday = Vec<(String, i64, Used)>;
-
-/// The database and what it knows of the nodes.
-async fn remembered(
-    config: &HubConfig,
-    fleet: &Fleet,
-) -> Result<(Store, usize, UsedToday), StoreError> {
-    let store = Store::open(&config.database).await?;
-    let nodes = fleet.read(&store, Instant::now()).await?;
-    let since_s = day_of(unix_milliseconds()) * 86_400;
-    let by_node = EnergyQuery {
-        by: EnergyBy::Node,
-        ..EnergyQuery::default()
-    };
-    let today = since_s..since_s + 86_400;
-    let groups = store.energy(&by_node, Resolution::Day, today).await?;
-    let used = groups.into_iter().map(|group| {
-        let used = Used {
-            uj: (group.joules * 1e6).round() as i64,
-            estimated: group.quality == EnergyQuality::Estimated,
-            frames: u64::try_from(group.frames).unwrap_or(0),
-            skipped: u64::try_from(group.avoided_calls).unwrap_or(0),
-            detected: group.audit_counts.sums.detected,
-            paired: group.audit_counts.sums.paired,
-        };
-        (group.group, since_s * 1000, used)
-    });
-    let used = used.collect();
-    Ok((store, nodes, used))
-}
-
 /// Opens something of the database, again and again where that may help; `None` when the hub is being stopped.
 async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
     config: &HubConfig,
-    readiness: &Readiness,
-    shutdown: &CancellationToken,
+    view: &HubView,
     open: impl Fn() -> F,
 ) -> Result<Option<T>, HubError> {
     loop {
@@ -297,27 +242,14 @@ async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
             Err(error) => error,
         };
         if !error.passes() {
-            return Err(HubError::Database {
-                url: config.database.shown().to_string(),
-                source: error,
-            });
+            let what = format!("[database] {}", config.database.shown());
+            return Err(HubError::at(&what)(error));
         }
         tracing::warn!(%error, database = config.database.shown(), "trying again");
-        readiness.hold("database", &error.to_string());
+        view.readiness.hold("database", &error.to_string());
         tokio::select! {
             () = tokio::time::sleep(DATABASE_RETRY) => {}
-            () = shutdown.cancelled() => return Ok(None),
+            () = view.shutdown.cancelled() => return Ok(None),
         }
     }
-}
-
-async fn open_session(
-    config: &HubConfig,
-    readiness: &Readiness,
-    shutdown: &CancellationToken,
-) -> Result<Option<Session>, HubError> {
-    let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
-        readiness.hold("zenoh", &error.to_string());
-    });
-    Ok(shutdown.run_until_cancelled(opening).await.transpose()?)
 }

@@ -5,7 +5,7 @@
 
 mod database;
 mod error;
-mod migrate;
+pub(crate) mod migrate;
 mod postgres;
 mod read;
 pub(crate) mod retention;
@@ -29,11 +29,15 @@ use parking_lot::Mutex;
 use row::Row;
 use serde_json::Value;
 pub(crate) use sqlite::Access;
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
+
+/// Connections for reading, beside the one that writes.
+const READERS: usize = 4;
 
 /// Which database it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +70,6 @@ struct Shared {
     runtime: Handle,
     /// One permit for each connection that reads.
     readers: Arc<Semaphore>,
-    most_readers: u32,
     idle: Mutex<Vec<Box<dyn Database>>>,
     /// The connection that changes the settings of nodes.
     writer: Arc<tokio::sync::Mutex<Option<Box<dyn Database>>>>,
@@ -96,8 +99,7 @@ impl Store {
             url: config.url.clone(),
             timeout_ms: config.timeout_ms,
             runtime: Handle::current(),
-            readers: Arc::new(Semaphore::new(config.readers as usize)),
-            most_readers: config.readers,
+            readers: Arc::new(Semaphore::new(READERS)),
             idle: Mutex::default(),
             writer: Arc::default(),
         }));
@@ -148,8 +150,13 @@ impl Store {
         .await
     }
 
-    /// The rows of a query. At most `database.readers` queries run at once, the others wait.
-    async fn query(&self, text: &'static str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
+    /// The rows of a query. At most [`READERS`] queries run at once, the others wait.
+    async fn query(
+        &self,
+        text: impl Into<Cow<'static, str>>,
+        values: Vec<Value>,
+    ) -> Result<Vec<Row>, StoreError> {
+        let text = text.into();
         let limit = Duration::from_millis(self.0.timeout_ms);
         let waited = tokio::time::timeout(limit, Arc::clone(&self.0.readers).acquire_owned());
         let Ok(Ok(permit)) = waited.await else {
@@ -162,7 +169,7 @@ impl Store {
         blocking(move || {
             let idle = store.0.idle.lock().pop();
             let mut database = store.connect(Access::Read, idle)?;
-            let rows = database.query(text, &values)?;
+            let rows = database.query(&text, &values)?;
             store.0.idle.lock().push(database);
             drop(permit);
             Ok(rows)
@@ -180,7 +187,7 @@ impl Store {
 
     /// Closes the connections, when nothing uses them any more.
     pub async fn close(&self) {
-        let _all = self.0.readers.acquire_many(self.0.most_readers).await;
+        let _all = self.0.readers.acquire_many(READERS as u32).await;
         let idle = std::mem::take(&mut *self.0.idle.lock());
         let writer = self.0.writer.lock().await.take();
         let closed = blocking(move || {

@@ -1,20 +1,22 @@
 //! Sums, pages, files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, batch, config, counts, deliver, now_ns, pull, sqlite, uplink};
+use crate::support::{
+    Hub, Stand, batch, config, counts, deliver, now_ns, on_both, pull, sqlite, uplink,
+};
 use crate::tuning::{Played, fleet, put};
 use albireo_hub::store::{StoreError, transfer};
 use serde_json::json;
 use std::collections::BTreeMap;
 
 async fn sums_are_exact(database: &str) {
-    let hub = Hub::start(config(database)).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::on(config(database)).await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 90_000_000_000_000;
     for (node, series) in [("car-1", 1), ("car-2", 2)] {
         for first in (0..200).step_by(50) {
             let sent = batch(node, series, first..=first + 49, start);
-            deliver(&session, &sent).await.assert_stored();
+            deliver(session, &sent).await.assert_stored();
         }
     }
     let clips = hub.get("/api/v1/clips?limit=1000").await;
@@ -128,22 +130,14 @@ async fn sums_are_exact(database: &str) {
         "{}",
         csv.lines().next().unwrap()
     );
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn sums_are_those_of_the_clips_and_qualities_are_never_added() {
-    let folder = tempfile::tempdir().unwrap();
-    sums_are_exact(&sqlite(folder.path())).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs PostgreSQL"]
-async fn postgres_sums_are_those_of_the_clips_and_qualities_are_never_added() {
-    let server = Postgres::start();
-    sums_are_exact(&server.url()).await;
-}
+on_both!(
+    sums_are_exact,
+    sums_are_those_of_the_clips_and_qualities_are_never_added,
+    postgres_sums_are_those_of_the_clips_and_qualities_are_never_added
+);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
@@ -170,23 +164,21 @@ async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_anew_when_it_cannot()
  {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
     for number in [1, 4] {
         let sent = batch("car-1", 1, number..=number, start);
-        deliver(&session, &sent).await.assert_stored();
+        deliver(session, &sent).await.assert_stored();
     }
-    let told = read_events(&hub, "0", "event: gap").await;
+    let told = read_events(hub, "0", "event: gap").await;
     assert!(
         told.contains("\"first\":2") && told.contains("id: "),
         "{told}"
     );
-    let told = read_events(&hub, "999999", "event: resync").await;
+    let told = read_events(hub, "999999", "event: resync").await;
     assert!(told.contains("another database"), "{told}");
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
 /// What the stream says until `wanted` is in it.
@@ -244,12 +236,11 @@ async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_archive_holds_what_a_hub_tells_of_itself() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
     let sent = batch("car-1", 1, 1..=1, start);
-    deliver(&session, &sent).await.assert_stored();
+    deliver(session, &sent).await.assert_stored();
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
@@ -269,8 +260,7 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
     ] {
         assert!(text.contains(part), "no {part} in {text}");
     }
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,7 @@
 //! Watching one node through the hub: the node sends only while somebody looks.
 
 use crate::support::{
-    Hub, PATIENCE, batch, config, deliver, full_status, now_ns, pull, sqlite, uplink,
+    Hub, PATIENCE, batch, config, deliver, full_status, now_ns, pull, say, sqlite, uplink,
 };
 use serde_json::{Value, json};
 use std::sync::{Arc, OnceLock};
@@ -15,6 +15,14 @@ fn counters() -> Value {
         "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,
         "calls": {"uncertain": 4}, "dropped": {}, "threshold": {"name": "u", "value": 3e-4}, "watts": [], "power_quality": "unavailable"
     })
+}
+
+/// Sends the status of `car-7` until the hub has it.
+async fn come_online(hub: &Hub, node: &zenoh::Session) {
+    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
+        say(node, "car-7", &full_status(10, 0, &[])).await;
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -32,13 +40,7 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
         })
         .await
         .unwrap();
-    let status = serde_json::to_vec(&full_status(10, 0, &[])).unwrap();
-    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
-        node.put("albireo/@status/car-7", status.clone())
-            .await
-            .unwrap();
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    come_online(&hub, &node).await;
     assert_eq!(pull(&node, "car-7").await.watched_for_s, None);
     while notices.try_recv().is_ok() {}
 
@@ -80,13 +82,7 @@ async fn a_picture_is_asked_of_the_node_and_of_nobody_else() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let node = uplink(&hub.zenoh).await;
-    let status = serde_json::to_vec(&full_status(10, 0, &[])).unwrap();
-    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
-        node.put("albireo/@status/car-7", status.clone())
-            .await
-            .unwrap();
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    come_online(&hub, &node).await;
     // The first query is never answered, as one that was dropped on the way: Zenoh ends it with an error of its own.
     let dropped = Arc::new(OnceLock::new());
     let first = Arc::clone(&dropped);
@@ -145,8 +141,8 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
                 .map(|node| node["node"].as_str().unwrap().to_owned());
             names.collect()
         };
-        let page = hub.get("/api/v1/nodes?sort=joules&down=true").await;
-        assert_eq!(names(&page), ["car-2", "car-3", "car-1"], "{page}");
+        let read = |page: &Value| names(page) == ["car-2", "car-3", "car-1"];
+        let page = hub.until("/api/v1/nodes?sort=joules&down=true", read).await;
         let rows = hub.get("/api/v1/nodes?sort=joules").await;
         assert_eq!(names(&rows), ["car-1", "car-3", "car-2"]);
         let today = &page["nodes"][0]["today"];

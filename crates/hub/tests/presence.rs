@@ -1,6 +1,6 @@
 //! Which nodes are there and how they are.
 
-use crate::support::{Hub, config, full_status, pull, say, sqlite, status, uplink};
+use crate::support::{Hub, Stand, config, full_status, pull, say, sqlite, status, uplink};
 use albireo_service::config::ZenohMode;
 use albireo_wire::ConfigChanged;
 use serde_json::json;
@@ -45,25 +45,24 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let notices = session
         .declare_subscriber("albireo/@changed/car-2")
         .await
         .unwrap();
     let one = 11;
-    say(&session, "car-2", &full_status(one, 0, &[])).await;
+    say(session, "car-2", &full_status(one, 0, &[])).await;
     hub.until("/api/v1/nodes/car-2", |node| node["state"] == "online")
         .await;
-    assert!(!pull(&session, "car-2").await.send_full_status);
-    say(&session, "car-2", &status(one, 5)).await;
+    assert!(!pull(session, "car-2").await.send_full_status);
+    say(session, "car-2", &status(one, 5)).await;
     let notice = tokio::time::timeout(Duration::from_secs(30), notices.recv_async()).await;
     let notice = notice.unwrap().unwrap();
     albireo_wire::read::<ConfigChanged>(&notice.payload().to_bytes()).unwrap();
-    assert!(pull(&session, "car-2").await.send_full_status);
+    assert!(pull(session, "car-2").await.send_full_status);
     say(
-        &session,
+        session,
         "car-2",
         &full_status(one, 6, &[("power", "no meter")]),
     )
@@ -72,36 +71,33 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
         node["why"] == "power: no meter"
     })
     .await;
-    assert!(!pull(&session, "car-2").await.send_full_status);
-    session.close().await.unwrap();
-    hub.stop().await;
+    assert!(!pull(session, "car-2").await.send_full_status);
+    stand.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_nodes_of_one_name_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let (one, other) = (10, 11);
-    say(&session, "car-3", &full_status(one, 0, &[])).await;
+    say(session, "car-3", &full_status(one, 0, &[])).await;
     hub.until("/api/v1/nodes/car-3", |node| node["state"] == "online")
         .await;
     // Another run is a restart, and nothing of note.
     let mut restarted = full_status(other, 0, &[]);
     restarted.waiting = 9;
-    say(&session, "car-3", &restarted).await;
+    say(session, "car-3", &restarted).await;
     hub.until("/api/v1/nodes/car-3", |node| node["waiting"] == 9)
         .await;
     assert_eq!(hub.get("/api/v1/nodes/car-3").await["state"], "online");
     // Both alive is.
-    say(&session, "car-3", &full_status(one, 1, &[])).await;
+    say(session, "car-3", &full_status(one, 1, &[])).await;
     let node = hub
         .until("/api/v1/nodes/car-3", |node| node["state"] == "degraded")
         .await;
     let why = node["why"].as_str().unwrap();
     assert!(why.starts_with("two nodes have this name"), "{why}");
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -133,9 +129,8 @@ async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_in_any_order_come_each_once_page_by_page() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     for number in 0..7 {
         let reasons: &[(&str, &str)] = if number == 3 {
             &[("screen", "no model")]
@@ -144,7 +139,7 @@ async fn nodes_in_any_order_come_each_once_page_by_page() {
         };
         let mut message = full_status(number, 0, reasons);
         message.waiting = u64::from(number % 3);
-        say(&session, &format!("car-{number}"), &message).await;
+        say(session, &format!("car-{number}"), &message).await;
     }
     hub.until("/api/v1/nodes", |page| page["counts"]["online"] == 6)
         .await;
@@ -184,8 +179,7 @@ async fn nodes_in_any_order_come_each_once_page_by_page() {
         wrong["detail"].as_str().unwrap().contains("degraded"),
         "{wrong}"
     );
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
 /// A router of a fleet.

@@ -1,7 +1,6 @@
 //! Targets reach nodes as values do, and take their place; what a node cannot hold is refused in words.
 
-use crate::support::postgres::Postgres;
-use crate::support::{Hub, config, full_status, now_ns, say, sqlite, uplink};
+use crate::support::{Hub, Stand, config, full_status, now_ns, on_both, say, sqlite};
 use crate::tuning::{Played, fleet, post, put, put_at, values};
 use albireo_wire::{
     CameraState, CameraStatus, NodeTarget, SettingSource, StatusMessage, Target, TargetStatus,
@@ -151,18 +150,11 @@ async fn targets_reach_nodes(database: &str) {
     hub.stop().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
-    let folder = tempfile::tempdir().unwrap();
-    targets_reach_nodes(&sqlite(folder.path())).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs PostgreSQL"]
-async fn postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
-    let server = Postgres::start();
-    targets_reach_nodes(&server.url()).await;
-}
+on_both!(
+    targets_reach_nodes,
+    a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value,
+    postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value
+);
 
 /// A full status of a node with one camera at that `u`.
 fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
@@ -181,15 +173,14 @@ fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
+    let stand = Stand::start().await;
+    let (hub, session) = (&stand.hub, &stand.session);
     let one = 10;
-    say(&session, "car-1", &told(one, 0, 0, 3e-4)).await;
+    say(session, "car-1", &told(one, 0, 0, 3e-4)).await;
     hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
         .await;
     let body = json!({"target": {"recall": 0.9}, "select": "car-1", "wait_s": 0});
-    let (_, answer) = put_at(&hub, "/api/v1/target", body).await;
+    let (_, answer) = put_at(hub, "/api/v1/target", body).await;
     let change = answer["revision"].as_u64().unwrap();
     let mut holds = told(one, 1, change, 3e-4);
     holds.full.as_mut().unwrap().target = Some(NodeTarget {
@@ -198,7 +189,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
         status: Some(TargetStatus::Measuring),
         actual: None,
     });
-    say(&session, "car-1", &holds).await;
+    say(session, "car-1", &holds).await;
     hub.until(&format!("/api/v1/changes/{change}"), |change| {
         change["nodes"][0]["outcome"] == "applied"
     })
@@ -207,7 +198,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
     let mut turned = told(one, 2, change, 7e-4);
     let off = "the threshold was set by hand";
     turned.full.as_mut().unwrap().target_off = Some(off.to_owned());
-    say(&session, "car-1", &turned).await;
+    say(session, "car-1", &turned).await;
     let drift = hub
         .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
         .await;
@@ -219,8 +210,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
         "{drift}"
     );
     assert_eq!(found["why"], off);
-    session.close().await.unwrap();
-    hub.stop().await;
+    stand.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -5,68 +5,43 @@
 //! router forwards everything. What the router sends to a session is bounded by what that session may declare and query, so
 //! the rules for that direction go by role.
 
-use crate::authority::{AuthorityError, Entry, Role, subject};
-use albireo_wire::{KeyError, NodeKeys};
+use crate::authority::{Entry, Role, subject};
+use crate::error::{RouterError, other};
+use albireo_wire::NodeKeys;
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
-
-/// Why rules cannot be generated.
-#[derive(Debug, thiserror::Error)]
-pub enum AccessError {
-    /// A name or the prefix cannot be used.
-    #[error(transparent)]
-    Key(#[from] KeyError),
-    /// A certificate cannot be read.
-    #[error(transparent)]
-    Certificate(#[from] AuthorityError),
-    /// A certificate is not the one of the list.
-    #[error("{file} is a certificate of `{found}`, and `{expected}` belongs there")]
-    Other {
-        /// The certificate.
-        file: String,
-        /// Its common name.
-        found: String,
-        /// What the list says.
-        expected: String,
-    },
-    /// Nobody would be let in.
-    #[error("there is no valid certificate: no one would be let in")]
-    Nobody,
-}
 
 /// Zenoh's section `access_control` for the certificates in `folder` that are not revoked, with keys under `prefix`. With
 /// `pictures`, a hub may ask nodes for camera pictures.
 ///
 /// # Errors
-/// [`AccessError`] when a certificate is not what the list says, or there is none.
+/// When a certificate is not what the list says, or there is none.
 pub fn access_control(
     folder: &Path,
     entries: &[Entry],
     prefix: &str,
     pictures: bool,
-) -> Result<Value, AccessError> {
+) -> Result<Value, RouterError> {
     let good: Vec<&Entry> = entries
         .iter()
         .filter(|entry| entry.revoked_s.is_none())
         .collect();
     for entry in &good {
         let file = folder.join(entry.certificate());
-        let (found, _) = subject(&file)?;
+        let found = subject(&file)?;
         let expected = entry.common_name();
         if found != expected {
-            let file = file.display().to_string();
-            return Err(AccessError::Other {
-                file,
-                found,
-                expected,
-            });
+            let file = file.display();
+            return other(format!(
+                "{file} is a certificate of `{found}`, and `{expected}` belongs there"
+            ));
         }
     }
     rules(&good, prefix, pictures)
 }
 
-fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessError> {
+fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterError> {
     let all = NodeKeys::all(prefix)?;
     let queried = [all.report(), all.pull()];
     let published = [all.status(), format!("{prefix}/*/*/counters")];
@@ -173,7 +148,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
         policies.push(json!({ "rules": own, "subjects": [subject] }));
     }
     if subjects.is_empty() {
-        return Err(AccessError::Nobody);
+        return other("there is no valid certificate: no one would be let in");
     }
     // Zenoh warns of rules that no policy names.
     let named: HashSet<&str> = (policies.iter())
@@ -283,6 +258,7 @@ mod tests {
         let folder = Path::new("/nowhere");
         let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
         let refused = access_control(folder, &revoked, "albireo", false);
-        assert!(matches!(refused, Err(AccessError::Nobody)), "{refused:?}");
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains("no valid certificate"), "{refused}");
     }
 }

@@ -9,6 +9,8 @@ mod list;
 
 pub use list::{Entry, Role};
 
+use crate::error::{RouterError, at, other};
+use albireo_service::clock::unix_milliseconds;
 use list::List;
 use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
@@ -18,7 +20,7 @@ use std::fs::{self, Permissions};
 use std::io::Write;
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use x509_parser::pem::parse_x509_pem;
 use x509_parser::time::ASN1Time;
 
@@ -29,96 +31,8 @@ const AUTHORITY_KEY: &str = "authority.key";
 /// A day.
 pub const DAY: Duration = Duration::from_secs(86_400);
 
-/// How far certificates reach back: the clock of a board that has just started may be behind.
-const REACH_BACK: Duration = DAY;
-
-/// Why something cannot be done with certificates.
-#[derive(Debug, thiserror::Error)]
-pub enum AuthorityError {
-    /// A file cannot be read or written, or has something else in it than it should.
-    #[error("{file}: {reason}")]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// There is an authority already.
-    #[error(
-        "{0} is there already: a new authority would make every certificate of the old one worthless"
-    )]
-    Exists(PathBuf),
-    /// The name cannot be used.
-    #[error(transparent)]
-    Name(#[from] albireo_wire::KeyError),
-    /// There is one already, and it is good.
-    #[error("{role} `{name}` has a certificate; renew it, or revoke it first")]
-    Issued {
-        /// Role.
-        role: Role,
-        /// Name.
-        name: String,
-    },
-    /// There is none that could be renewed or revoked.
-    #[error("{role} `{name}` has no certificate that is good")]
-    Unknown {
-        /// Role.
-        role: Role,
-        /// Name.
-        name: String,
-    },
-    /// It would end before it begins, or centuries ahead.
-    #[error("that time cannot stand in a certificate")]
-    Time,
-    /// The certificate cannot be made.
-    #[error("the certificate cannot be made: {0}")]
-    Making(#[from] rcgen::Error),
-}
-
-/// For what goes wrong with a file.
-fn at<E: ToString>(file: &Path) -> impl Fn(E) -> AuthorityError + '_ {
-    |error| AuthorityError::File {
-        file: file.to_owned(),
-        reason: error.to_string(),
-    }
-}
-
-/// Whose certificate, and how long it is good.
-#[derive(Clone, Debug)]
-pub struct Request<'a> {
-    /// What the holder may do.
-    pub role: Role,
-    /// The holder's name: for a node the one in its keys.
-    pub name: &'a str,
-    /// Names and addresses the holder is reached at; for routers, and hubs that are one.
-    pub hosts: &'a [String],
-    /// When it begins.
-    pub begins: SystemTime,
-    /// When it ends.
-    pub ends: SystemTime,
-}
-
-impl<'a> Request<'a> {
-    /// A certificate that is good from now on for `lasts`. It reaches back a day.
-    ///
-    /// # Errors
-    /// When that time cannot be written.
-    pub fn lasting(
-        role: Role,
-        name: &'a str,
-        hosts: &'a [String],
-        lasts: Duration,
-    ) -> Result<Self, AuthorityError> {
-        let now = SystemTime::now();
-        Ok(Self {
-            role,
-            name,
-            hosts,
-            begins: now - REACH_BACK,
-            ends: later(now, lasts)?,
-        })
-    }
-}
+/// How far certificates reach back, seconds: the clock of a board that has just started may be behind.
+const REACH_BACK: i64 = 86_400;
 
 /// Where a certificate and its key were written.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -144,16 +58,18 @@ impl Authority {
     ///
     /// # Errors
     /// When there is one already, or a file cannot be written.
-    pub fn create(folder: &Path, name: &str, lasts: Duration) -> Result<Self, AuthorityError> {
+    pub fn create(folder: &Path, name: &str, lasts: Duration) -> Result<Self, RouterError> {
         let file = folder.join(AUTHORITY);
         if file.exists() || folder.join(AUTHORITY_KEY).exists() {
-            return Err(AuthorityError::Exists(file));
+            let file = file.display();
+            return other(format!(
+                "{file} is there already: a new authority would make every certificate of the old one worthless"
+            ));
         }
         create_folder(folder)?;
         let key = KeyPair::generate()?;
-        let now = SystemTime::now();
         let mut params = authority_params(name);
-        set_validity(&mut params, now - REACH_BACK, later(now, lasts)?)?;
+        set_validity(&mut params, lasts)?;
         let certificate = params.self_signed(&key)?;
         write_private(&folder.join(AUTHORITY_KEY), &key.serialize_pem())?;
         write_public(&file, &certificate.pem())?;
@@ -165,10 +81,10 @@ impl Authority {
     ///
     /// # Errors
     /// When there is none, or its files cannot be read.
-    pub fn open(folder: &Path) -> Result<Self, AuthorityError> {
+    pub fn open(folder: &Path) -> Result<Self, RouterError> {
         let list = List::open(folder)?;
         let file = folder.join(AUTHORITY);
-        let (name, _) = subject(&file)?;
+        let name = subject(&file)?;
         let key_file = folder.join(AUTHORITY_KEY);
         let key = KeyPair::from_pem(&read(&key_file)?).map_err(at(&key_file))?;
         Ok(Self {
@@ -184,19 +100,33 @@ impl Authority {
         self.list.entries()
     }
 
-    /// Makes a certificate.
+    /// Makes a certificate that is good for `lasts` from now on. `hosts` are the names and addresses that the holder is reached at;
+    /// for routers, and hubs that are one.
     ///
     /// # Errors
     /// When the name cannot be used or has a good certificate, or a file cannot be written.
-    pub fn issue(&mut self, request: &Request<'_>) -> Result<Issued, AuthorityError> {
-        albireo_wire::check_segment("name", request.name)?;
-        let (role, name) = (request.role, request.name);
+    pub fn issue(
+        &mut self,
+        role: Role,
+        name: &str,
+        hosts: &[String],
+        lasts: Duration,
+    ) -> Result<Issued, RouterError> {
+        albireo_wire::check_segment("name", name)?;
         if self.list.good(role, name).is_ok() {
-            let name = name.to_owned();
-            return Err(AuthorityError::Issued { role, name });
+            return other(format!(
+                "{role} `{name}` has a certificate; renew it, or revoke it first"
+            ));
         }
-        let issue = self.list.last_issue(role, name) + 1;
-        self.make(request, issue)
+        let entry = Entry {
+            role,
+            name: name.to_owned(),
+            issue: self.list.last_issue(role, name) + 1,
+            hosts: hosts.to_vec(),
+            ends_s: 0,
+            revoked_s: None,
+        };
+        self.make(entry, lasts)
     }
 
     /// Replaces a certificate that is good by one with a new key. The old one stays good until it ends.
@@ -208,31 +138,30 @@ impl Authority {
         role: Role,
         name: &str,
         lasts: Duration,
-    ) -> Result<Issued, AuthorityError> {
-        let old = self.list.good(role, name)?.clone();
-        let request = Request::lasting(role, name, &old.hosts, lasts)?;
-        self.make(&request, old.issue)
+    ) -> Result<Issued, RouterError> {
+        let entry = self.list.good(role, name)?.clone();
+        self.make(entry, lasts)
     }
 
     /// Takes a certificate, and all with its common name, out of the access control that is generated from now on.
     ///
     /// # Errors
     /// When there is no good one, or the list cannot be written.
-    pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, AuthorityError> {
+    pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, RouterError> {
         let mut entry = self.list.good(role, name)?.clone();
-        entry.revoked_s = Some(seconds(SystemTime::now())?);
+        entry.revoked_s = Some(unix_milliseconds() / 1000);
         self.list.put(entry.clone())?;
         Ok(entry)
     }
 
-    fn make(&mut self, request: &Request<'_>, issue: u32) -> Result<Issued, AuthorityError> {
-        let (role, name) = (request.role, request.name);
-        let mut params = CertificateParams::new(request.hosts.to_vec())?;
-        set_validity(&mut params, request.begins, request.ends)?;
-        params.distinguished_name = common_name(&role.common_name(name, issue));
+    /// Makes the newest certificate of an entry.
+    fn make(&mut self, mut entry: Entry, lasts: Duration) -> Result<Issued, RouterError> {
+        let mut params = CertificateParams::new(entry.hosts.clone())?;
+        entry.ends_s = set_validity(&mut params, lasts)?;
+        params.distinguished_name = common_name(&entry.common_name());
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         // A router connects to others of the fleet, and to itself to see whether it still takes sessions.
-        params.extended_key_usages = match role {
+        params.extended_key_usages = match entry.role {
             Role::Node => vec![ExtendedKeyUsagePurpose::ClientAuth],
             Role::Hub | Role::Router => vec![
                 ExtendedKeyUsagePurpose::ClientAuth,
@@ -243,29 +172,17 @@ impl Authority {
         let key = KeyPair::generate()?;
         let own = authority_params(&self.name);
         let certificate = params.signed_by(&key, &Issuer::from_params(&own, &self.key))?;
-        let folder = self.folder.join(role.as_str());
-        create_folder(&folder)?;
-        let (certificate_file, key_file) = (
-            folder.join(format!("{name}.pem")),
-            folder.join(format!("{name}.key")),
-        );
-        // The key first: a certificate with the key of another is worse than a key without its certificate.
-        write_private(&key_file, &key.serialize_pem())?;
-        write_public(&certificate_file, &certificate.pem())?;
-        let entry = Entry {
-            role,
-            name: name.to_owned(),
-            issue,
-            hosts: request.hosts.to_vec(),
-            ends_s: seconds(request.ends)?,
-            revoked_s: None,
-        };
-        self.list.put(entry.clone())?;
-        Ok(Issued {
-            certificate: certificate_file,
-            key: key_file,
+        let issued = Issued {
+            certificate: self.folder.join(entry.certificate()),
+            key: self.folder.join(entry.certificate()).with_extension("key"),
             entry,
-        })
+        };
+        create_folder(&self.folder.join(issued.entry.role.as_str()))?;
+        // The key first: a certificate with the key of another is worse than a key without its certificate.
+        write_private(&issued.key, &key.serialize_pem())?;
+        write_public(&issued.certificate, &certificate.pem())?;
+        self.list.put(issued.entry.clone())?;
+        Ok(issued)
     }
 }
 
@@ -283,11 +200,11 @@ fn common_name(name: &str) -> DistinguishedName {
     distinguished
 }
 
-fn read(file: &Path) -> Result<String, AuthorityError> {
+fn read(file: &Path) -> Result<String, RouterError> {
     fs::read_to_string(file).map_err(at(file))
 }
 
-fn create_folder(folder: &Path) -> Result<(), AuthorityError> {
+fn create_folder(folder: &Path) -> Result<(), RouterError> {
     fs::DirBuilder::new()
         .recursive(true)
         .mode(0o750)
@@ -296,7 +213,7 @@ fn create_folder(folder: &Path) -> Result<(), AuthorityError> {
 }
 
 /// What only the owner may read.
-fn write_private(file: &Path, text: &str) -> Result<(), AuthorityError> {
+fn write_private(file: &Path, text: &str) -> Result<(), RouterError> {
     write(file, text, 0o600).map_err(at(file))
 }
 
@@ -304,7 +221,7 @@ fn write_private(file: &Path, text: &str) -> Result<(), AuthorityError> {
 ///
 /// # Errors
 /// When it cannot be written, with its name.
-pub fn write_public(file: &Path, text: &str) -> Result<(), AuthorityError> {
+pub fn write_public(file: &Path, text: &str) -> Result<(), RouterError> {
     write(file, text, 0o644).map_err(at(file))
 }
 
@@ -319,50 +236,32 @@ fn write(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The common name of the certificate in a file, and when it ends, seconds since the Unix epoch.
+/// The common name of the certificate in a file.
 ///
 /// # Errors
 /// When the file has no certificate with a common name.
-pub(crate) fn subject(file: &Path) -> Result<(String, i64), AuthorityError> {
+pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
     let text = read(file)?;
     let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
     let certificate = pem.parse_x509().map_err(at(file))?;
-    let name = certificate
-        .subject()
-        .iter_common_name()
-        .find_map(|name| name.as_str().ok())
-        .ok_or_else(|| at(file)("the certificate has no common name"))?;
-    Ok((
-        name.to_owned(),
-        certificate.validity().not_after.timestamp(),
-    ))
+    let mut names = certificate.subject().iter_common_name();
+    let name = names.find_map(|name| name.as_str().ok());
+    name.map(str::to_owned)
+        .ok_or_else(|| at(file)("the certificate has no common name"))
 }
 
-fn later(time: SystemTime, by: Duration) -> Result<SystemTime, AuthorityError> {
-    time.checked_add(by).ok_or(AuthorityError::Time)
-}
-
-fn seconds(time: SystemTime) -> Result<i64, AuthorityError> {
-    time.duration_since(UNIX_EPOCH)
-        .ok()
-        .and_then(|since| i64::try_from(since.as_secs()).ok())
-        .ok_or(AuthorityError::Time)
-}
-
-/// Sets the span in which a certificate is good.
-fn set_validity(
-    params: &mut CertificateParams,
-    begins: SystemTime,
-    ends: SystemTime,
-) -> Result<(), AuthorityError> {
-    let time = |at| ASN1Time::from_timestamp(at).map_err(|_| AuthorityError::Time);
-    let (begins, ends) = (seconds(begins)?, seconds(ends)?);
-    if ends <= begins {
-        return Err(AuthorityError::Time);
-    }
-    params.not_before = time(begins)?.to_datetime();
+/// Sets the span in which a certificate is good: `lasts` from now on. Returns when it ends, seconds since the Unix epoch.
+fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
+    let no_time = || RouterError::Other("that time cannot stand in a certificate".to_owned());
+    let now = unix_milliseconds() / 1000;
+    let ends = i64::try_from(lasts.as_secs()).ok();
+    let ends = ends
+        .and_then(|lasts| now.checked_add(lasts))
+        .ok_or_else(no_time)?;
+    let time = |at| ASN1Time::from_timestamp(at).map_err(|_| no_time());
+    params.not_before = time(now - REACH_BACK)?.to_datetime();
     params.not_after = time(ends)?.to_datetime();
-    Ok(())
+    Ok(ends)
 }
 
 #[cfg(test)]

@@ -3,8 +3,10 @@
 
 pub mod access;
 pub mod authority;
+mod error;
 mod http;
 mod probe;
 mod run;
 
-pub use run::{RouterError, RouterOptions, run};
+pub use error::RouterError;
+pub use run::{RouterOptions, run};

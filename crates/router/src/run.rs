@@ -1,13 +1,13 @@
 //! Runs a Zenoh router with health and metrics, from start to stop.
 
+use crate::error::{RouterError, at, other};
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
 use albireo_service::config::HttpConfig;
-use albireo_service::http::HttpError;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::session::plain;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -45,58 +45,33 @@ pub struct RouterOptions {
     probe_s: u64,
 }
 
-/// Why a router does not run.
-#[derive(Debug, thiserror::Error)]
-pub enum RouterError {
-    /// A file cannot be used.
-    #[error("{file}: {reason}")]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// Certificates are asked for, and nothing says what their holders may do.
-    #[error(
-        "{0} asks for certificates (`enable_mtls`), and no access rules say what their holders may do: every certificate, \
-         revoked ones included, could send in the name of any node and answer as a hub. Name the rules with --access \
-         (`albireo acl --output access.json` writes them), or allow everything with --no-access-control"
-    )]
-    NoAccessRules(PathBuf),
-    /// It cannot listen.
-    #[error("the router cannot be opened: {0}")]
-    NotOpened(String),
-    /// Its HTTP interface may not be offered as configured.
-    #[error("[http] {0}")]
-    Http(#[from] HttpError),
-}
-
 impl RouterOptions {
     /// Zenoh's configuration of it.
     ///
     /// # Errors
     /// When a file cannot be read, or Zenoh does not take what is in it.
     pub fn zenoh(&self) -> Result<Config, RouterError> {
-        let wrong = |file: &Path, reason| RouterError::File {
-            file: file.to_owned(),
-            reason,
-        };
-        let own = |error: zenoh::Error| wrong(&self.config, plain(&error));
+        let own = |error| at(&self.config)(plain(&error));
         let mut config = Config::from_file(&self.config).map_err(own)?;
         config.insert_json5("mode", "\"router\"").map_err(own)?;
         if let Some(file) = &self.access {
-            let text =
-                std::fs::read_to_string(file).map_err(|error| wrong(file, error.to_string()))?;
+            let text = std::fs::read_to_string(file).map_err(at(file))?;
             config
                 .insert_json5("access_control", &text)
-                .map_err(|error| wrong(file, plain(&error)))?;
+                .map_err(|error| at(file)(plain(&error)))?;
         }
         let is = |key: &str| config.get_json(key).is_ok_and(|value| value == "true");
         if is("transport/link/tls/enable_mtls")
             && !is("access_control/enabled")
             && !self.no_access_control
         {
-            return Err(RouterError::NoAccessRules(self.config.clone()));
+            return other(format!(
+                "{} asks for certificates (`enable_mtls`), and no access rules say what their holders may do: every \
+                 certificate, revoked ones included, could send in the name of any node and answer as a hub. Name the \
+                 rules with --access (`albireo acl --output access.json` writes them), or allow everything with \
+                 --no-access-control",
+                self.config.display()
+            ));
         }
         Ok(config)
     }
@@ -149,7 +124,8 @@ pub async fn run(
         },
         routing
     );
-    routed.and(served.map_err(RouterError::from))
+    routed?;
+    Ok(served?)
 }
 
 async fn route(
@@ -161,8 +137,9 @@ async fn route(
     let of_router = config.clone();
     let session = tokio::task::spawn_blocking(move || zenoh::open(config).wait())
         .await
-        .map_err(|error| RouterError::NotOpened(error.to_string()))?
-        .map_err(|error| RouterError::NotOpened(plain(&error)))?;
+        .map_err(|error| error.to_string())
+        .and_then(|opened| opened.map_err(|error| plain(&error)))
+        .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
     let endpoints = session.info().locators().await;
     let endpoints: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
     // It is opened once.

@@ -41,13 +41,16 @@ pub async fn run(
     shutdown: CancellationToken,
     mut progress: impl FnMut(String),
 ) -> Result<Summary, SimulateError> {
-    options.check().map_err(SimulateError::Options)?;
+    options.check().map_err(SimulateError::Other)?;
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
     let sessions = tokio::select! {
         sessions = open_all(&options) => sessions?,
-        () = shutdown.cancelled() => return Err(SimulateError::Stopped),
+        () = shutdown.cancelled() => {
+            let reason = "stopped before all sessions were open".to_owned();
+            return Err(SimulateError::Other(reason));
+        }
     };
     let opened_s = opening.elapsed().as_secs_f64();
     progress(format!(

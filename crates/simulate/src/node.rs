@@ -134,24 +134,23 @@ impl SimNode {
             }
             None => return desired.send_full_status,
         };
-        let refuse = |reason: &str| {
-            Some(RefusedDesired {
-                revision: desired.revision,
-                reason: reason.to_owned(),
-            })
-        };
-        if threshold.name.as_str() != "u" {
-            self.refused = refuse("the threshold of the policy in use is `u`");
-        } else if !RANGE.contains(&threshold.value) {
-            self.refused = refuse("`u` must be a number from 1e-9 to 1");
-        } else {
-            self.refused = None;
-            self.revision = desired.revision;
-            self.source = SettingSource::Hub;
-            self.target = None;
-            self.values.push((self.made, threshold.value));
-        }
         self.full_due = true;
+        let reason = match threshold.name.as_str() {
+            "u" if RANGE.contains(&threshold.value) => {
+                self.refused = None;
+                self.revision = desired.revision;
+                self.source = SettingSource::Hub;
+                self.target = None;
+                self.values.push((self.made, threshold.value));
+                return true;
+            }
+            "u" => "`u` must be a number from 1e-9 to 1",
+            _ => "the threshold of the policy in use is `u`",
+        };
+        self.refused = Some(RefusedDesired {
+            revision: desired.revision,
+            reason: reason.to_owned(),
+        });
         true
     }
 
@@ -164,15 +163,15 @@ impl SimNode {
         self.target = target.map(|target| {
             let (status, actual) = match target {
                 Target::SkipRate(wanted) => {
-                    let (least, most) = HELD_WITHIN;
                     let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
-                    self.values.push((self.made, u.clamp(least, most)));
-                    let status = match u {
-                        u if u > most => TargetStatus::CannotBeMet,
-                        u if u < least => TargetStatus::MoreThanKept,
-                        _ => TargetStatus::Held,
+                    let held = u.clamp(HELD_WITHIN.0, HELD_WITHIN.1);
+                    self.values.push((self.made, held));
+                    let status = match u - held {
+                        0.0 => TargetStatus::Held,
+                        over if over > 0.0 => TargetStatus::CannotBeMet,
+                        _ => TargetStatus::MoreThanKept,
                     };
-                    (status, Some(SKIP.0 + SKIP.1 * (self.u() / FIRST_U).log10()))
+                    (status, Some(SKIP.0 + SKIP.1 * (held / FIRST_U).log10()))
                 }
                 Target::Recall(_) => (TargetStatus::NoAudit, None),
                 _ => (TargetStatus::NoPower, None),
@@ -198,10 +197,12 @@ impl SimNode {
         if message.full.is_some() || !reported {
             return serde_json::to_vec(&message);
         }
-        let StatusMessage {
-            run, seq, waiting, ..
-        } = message;
-        Heartbeat { run, seq, waiting }.to_payload()
+        let heartbeat = Heartbeat {
+            run: message.run,
+            seq: message.seq,
+            waiting: message.waiting,
+        };
+        heartbeat.to_payload()
     }
 
     /// The next status; in full at the first, after a change, and when it was asked for.

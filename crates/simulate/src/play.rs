@@ -47,7 +47,7 @@ type Answer = Result<Vec<u8>, Vec<u8>>;
 pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
     let mut config = match &options.zenoh_config {
         Some(file) => zenoh::Config::from_file(file)
-            .map_err(|error| SimulateError::zenoh(file.display().to_string(), error))?,
+            .map_err(|error| SimulateError::at(file.display(), error))?,
         None => zenoh::Config::default(),
     };
     // Thousands that lost their router come back spread out.
@@ -70,11 +70,11 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
     ] {
         config
             .insert_json5(key, &value.to_string())
-            .map_err(|error| SimulateError::zenoh(key, error))?;
+            .map_err(|error| SimulateError::at(key, error))?;
     }
     zenoh::open(config)
         .await
-        .map_err(|error| SimulateError::zenoh(format!("session {index}"), error))
+        .map_err(|error| SimulateError::at(format!("session {index}"), error))
 }
 
 /// A node that is played.
@@ -187,7 +187,7 @@ impl Player {
             });
         notices
             .wait()
-            .map_err(|error| SimulateError::zenoh(format!("notice of {}", self.node.name), error))
+            .map_err(|error| SimulateError::at(format!("notice of {}", self.node.name), error))
     }
 
     fn answered(&mut self, asked: Asked, began: Instant) {

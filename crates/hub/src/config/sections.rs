@@ -25,8 +25,6 @@ impl Default for HubSection {
 pub struct DatabaseConfig {
     /// `sqlite:FILE`, or `postgres://USER:PASSWORD@HOST/DATABASE`.
     pub url: String,
-    /// Connections for reading, beside the one that writes.
-    pub readers: u32,
     /// How long a statement may wait for a connection or a lock, milliseconds.
     pub timeout_ms: u64,
 }
@@ -35,7 +33,6 @@ impl std::fmt::Debug for DatabaseConfig {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("DatabaseConfig")
             .field("url", &self.shown())
-            .field("readers", &self.readers)
             .field("timeout_ms", &self.timeout_ms)
             .finish()
     }
@@ -45,7 +42,6 @@ impl Default for DatabaseConfig {
     fn default() -> Self {
         Self {
             url: "sqlite:albireo-hub.db".to_owned(),
-            readers: 4,
             timeout_ms: 5_000,
         }
     }
@@ -102,7 +98,6 @@ impl DatabaseConfig {
                 "names no file: what the hub acknowledges must survive it",
             );
         }
-        findings.count("database.readers", self.readers.into(), 1, 64);
         findings.count("database.timeout_ms", self.timeout_ms, 100, 600_000);
     }
 }
@@ -113,22 +108,15 @@ impl DatabaseConfig {
 pub struct IngestConfig {
     /// Shortest time between two commits, milliseconds: what comes in between is committed together.
     pub commit_ms: u64,
-    /// A batch that comes while those before it wait longer than this is answered "busy" at once, milliseconds. To be
-    /// well below the time nodes wait for an answer: what is written after that is sent once more for nothing.
-    pub busy_after_ms: u64,
     /// Bytes of reports that a node may send a day for each of its cameras; above it the hub answers when to come again.
     pub camera_bytes_per_day: u64,
-    /// How long a node that is answered "busy" has to wait, milliseconds.
-    pub busy_retry_ms: u64,
 }
 
 impl Default for IngestConfig {
     fn default() -> Self {
         Self {
             commit_ms: 100,
-            busy_after_ms: 3_000,
             camera_bytes_per_day: 10_000_000,
-            busy_retry_ms: 2_000,
         }
     }
 }
@@ -136,14 +124,12 @@ impl Default for IngestConfig {
 impl IngestConfig {
     pub(super) fn check(&self, findings: &mut Findings) {
         findings.count("ingest.commit_ms", self.commit_ms, 0, 10_000);
-        findings.count("ingest.busy_after_ms", self.busy_after_ms, 1, 3_600_000);
         findings.count(
             "ingest.camera_bytes_per_day",
             self.camera_bytes_per_day,
             100_000,
             1 << 40,
         );
-        findings.count("ingest.busy_retry_ms", self.busy_retry_ms, 1, 3_600_000);
     }
 }
 

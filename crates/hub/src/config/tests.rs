@@ -86,8 +86,9 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[http]\nlisten = \"0.0.0.0:8090\"", "http.listen"),
         ("[database]\nurl = \"mysql://x\"", "database.url"),
         ("[database]\nurl = \"sqlite::memory:\"", "database.url"),
-        ("[database]\nreaders = 0", "database.readers"),
-        ("[ingest]\nbusy_after_ms = 0", "ingest.busy_after_ms"),
+        ("[database]\ntimeout_ms = 0", "database.timeout_ms"),
+        ("[database]\nreaders = 4", "database.readers"),
+        ("[ingest]\nbusy_after_ms = 3000", "ingest.busy_after_ms"),
         (
             "[presence]\nsilent_after_s = nan",
             "presence.silent_after_s",

@@ -106,16 +106,15 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
 }
 
 fn ingest(page: &mut MetricsPage, view: &HubView) {
-    let one = view.ingest.snapshot();
-    for (name, help, count) in one.counts.named() {
+    let counts = view.ingest.counts();
+    for (name, help, count) in counts.named() {
         page.counter(name, help, count as f64);
     }
     page.counter(
         "albireo_hub_energy_joules_total",
         "Energy of the clips written that have a figure, over the time that samples cover",
-        one.counts.energy_uj as f64 / 1e6,
+        counts.energy_uj as f64 / 1e6,
     );
-    let counts = &one.counts;
     page.counters(
         "albireo_hub_audit_frames_total",
         "Skipped frames of the clips written that the audit drew, by what became of them",
@@ -151,21 +150,21 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     page.gauge(
         "albireo_hub_acknowledged_after_p99_seconds",
         "99th percentile of the time from a batch's arrival to its acknowledgement, of the last ones",
-        one.acknowledged_after_p99_s,
+        view.ingest.acknowledged_after.p99_s(),
     );
     page.gauge(
         "albireo_hub_commit_p99_seconds",
         "99th percentile of the time a transaction took, of the last ones",
-        one.committed_in_p99_s,
+        view.ingest.committed_in.p99_s(),
     );
     page.gauge(
         "albireo_hub_queue_batches",
         "Batches that came and are not answered yet",
-        one.queued as f64,
+        view.ingest.queued() as f64,
     );
     page.gauge(
         "albireo_hub_queue_bytes",
         "Compressed bytes of the batches that are not answered yet",
-        one.queued_bytes as f64,
+        view.ingest.queued_bytes() as f64,
     );
 }

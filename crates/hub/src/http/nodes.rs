@@ -2,7 +2,7 @@
 
 use super::HubView;
 use super::body::unusable;
-use crate::presence::{NodeView, PresenceState, day_of};
+use crate::presence::{NodeView, PresenceState};
 use crate::store::ReportCounts;
 use crate::tuning::selector::Selector;
 use albireo_service::clock::unix_milliseconds;
@@ -132,7 +132,6 @@ pub(super) async fn list(
     let search = selection.search.unwrap_or_default();
 
     let (mut waiting, mut found) = (0, Vec::new());
-    let day = day_of(unix_milliseconds());
     view.fleet.each(|name, node| {
         waiting += node.waiting;
         let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
@@ -144,7 +143,7 @@ pub(super) async fn list(
                 Order::State => node.state as i64,
                 Order::Since => node.since_ms,
                 Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
-                Order::Joules => node.used_uj(day),
+                Order::Joules => node.today.largest_uj(),
                 Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             };
             found.push((key, Arc::clone(name)));

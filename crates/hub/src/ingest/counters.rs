@@ -51,7 +51,7 @@ counts! {
     set_aside "Reports that make no sense" "albireo_hub_reports_set_aside_total";
     missing "Running counts of nodes found missing" "albireo_hub_reports_missing_total";
     too_old "Reports refused because they are older than identities are known" "albireo_hub_reports_too_old_total";
-    resets "Running counts that began again: the state of a node was made new, went back or was copied" "albireo_hub_count_resets_total";
+    resets "Running counts that began again: the node's state was new, older or a copy" "albireo_hub_count_resets_total";
     clock_off "Clips of nodes whose clock is off" "albireo_hub_clock_off_total";
     commits "Commits" "albireo_hub_commits_total";
     frames "Frames of the clips written" "albireo_hub_frames_total";
@@ -73,38 +73,24 @@ counts! {
 #[derive(Debug, Default)]
 pub struct IngestCounters {
     counts: Mutex<IngestCounts>,
-    acknowledged_after: Ages,
-    committed_in: Ages,
+    /// From the arrivals of batches to their acknowledgements.
+    pub(crate) acknowledged_after: Ages,
+    /// How long transactions took.
+    pub(crate) committed_in: Ages,
     queued: AtomicU64,
     queued_bytes: AtomicU64,
-    in_hand_since: Mutex<Option<Instant>>,
-}
-
-/// The counters at one moment.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct IngestSnapshot {
-    /// The counts.
-    pub counts: IngestCounts,
-    /// 99th percentile of the time from a batch's arrival to its acknowledgement, seconds, of the last ones; 0 before the first.
-    pub acknowledged_after_p99_s: f64,
-    /// 99th percentile of the time a transaction took, seconds, of the last ones.
-    pub committed_in_p99_s: f64,
-    /// Batches that came and are not answered yet.
-    pub queued: u64,
-    /// Their compressed bytes.
-    pub queued_bytes: u64,
+    writing_since: Mutex<Option<Instant>>,
 }
 
 impl IngestCounters {
-    /// The counters now.
-    pub fn snapshot(&self) -> IngestSnapshot {
-        IngestSnapshot {
-            counts: *self.counts.lock(),
-            acknowledged_after_p99_s: self.acknowledged_after.p99().as_secs_f64(),
-            committed_in_p99_s: self.committed_in.p99().as_secs_f64(),
-            queued: self.queued.load(Ordering::Relaxed),
-            queued_bytes: self.queued_bytes.load(Ordering::Relaxed),
-        }
+    /// The counts now.
+    pub fn counts(&self) -> IngestCounts {
+        *self.counts.lock()
+    }
+
+    /// Batches that came and are not answered yet.
+    pub fn queued(&self) -> u64 {
+        self.queued.load(Ordering::Relaxed)
     }
 
     /// Adds to the counts.
@@ -125,23 +111,15 @@ impl IngestCounters {
         self.counts.lock().answers_lost += 1;
     }
 
-    pub(crate) fn acknowledged_after(&self, age: Duration) {
-        self.acknowledged_after.add(age);
-    }
-
-    pub(crate) fn committed_in(&self, took: Duration) {
-        self.committed_in.add(took);
-    }
-
-    /// When the batch came that was taken from the queue last; nothing once all is written.
-    pub(crate) fn in_hand(&self, since: Option<Instant>) {
-        *self.in_hand_since.lock() = since;
+    /// Notes when the batch that is being written came; `None` once all is written.
+    pub(crate) fn writing(&self, since: Option<Instant>) {
+        *self.writing_since.lock() = since;
     }
 
     /// How long what is being written has waited: a batch that comes now waits as long at least, where as many come as
     /// before.
     pub(crate) fn waited(&self) -> Duration {
-        let since = *self.in_hand_since.lock();
+        let since = *self.writing_since.lock();
         since.map_or(Duration::ZERO, |since| since.elapsed())
     }
 
@@ -150,7 +128,7 @@ impl IngestCounters {
         self.queued_bytes.load(Ordering::Relaxed)
     }
 
-    /// IngestCounts a batch among those that wait, until what is returned is dropped.
+    /// Counts a batch among those that wait, until what is returned is dropped.
     pub(crate) fn queue(self: &Arc<Self>, bytes: usize) -> Queued {
         let bytes = bytes as u64;
         self.queued.fetch_add(1, Ordering::Relaxed);
@@ -180,10 +158,10 @@ impl Drop for Queued {
 
 /// The last times of something.
 #[derive(Debug, Default)]
-struct Ages(Mutex<VecDeque<Duration>>);
+pub(crate) struct Ages(Mutex<VecDeque<Duration>>);
 
 impl Ages {
-    fn add(&self, age: Duration) {
+    pub(crate) fn add(&self, age: Duration) {
         let mut ages = self.0.lock();
         if ages.len() == KEPT {
             ages.pop_front();
@@ -191,12 +169,13 @@ impl Ages {
         ages.push_back(age);
     }
 
-    fn p99(&self) -> Duration {
+    /// Their 99th percentile, seconds; 0 before the first.
+    pub(crate) fn p99_s(&self) -> f64 {
         let mut ages: Vec<Duration> = self.0.lock().iter().copied().collect();
         if ages.is_empty() {
-            return Duration::ZERO;
+            return 0.0;
         }
         let place = (ages.len() * 99).div_ceil(100).saturating_sub(1);
-        *ages.select_nth_unstable(place).1
+        ages.select_nth_unstable(place).1.as_secs_f64()
     }
 }

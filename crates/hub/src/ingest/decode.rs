@@ -3,10 +3,7 @@
 use super::clip::{ClipRecord, record};
 use super::plan::{Present, key};
 use crate::store::ReportKey;
-use albireo_wire::{
-    BatchError, ClipReport, MOST_REPORTS, MessageError, ReportBatch, VERSION, check_segment,
-    decompress_batch,
-};
+use albireo_wire::{ClipReport, MOST_REPORTS, VERSION, check_segment, decompress_batch};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
@@ -50,38 +47,9 @@ pub(crate) enum NotTaken {
     Senseless { cause: String, body: String },
 }
 
-/// Why a whole batch is not taken.
-#[derive(Debug, thiserror::Error)]
-pub enum DecodeError {
-    /// It cannot be read.
-    #[error(transparent)]
-    Batch(#[from] BatchError),
-    /// It came on another node's key.
-    #[error("it came on the key of node `{key}` and says that it is of node `{batch}`")]
-    OtherNode {
-        /// The node of the key.
-        key: String,
-        /// The node that the batch names.
-        batch: String,
-    },
-    /// It has nothing in it.
-    #[error("no reports")]
-    Empty,
-    /// It has too much in it.
-    #[error("{0} reports, above {MOST_REPORTS}")]
-    TooMany(usize),
-}
-
-impl From<serde_json::Error> for DecodeError {
-    fn from(error: serde_json::Error) -> Self {
-        Self::Batch(MessageError::from(error).into())
-    }
-}
-
-/// A batch whose reports are left as they came.
+/// A batch whose reports are left as they came: one that cannot be read does not make its batch unreadable.
 #[derive(Deserialize)]
 struct RawBatch<'a> {
-    v: u32,
     node: String,
     t_ms: u64,
     #[serde(borrow)]
@@ -91,76 +59,56 @@ struct RawBatch<'a> {
 /// Reads the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
 ///
 /// # Errors
-/// [`DecodeError`]: nothing of it is taken. A report in it that makes no sense does not make the batch unreadable.
-pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, DecodeError> {
-    let json = decompress_batch(payload)?;
-    let (v, of, t_ms, reports) = match serde_json::from_slice::<ReportBatch>(&json) {
-        Ok(batch) => {
-            let reports = batch.reports.into_iter().map(Ok).collect();
-            (batch.v, batch.node, batch.t_ms, reports)
-        }
-        // One report that cannot be read does not make its batch unreadable.
-        Err(_) => {
-            let batch: RawBatch<'_> = serde_json::from_slice(&json)?;
-            if batch.reports.len() > MOST_REPORTS {
-                return Err(DecodeError::TooMany(batch.reports.len()));
-            }
-            let reports: Vec<_> = batch.reports.into_iter().map(read).collect();
-            (batch.v, batch.node, batch.t_ms, reports)
-        }
-    };
-    if v != VERSION {
-        return Err(BatchError::from(MessageError::Version { found: v }).into());
+/// Why nothing of it is taken. A report in it that makes no sense does not make the batch unreadable.
+pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
+    let json = decompress_batch(payload).map_err(|error| error.to_string())?;
+    let batch: RawBatch<'_> = albireo_wire::read(&json).map_err(|error| error.to_string())?;
+    if batch.node != node {
+        let of = batch.node;
+        return Err(format!(
+            "it came on the key of node `{node}` and says that it is of node `{of}`"
+        ));
     }
-    if of != node {
-        return Err(DecodeError::OtherNode {
-            key: node.to_owned(),
-            batch: of,
-        });
-    }
-    match reports.len() {
-        0 => return Err(DecodeError::Empty),
+    match batch.reports.len() {
+        0 => return Err("no reports".to_owned()),
         1..=MOST_REPORTS => {}
-        many => return Err(DecodeError::TooMany(many)),
+        many => return Err(format!("{many} reports, above {MOST_REPORTS}")),
     }
     let present = Present {
         hub_ms,
-        node_ms: i64::try_from(t_ms).unwrap_or(i64::MAX),
+        node_ms: i64::try_from(batch.t_ms).unwrap_or(i64::MAX),
     };
-    let received = |report: Result<ClipReport, Received>| match report {
-        Ok(report) => take(node, &report, present),
-        Err(unread) => unread,
-    };
+    let reports = batch.reports.iter();
     Ok(Batch {
-        node: of,
+        node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: reports.into_iter().map(received).collect(),
+        reports: reports.map(|raw| take(node, raw.get(), present)).collect(),
     })
 }
 
 /// Reads one report; as far as it goes where it cannot be read.
-fn read(raw: &RawValue) -> Result<ClipReport, Received> {
+fn take(node: &str, raw: &str, present: Present) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]
     struct Known {
         id: Option<Uuid>,
         count: Option<u64>,
     }
-    serde_json::from_str(raw.get()).map_err(|error: serde_json::Error| {
-        let known: Known = serde_json::from_str(raw.get()).unwrap_or_default();
-        Received {
-            id: known.id,
-            count: known.count,
-            content: Err(senseless(error.to_string(), raw.get())),
+    let report: ClipReport = match serde_json::from_str(raw) {
+        Ok(report) => report,
+        Err(error) => {
+            let known: Known = serde_json::from_str(raw).unwrap_or_default();
+            return Received {
+                id: known.id,
+                count: known.count,
+                content: Err(senseless(error.to_string(), raw)),
+            };
         }
-    })
-}
-
-fn take(node: &str, report: &ClipReport, present: Present) -> Received {
-    let content = check(node, report)
-        .and_then(|()| record(report, present))
-        .map_err(|cause| senseless(cause, &serde_json::to_string(report).unwrap_or_default()))
+    };
+    let content = check(node, &report)
+        .and_then(|()| record(&report, present))
+        .map_err(|cause| senseless(cause, raw))
         .and_then(|record| {
             let key = key(report.id, present).map_err(NotTaken::TooOld)?;
             let record = Box::new(record);

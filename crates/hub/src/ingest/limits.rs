@@ -3,46 +3,34 @@
 use crate::per_node::{PerNode, Place};
 use crate::store::tables::EventRow;
 use parking_lot::Mutex;
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::Arc;
+use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
 /// Batches of a node that may wait: it sends one after the other, and one may be on its way from before a restart.
-const MOST_WAITING: u32 = 2;
+const MOST_WAITING: usize = 2;
 
 /// What a batch costs at least, bytes: many small ones are no less work.
 const LEAST_COST: usize = 1 << 10;
 
+/// When a node may come again that is answered "busy".
+pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
+
 /// Longest time after which a node that has used up its allowance may come again.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
-
-/// Refusals a second that a node is answered; further ones get no answer.
-const REFUSALS_PER_S: f64 = 10.0;
-
-/// Nodes whose share is followed.
-const MOST_NODES: usize = 200_000;
 
 /// Rows of senseless reports of a node that are kept a day; further ones are only counted.
 const SET_ASIDE_PER_DAY: u32 = 100;
 
 const DAY_S: f64 = 86_400.0;
-
-/// Whether a batch is taken.
-#[derive(Debug)]
-pub(crate) enum Admission {
-    /// It waits, in this place.
-    Taken(Place),
-    /// Not now: when to come again, and why. `None`: the node is not even answered.
-    Later(Option<(Duration, &'static str)>),
-}
+const MINUTE_MS: i64 = 60_000;
+const DAY_MS: i64 = 86_400_000;
 
 /// What each node has used of what it may send.
 #[derive(Debug)]
 pub(crate) struct NodeLimits {
     /// Bytes of reports a day for each camera of a node.
     camera_bytes: f64,
-    busy_retry: Duration,
-    waiting: Arc<PerNode>,
+    waiting: PerNode,
     shares: Mutex<HashMap<String, Share>>,
 }
 
@@ -52,91 +40,44 @@ struct Share {
     cameras: f64,
     /// Bytes that it may still send; below zero until a batch that was taken is paid for.
     left: f64,
-    /// Refusals that it may still be answered.
-    refusals: f64,
     refilled_at: Instant,
 }
 
-impl Share {
-    /// Adds what has become free since it was seen last.
-    fn refill(&mut self, camera_bytes: f64, now: Instant) {
-        let seconds = now
-            .saturating_duration_since(self.refilled_at)
-            .as_secs_f64();
-        let most = camera_bytes * self.cameras;
-        self.left = (self.left + most * seconds / DAY_S).min(most);
-        self.refusals = (self.refusals + REFUSALS_PER_S * seconds).min(REFUSALS_PER_S);
-        self.refilled_at = now;
-    }
-
-    /// Whether one more refusal is answered.
-    fn may_be_told(&mut self) -> bool {
-        let may = self.refusals >= 1.0;
-        if may {
-            self.refusals -= 1.0;
-        }
-        may
-    }
-}
-
 impl NodeLimits {
-    pub(crate) fn new(camera_bytes: u64, busy_retry: Duration) -> Arc<Self> {
-        Arc::new(Self {
+    pub(crate) fn new(camera_bytes: u64) -> Self {
+        Self {
             camera_bytes: camera_bytes as f64,
-            busy_retry,
             waiting: PerNode::new(MOST_WAITING),
             shares: Mutex::default(),
-        })
-    }
-
-    /// Whether a batch of `node` may wait.
-    pub(crate) fn admit(&self, node: &str, now: Instant) -> Admission {
-        let mut shares = self.shares.lock();
-        if shares.len() >= MOST_NODES && !shares.contains_key(node) {
-            let camera_bytes = self.camera_bytes;
-            shares.retain(|_, share| {
-                share.refill(camera_bytes, now);
-                share.left < camera_bytes * share.cameras
-            });
-            if shares.len() >= MOST_NODES {
-                return Admission::Later(None);
-            }
         }
-        let share = self.share(&mut shares, node, now);
-        let refused = if share.left <= 0.0 {
-            let per_s = self.camera_bytes * share.cameras / DAY_S;
-            let wait = (LEAST_COST as f64 - share.left) / per_s;
-            let wait = Duration::try_from_secs_f64(wait).unwrap_or(LONGEST_WAIT);
-            let wait = wait.clamp(self.busy_retry, LONGEST_WAIT.max(self.busy_retry));
-            (wait, "the node has sent more than its share of today")
-        } else if let Some(place) = self.waiting.place(node) {
-            return Admission::Taken(place);
-        } else {
-            (self.busy_retry, "batches of this node wait already")
-        };
-        Admission::Later(share.may_be_told().then_some(refused))
     }
 
-    /// Whether one more refusal of `node` is answered.
-    pub(crate) fn may_refuse(&self, node: &str, now: Instant) -> bool {
-        self.share(&mut self.shares.lock(), node, now).may_be_told()
-    }
-
-    /// The share of `node` as it is now.
-    fn share<'s>(
+    /// A place for a batch of `node`.
+    ///
+    /// # Errors
+    /// When to come again, and why.
+    pub(crate) fn admit(
         &self,
-        shares: &'s mut HashMap<String, Share>,
         node: &str,
         now: Instant,
-    ) -> &'s mut Share {
+    ) -> Result<Place, (Duration, &'static str)> {
+        let mut shares = self.shares.lock();
         let share = shares.entry(node.to_owned()).or_insert(Share {
             cameras: 1.0,
             left: self.camera_bytes,
-            refusals: REFUSALS_PER_S,
             refilled_at: now,
         });
-        share.refill(self.camera_bytes, now);
-        share
+        let (most, passed) = (self.camera_bytes * share.cameras, now - share.refilled_at);
+        share.left = (share.left + most * passed.as_secs_f64() / DAY_S).min(most);
+        share.refilled_at = now;
+        if share.left <= 0.0 {
+            let wait = (LEAST_COST as f64 - share.left) * DAY_S / most;
+            let wait = Duration::try_from_secs_f64(wait).unwrap_or(LONGEST_WAIT);
+            let wait = wait.clamp(BUSY_RETRY, LONGEST_WAIT);
+            return Err((wait, "the node has sent more than its share of today"));
+        }
+        let place = self.waiting.place(node);
+        place.ok_or((BUSY_RETRY, "batches of this node wait already"))
     }
 
     /// Takes what a batch of `node` costs from its share.
@@ -161,10 +102,27 @@ impl NodeLimits {
 /// Events and rows of senseless reports that are written for a node: one event of a kind a minute, some rows a day.
 #[derive(Debug, Default)]
 pub(crate) struct EventLimits {
-    minute: i64,
-    events: HashSet<(String, &'static str)>,
-    day: i64,
-    set_aside: HashMap<String, u32>,
+    events: Counted,
+    set_aside: Counted,
+}
+
+/// How much there was of each kind of a node in the present span of time.
+#[derive(Debug, Default)]
+struct Counted {
+    span: i64,
+    counts: HashMap<(String, &'static str), u32>,
+}
+
+impl Counted {
+    /// Counts one more, and returns how many there are.
+    fn add(&mut self, node: &str, kind: &'static str, span: i64) -> u32 {
+        if std::mem::replace(&mut self.span, span) != span {
+            self.counts.clear();
+        }
+        let count = self.counts.entry((node.to_owned(), kind)).or_default();
+        *count = count.saturating_add(1);
+        *count
+    }
 }
 
 impl EventLimits {
@@ -184,22 +142,13 @@ impl EventLimits {
 
     /// Whether it is the first event of its kind of a node in this minute.
     pub(crate) fn is_first(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
-        let minute = at_ms.div_euclid(60_000);
-        if std::mem::replace(&mut self.minute, minute) != minute {
-            self.events.clear();
-        }
-        self.events.insert((node.to_owned(), kind))
+        self.events.add(node, kind, at_ms.div_euclid(MINUTE_MS)) == 1
     }
 
     /// Whether a row of a senseless report of `node` is to be kept.
     pub(crate) fn may_set_aside(&mut self, node: &str, at_ms: i64) -> bool {
-        let day = at_ms.div_euclid(86_400_000);
-        if std::mem::replace(&mut self.day, day) != day {
-            self.set_aside.clear();
-        }
-        let kept = self.set_aside.entry(node.to_owned()).or_default();
-        *kept += 1;
-        *kept <= SET_ASIDE_PER_DAY
+        let rows = self.set_aside.add(node, "", at_ms.div_euclid(DAY_MS));
+        rows <= SET_ASIDE_PER_DAY
     }
 }
 
@@ -236,18 +185,14 @@ impl ClockCheck {
 
     /// Whether most of the nodes agree with the hub's clock, or it has run for a day without a step.
     pub(crate) fn is_believed(&mut self, now: Instant, now_ms: i64) -> bool {
-        const DAY: Duration = Duration::from_secs(86_400);
-        let ran = now.saturating_duration_since(self.began);
-        let expected = i64::try_from(ran.as_millis()).unwrap_or(i64::MAX);
-        let stepped = now_ms
-            .saturating_sub(self.began_ms)
-            .saturating_sub(expected);
-        if stepped.saturating_abs() > 86_400_000 {
+        let ran = i64::try_from((now - self.began).as_millis()).unwrap_or(i64::MAX);
+        let expected = self.began_ms.saturating_add(ran);
+        if now_ms.saturating_sub(expected).saturating_abs() > DAY_MS {
             *self = Self::new(now, now_ms);
             return false;
         }
         let agree = self.votes.iter().filter(|(_, agrees)| *agrees).count();
-        agree * 2 > self.votes.len() || ran >= DAY
+        agree * 2 > self.votes.len() || ran >= DAY_MS
     }
 }
 
@@ -257,26 +202,19 @@ mod tests {
 
     const MB: u64 = 1_000_000;
 
-    fn limits() -> Arc<NodeLimits> {
-        NodeLimits::new(10 * MB, Duration::from_secs(2))
-    }
-
-    fn taken(admission: Admission) -> Place {
-        match admission {
-            Admission::Taken(place) => place,
-            Admission::Later(why) => panic!("{why:?}"),
-        }
+    fn limits() -> NodeLimits {
+        NodeLimits::new(10 * MB)
     }
 
     #[test]
     fn two_batches_of_a_node_may_wait_and_one_more_is_told_to_come_again() {
         let (limits, now) = (limits(), Instant::now());
-        let first = taken(limits.admit("a", now));
-        let _second = taken(limits.admit("a", now));
-        assert!(matches!(limits.admit("a", now), Admission::Later(Some(_))));
-        let _other = taken(limits.admit("b", now));
+        let first = limits.admit("a", now).unwrap();
+        let _second = limits.admit("a", now).unwrap();
+        assert!(limits.admit("a", now).is_err());
+        let _other = limits.admit("b", now).unwrap();
         drop(first);
-        taken(limits.admit("a", now));
+        drop(limits.admit("a", now).unwrap());
     }
 
     #[test]
@@ -290,12 +228,12 @@ mod tests {
             assert!(now < start + day * 40, "{backlog} left");
             requests += 1;
             match limits.admit("a", now) {
-                Admission::Taken(place) => {
+                Ok(_place) => {
                     let batch = backlog.min(MB);
-                    limits.charge(place.node(), batch as usize);
+                    limits.charge("a", batch as usize);
                     backlog -= batch;
                 }
-                Admission::Later(why) => now += why.unwrap().0,
+                Err((wait, _)) => now += wait,
             }
             while now >= made + Duration::from_secs(3456) {
                 made += Duration::from_secs(3456);
@@ -308,35 +246,19 @@ mod tests {
             "{days} days, asked {requests} times"
         );
         // Another is not held up by it, and each camera has a share of its own.
-        taken(limits.admit("b", now));
+        drop(limits.admit("b", now).unwrap());
         limits.has_cameras("a", 4);
-        taken(limits.admit("a", now));
+        drop(limits.admit("a", now).unwrap());
     }
 
     #[test]
     fn many_small_batches_cost_more_than_their_bytes() {
         let (limits, now) = (limits(), Instant::now());
-        let batches = (0..100_000).take_while(|_| match limits.admit("a", now) {
-            Admission::Taken(place) => {
-                limits.charge(place.node(), 10);
-                true
-            }
-            Admission::Later(_) => false,
+        let batches = (0..100_000).take_while(|_| {
+            limits.charge("a", 10);
+            limits.admit("a", now).is_ok()
         });
         assert!(batches.count() < 11_000);
-    }
-
-    #[test]
-    fn refusals_are_told_ten_times_a_second() {
-        let (limits, now) = (limits(), Instant::now());
-        let _waiting: Vec<_> = (0..2).map(|_| taken(limits.admit("a", now))).collect();
-        let wait = |now| {
-            let all = (0..1000).map(|_| limits.admit("a", now));
-            all.filter(|one| matches!(one, Admission::Later(Some(_))))
-                .count()
-        };
-        assert_eq!(wait(now), 10);
-        assert_eq!(wait(now + Duration::from_secs(1)), 10);
     }
 
     #[test]

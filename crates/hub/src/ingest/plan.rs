@@ -78,7 +78,7 @@ pub(crate) enum Seen {
     Expected,
     /// These did not come, from the first to the last.
     Gap(u64, u64),
-    /// It was seen before: the node's state was made new, went back or was copied. Missing ones are counted from here.
+    /// It was seen before: the node's state is new, older or a copy. Missing ones are counted from here.
     Reset,
 }
 

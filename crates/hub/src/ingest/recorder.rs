@@ -1,19 +1,33 @@
-//! Stores batches of reports, each group in one transaction, and makes their answers. No thread, no network, no clock.
+//! Writes groups of batches, each in one transaction, and makes their answers. No thread, no network, no clock.
 
-use super::commit::{Committed, Numbers, write};
-use super::decode::Batch;
+use super::counters::IngestCounts;
+use super::decode::{Batch, NotTaken, Taken};
 use super::limits::{ClockCheck, EventLimits};
+use super::plan::Seen;
 use crate::config::HistoryConfig;
 use crate::presence::News;
+use crate::store::migrate::identity;
 use crate::store::retention::retain;
+use crate::store::row::Row;
+use crate::store::tables::{EventRow, LARGEST_SUM, SUM_KEY, SUMMED};
 use crate::store::{Access, Database, Store, StoreError};
 use albireo_service::clock::Now;
-use albireo_wire::ReportAnswer;
+use albireo_wire::{RefusedReport, ReportAnswer};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 /// Interval of looking for what is too old, when nothing was found.
 const RETENTION: Duration = Duration::from_secs(60);
+
+/// The tables of sums, and the length of their spans in seconds; days are those of UTC.
+const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
+
+const DAY_MS: i64 = 86_400_000;
+
+/// Most cameras of a node.
+const MOST_CAMERAS: usize = 64;
 
 /// Stores batches in a database.
 pub struct Recorder {
@@ -22,18 +36,22 @@ pub struct Recorder {
     /// That of the database; known once a first transaction has succeeded.
     identity: Option<Uuid>,
     history: HistoryConfig,
-    numbers: Numbers,
     event_limits: EventLimits,
     clock: ClockCheck,
     retention_due: Instant,
 }
 
 /// What was committed.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Recorded {
     /// The answer to each batch, in order. There is none before the commit.
     pub answers: Vec<ReportAnswer>,
-    pub(crate) committed: Committed,
+    /// How many cameras the node of each batch has, in order.
+    pub(crate) cameras: Vec<usize>,
+    /// What is counted of it.
+    pub(crate) counts: IngestCounts,
+    /// What happened, that is worth an event.
+    pub(crate) events: Vec<EventRow>,
 }
 
 impl Recorder {
@@ -44,7 +62,6 @@ impl Recorder {
             database: None,
             identity: None,
             history: history.clone(),
-            numbers: Numbers::default(),
             event_limits: EventLimits::default(),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
@@ -81,12 +98,35 @@ impl Recorder {
             let pause = if more { Duration::ZERO } else { RETENTION };
             self.retention_due = now.at + pause;
         }
-        let recorded = self.transaction(batches, news, now);
-        if recorded.is_err() {
-            // What was handed out under this transaction means nothing any more.
-            self.numbers.forget();
+        // Dropped after an error, which rolls back what it began.
+        let mut database = self.store.connect(Access::Write, self.database.take())?;
+        let database_id = match self.identity {
+            Some(identity) => identity,
+            None => identity(&mut *database)?,
+        };
+        database.begin()?;
+        let events = news.write(&mut *database)?;
+        let mut recorded = Recorded {
+            events,
+            ..Recorded::default()
+        };
+        if !batches.is_empty() {
+            self.write(
+                &mut *database,
+                batches,
+                database_id,
+                now.unix_ms,
+                &mut recorded,
+            )?;
         }
-        recorded
+        database.insert("events", &recorded.events, "")?;
+        database.commit()?;
+        self.database = Some(database);
+        self.identity = Some(database_id);
+        for batch in batches {
+            self.clock.note(&batch.node, batch.clocks_agree);
+        }
+        Ok(recorded)
     }
 
     /// Deletes some of what is too old, and returns whether there is more.
@@ -98,38 +138,240 @@ impl Recorder {
         Ok(more)
     }
 
-    fn transaction(
+    /// Writes `batches` into the transaction: ids of reports, clips, sums, counts, what is set aside.
+    fn write(
         &mut self,
+        database: &mut dyn Database,
         batches: &[Batch],
-        news: &News,
-        now: Now,
-    ) -> Result<Recorded, StoreError> {
-        // Dropped after an error, which rolls back what it began.
-        let mut database = self.store.connect(Access::Write, self.database.take())?;
-        let identity = match self.identity {
-            Some(identity) => identity,
-            None => database.identity()?,
-        };
-        database.begin()?;
-        let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
-        let mut events = news.write(&mut *database, now.unix_ms)?;
-        let mut committed = write(&mut *database, numbers, limits, batches, now.unix_ms)?;
-        events.append(&mut committed.events);
-        database.events(&events)?;
-        database.commit()?;
-        self.database = Some(database);
-        self.identity = Some(identity);
-        for batch in batches {
-            self.clock.note(&batch.node, batch.clocks_agree);
-        }
-        committed.events = events;
-        let answers = (committed.outcomes.iter_mut())
-            .map(|outcome| ReportAnswer {
-                refused: std::mem::take(&mut outcome.refused),
-                missing: std::mem::take(&mut outcome.wanted),
-                ..ReportAnswer::new(identity)
-            })
+        database_id: Uuid,
+        now_ms: i64,
+        recorded: &mut Recorded,
+    ) -> Result<(), StoreError> {
+        let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
+        let names: Vec<&str> = names.into_iter().collect();
+        let mut nodes = database.reporting_nodes(&names, now_ms)?;
+        let taken = batches.iter().flat_map(|batch| {
+            let contents = batch.reports.iter().map(|report| report.content.as_ref());
+            contents.flatten().map(|taken| (batch.node.as_str(), taken))
+        });
+        let mut new = database.new_reports(&taken.clone().map(|(_, taken)| taken.key).collect())?;
+        let taken: Vec<_> = taken
+            .filter(|(_, taken)| new.contains(&taken.key.id))
             .collect();
-        Ok(Recorded { answers, committed })
+        let setups = taken.iter().map(|(_, taken)| &taken.record.setup);
+        let setups = database.setups(&setups.collect())?;
+        let wanted = taken.iter().map(|(node, taken)| {
+            let node = nodes.get(*node).ok_or_else(|| lost("a node"))?;
+            Ok((node.node_id, taken.record.camera.as_str()))
+        });
+        let wanted = wanted.collect::<Result<BTreeSet<_>, StoreError>>()?;
+        let cameras = cameras(database, &names, wanted)?;
+
+        let too_many = NotTaken::Senseless {
+            cause: format!("the node has {MOST_CAMERAS} cameras already"),
+            body: String::new(),
+        };
+        let (mut clips, mut aside) = (Vec::new(), Vec::new());
+        let (counts, limits) = (&mut recorded.counts, &mut self.event_limits);
+        for batch in batches {
+            let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
+            let node_cameras = cameras.get(&node.node_id);
+            let mut answer = ReportAnswer::new(database_id);
+            let (mut senseless, mut clocks_off) = (0, 0);
+            for report in &batch.reports {
+                let mut is_new = false;
+                let not_taken = match &report.content {
+                    // The same twice in one group is stored once.
+                    Ok(taken) if !new.remove(&taken.key.id) => {
+                        counts.again += 1;
+                        None
+                    }
+                    Ok(taken) => {
+                        is_new = true;
+                        match node_cameras.and_then(|all| all.get(&taken.record.camera)) {
+                            None => Some(&too_many),
+                            Some(camera) => {
+                                let setup = setups.get(&taken.record.setup);
+                                let setup = setup.ok_or_else(|| lost("a setup"))?;
+                                clips.push(clip(taken, *camera, *setup, now_ms));
+                                *counts += counted(&taken.record.row);
+                                clocks_off += u64::from(!taken.record.clock);
+                                node.stored += 1;
+                                None
+                            }
+                        }
+                    }
+                    Err(not_taken) => Some(not_taken),
+                };
+                if let Some(not_taken) = not_taken {
+                    let reason = match not_taken {
+                        NotTaken::TooOld(reason) => {
+                            counts.too_old += 1;
+                            node.refused += 1;
+                            reason
+                        }
+                        NotTaken::Senseless { cause, body } => {
+                            senseless += 1;
+                            if limits.may_set_aside(&batch.node, now_ms) {
+                                aside.push(json!({
+                                    "node_id": node.node_id,
+                                    "report_id": report.id.map(|id| id.to_string()),
+                                    "received_ms": now_ms,
+                                    "cause": cause,
+                                    "body": body,
+                                }));
+                            }
+                            cause
+                        }
+                    };
+                    let reason = reason.clone();
+                    let refused = report.id.map(|id| RefusedReport { id, reason });
+                    answer.refused.extend(refused);
+                    // A report that is not stored counts as one that never came.
+                    continue;
+                }
+                let seen = report.count.map(|count| node.counts.see(count, is_new));
+                let (kind, detail) = match seen {
+                    Some(Seen::Gap(first, last)) => {
+                        counts.missing += last - first + 1;
+                        ("gap", json!({ "first": first, "last": last }))
+                    }
+                    Some(Seen::Reset) => {
+                        counts.resets += 1;
+                        node.resets += 1;
+                        ("reset", json!({ "count": report.count }))
+                    }
+                    Some(Seen::Expected) | None => continue,
+                };
+                limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
+            }
+            counts.set_aside += senseless;
+            counts.clock_off += clocks_off;
+            node.set_aside += i64::try_from(senseless).unwrap_or(i64::MAX);
+            node.last_ms = now_ms.max(node.last_ms);
+            for (kind, what, count) in [
+                ("set_aside", "reports", senseless),
+                ("clock_off", "clips", clocks_off),
+            ] {
+                if count > 0 {
+                    let detail = json!({ what: count });
+                    limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
+                }
+            }
+            answer.missing = node.counts.wanted().to_vec();
+            recorded.answers.push(answer);
+            recorded.cameras.push(node_cameras.map_or(0, HashMap::len));
+        }
+        database.write_report_counts(nodes.into_values().collect())?;
+        database.insert("set_aside", &aside, "")?;
+        for (table, seconds) in SUMS {
+            database.add_sums(table, sums(&clips, seconds))?;
+        }
+        database.insert_rows("clips", clips, "").map(drop)
     }
+}
+
+fn lost(what: &str) -> StoreError {
+    StoreError::Statement(format!("{what} has no number after it was written"))
+}
+
+/// The numbers of the cameras of these nodes, by node and name; `wanted` ones that are new are added, as far as the node may
+/// have them.
+fn cameras(
+    database: &mut dyn Database,
+    nodes: &[&str],
+    wanted: BTreeSet<(i64, &str)>,
+) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
+    let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
+    for camera in database.cameras_of(nodes)? {
+        let known = cameras.entry(camera.node_id).or_default();
+        known.insert(camera.name, camera.id);
+    }
+    let mut new = Vec::new();
+    for (node, name) in wanted {
+        let known = cameras.entry(node).or_default();
+        if known.len() < MOST_CAMERAS && !known.contains_key(name) {
+            // Its number follows.
+            known.insert(name.to_owned(), 0);
+            new.push((node, name));
+        }
+    }
+    for camera in database.add_cameras(&new)? {
+        let known = cameras.entry(camera.node_id).or_default();
+        known.insert(camera.name, camera.id);
+    }
+    Ok(cameras)
+}
+
+/// The row of a clip.
+fn clip(taken: &Taken, camera: i64, setup: i64, now_ms: i64) -> Row {
+    let day = match taken.key.day > 0 {
+        true => taken.key.day,
+        false => now_ms.div_euclid(DAY_MS),
+    };
+    let mut row = taken.record.row.clone();
+    for (column, number) in [("day", day), ("camera_id", camera), ("setup_id", setup)] {
+        row.insert(column.to_owned(), number.into());
+    }
+    row
+}
+
+/// A number of a clip; nothing counts as 0.
+fn number(clip: &Row, column: &str) -> i64 {
+    clip.get(column).and_then(Value::as_i64).unwrap_or(0)
+}
+
+/// What is counted of a clip that is written.
+fn counted(clip: &Row) -> IngestCounts {
+    let count = |column: &str| number(clip, column).unsigned_abs();
+    IngestCounts {
+        clips: 1,
+        frames: count("frames"),
+        frames_skipped: count("avoided_calls"),
+        audit_frames: count("audit_frames"),
+        audit_missed: count("audit_missed"),
+        audit_detected: count("audit_detected"),
+        audit_shown: count("audit_shown"),
+        audit_paired: count("audit_paired"),
+        energy_uj: count("energy_uj"),
+        ..IngestCounts::default()
+    }
+}
+
+/// The sums of these clips over spans of that many seconds, in the order of their keys: of each camera, and under camera 0 of
+/// the fleet. A clip without a value adds nothing; a long clip is counted at its first part.
+fn sums(clips: &[Row], seconds: i64) -> Vec<Row> {
+    let mut sums: BTreeMap<[i64; 4], [i64; SUMMED.len()]> = BTreeMap::new();
+    for clip in clips {
+        let added = SUMMED.map(|column| match column {
+            "clips" => i64::from(number(clip, "part") == 0),
+            "unpriced_calls" if clip.get("avoided_uj").is_some_and(Value::is_null) => {
+                number(clip, "avoided_calls")
+            }
+            column => number(clip, column),
+        });
+        let span = number(clip, "at_ms").div_euclid(seconds * 1000) * seconds;
+        for camera in [0, number(clip, "camera_id")] {
+            let key = [
+                camera,
+                span,
+                number(clip, "setup_id"),
+                number(clip, "quality"),
+            ];
+            let sum = sums.entry(key).or_insert([0; SUMMED.len()]);
+            for (sum, added) in sum.iter_mut().zip(added) {
+                *sum = sum.saturating_add(added).min(LARGEST_SUM);
+            }
+        }
+    }
+    let row = |(key, sums): ([i64; 4], [i64; SUMMED.len()])| {
+        let columns = SUM_KEY
+            .into_iter()
+            .zip(key)
+            .chain(SUMMED.into_iter().zip(sums));
+        columns
+            .map(|(column, number)| (column.to_owned(), number.into()))
+            .collect()
+    };
+    sums.into_iter().map(row).collect()
 }

@@ -7,13 +7,14 @@ use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 use zenoh::Wait;
 use zenoh::query::Query;
 
 /// Answers that may wait. One more is dropped: the node sees no answer, and asks again.
 const QUEUE: usize = 16_384;
 /// Those of one node: one that asks and does not read its answers fills no queue of the others.
-const MOST_OF_A_NODE: u32 = 16;
+const MOST_OF_A_NODE: usize = 16;
 
 struct Reply {
     query: Query,
@@ -30,20 +31,6 @@ pub(crate) struct Replies {
     counters: Arc<IngestCounters>,
 }
 
-/// A refusal.
-pub(crate) fn refusal(
-    reason: RefusalReason,
-    detail: impl Into<String>,
-    retry_after_ms: Option<u64>,
-) -> ReportRefusal {
-    ReportRefusal {
-        v: VERSION,
-        reason,
-        detail: detail.into(),
-        retry_after_ms,
-    }
-}
-
 impl Replies {
     /// Starts the thread; it ends when the last sender is dropped.
     ///
@@ -57,7 +44,7 @@ impl Replies {
             .spawn(move || send(&replies, &counted))?;
         let replies = Self {
             sender,
-            places: PerNode::new(MOST_OF_A_NODE),
+            places: Arc::new(PerNode::new(MOST_OF_A_NODE)),
             counters,
         };
         Ok((replies, thread))
@@ -68,8 +55,20 @@ impl Replies {
         self.hand_over(query, answer, false);
     }
 
-    /// Says no.
-    pub(crate) fn refuse(&self, query: Query, refusal: ReportRefusal) {
+    /// Refuses what was asked; after `wait` it may be asked again.
+    pub(crate) fn refuse(
+        &self,
+        query: Query,
+        reason: RefusalReason,
+        why: impl Into<String>,
+        wait: Option<Duration>,
+    ) {
+        let refusal = ReportRefusal {
+            v: VERSION,
+            reason,
+            detail: why.into(),
+            retry_after_ms: wait.and_then(|wait| u64::try_from(wait.as_millis()).ok()),
+        };
         self.hand_over(query, &refusal, true);
     }
 

@@ -104,7 +104,7 @@ fn counts_that_are_left_out_are_missing_until_they_come() {
 }
 
 #[test]
-fn a_known_count_under_a_new_identity_begins_anew_and_misses_nothing_of_before() {
+fn a_known_count_under_a_new_identity_starts_again_and_misses_nothing_of_before() {
     let mut counts = Counts::default();
     see(&mut counts, &[1, 2, 3, 9]);
     // The same report again is no other report.

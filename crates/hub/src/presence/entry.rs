@@ -1,12 +1,10 @@
 //! The state that the hub keeps of one node.
 
 use super::fleet::NodeView;
-use super::settings::{ReportedSettings, labels};
-use super::state::{PresenceState, Token};
-use super::today::Today;
+use super::state::PresenceState;
+use super::today::TodaysEnergy;
 use crate::store::tables::NodeRow;
-use albireo_wire::{HealthState, Heartbeat, NodeStatus, StatusMessage, VERSION};
-use std::collections::BTreeMap;
+use albireo_wire::{HealthState, NodeStatus, StatusMessage};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -16,7 +14,7 @@ const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 /// One run of a node's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Run {
-    number: u32,
+    pub(super) number: u32,
     started_ns: u64,
 }
 
@@ -37,7 +35,8 @@ pub(crate) struct Entry {
     pub(super) why: String,
     pub(super) heard: Option<Instant>,
     pub(crate) heard_ms: Option<i64>,
-    pub(super) token: Token,
+    /// Its liveliness token went, and it was not heard since.
+    pub(super) token_gone: bool,
     pub(super) run: Option<Run>,
     /// The run heard before the present one, and when.
     other: Option<(Run, Instant)>,
@@ -48,17 +47,11 @@ pub(crate) struct Entry {
     pub(super) reasons: String,
     pub(crate) waiting: u64,
     pub(super) revision: u64,
-    pub(super) today: Today,
-    /// The last full status as JSON: a third of the size of the same in fields.
-    status: Option<Arc<str>>,
-    /// What of it is asked for often.
-    pub(super) reported: Option<Arc<ReportedSettings>>,
+    pub(crate) today: TodaysEnergy,
+    /// The last full status.
+    pub(super) status: Option<Arc<NodeStatus>>,
     pub(super) needs_full: bool,
     pub(super) notified: Option<Instant>,
-    /// It is on the list of those to be written.
-    pub(super) dirty: bool,
-    /// Its full status is to be written too.
-    pub(super) status_dirty: bool,
 }
 
 impl Entry {
@@ -70,7 +63,7 @@ impl Entry {
             why: "no status has come yet".to_owned(),
             heard: None,
             heard_ms: None,
-            token: Token::Unknown,
+            token_gone: false,
             run: None,
             other: None,
             identity: None,
@@ -79,13 +72,10 @@ impl Entry {
             reasons: String::new(),
             waiting: 0,
             revision: 0,
-            today: Today::default(),
+            today: TodaysEnergy::default(),
             status: None,
-            reported: None,
             needs_full: true,
             notified: None,
-            dirty: false,
-            status_dirty: false,
         }
     }
 
@@ -106,7 +96,6 @@ impl Entry {
         {
             entry.health = status.health.state;
             entry.take_status(&status);
-            entry.status_dirty = false;
         }
         entry
     }
@@ -119,23 +108,6 @@ impl Entry {
             self.notified = Some(now);
         }
         notice
-    }
-
-    /// A heartbeat as a status: all but its numbers is as before. Nothing when it is of a run that is
-    /// not known.
-    pub(super) fn alive(&self, heartbeat: Heartbeat) -> Option<StatusMessage> {
-        let run = self.run.filter(|run| run.number == heartbeat.run)?;
-        Some(StatusMessage {
-            v: VERSION,
-            run: run.number,
-            started_ns: run.started_ns,
-            seq: heartbeat.seq,
-            t_ns: 0,
-            health: self.health,
-            waiting: heartbeat.waiting,
-            revision: self.revision,
-            full: None,
-        })
     }
 
     /// Another run than before. One after the other is a restart; a run that comes back after another was heard lives
@@ -166,20 +138,17 @@ impl Entry {
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
         self.reasons = reasons.join("; ");
-        let text = serde_json::to_string(status).unwrap_or_default();
-        if self.status.as_deref() == Some(&text) {
-            return false;
+        let changed = self.status.as_deref() != Some(status);
+        if changed {
+            self.status = Some(Arc::new(status.clone()));
         }
-        self.status = Some(text.into());
-        self.reported = Some(Arc::new(status.into()));
-        self.status_dirty = true;
-        true
+        changed
     }
 
     /// What is to be written.
-    pub(super) fn row(&mut self, name: &str) -> NodeRow {
-        let changed = std::mem::take(&mut self.status_dirty);
+    pub(super) fn row(&self, name: &str) -> NodeRow {
         let run = self.run.as_ref();
+        let status = self.status.as_deref();
         NodeRow {
             name: name.to_owned(),
             // Of a node that is new.
@@ -191,26 +160,13 @@ impl Entry {
             run: run.map(|run| run.number.into()),
             started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
             revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
-            status: self
-                .status
-                .as_deref()
-                .filter(|_| changed)
-                .map(str::to_owned),
+            status: status.and_then(|status| serde_json::to_string(status).ok()),
         }
     }
 
-    /// Its labels.
-    pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
-        labels(self.reported.as_deref())
-    }
-
-    /// Energy of `day`, microjoules: the larger of measured and estimated.
-    pub(crate) fn used_uj(&self, day: i64) -> i64 {
-        self.today.key(day)
-    }
-
-    /// The node as it is shown on `day`.
-    pub(super) fn view(&self, name: &str, day: i64) -> NodeView {
+    /// The node as it is shown.
+    pub(super) fn view(&self, name: &str) -> NodeView {
+        let status = self.status.as_deref();
         NodeView {
             node: name.to_owned(),
             state: self.state,
@@ -219,11 +175,8 @@ impl Entry {
             heard_ms: self.heard_ms,
             waiting: self.waiting,
             revision: self.revision,
-            today: self.today.energy(day),
-            status: self
-                .status
-                .as_deref()
-                .and_then(|text| serde_json::from_str(text).ok()),
+            today: self.today,
+            status: status.and_then(|status| serde_json::to_value(status).ok()),
         }
     }
 }

@@ -3,18 +3,16 @@
 use super::entry::{Entry, Run};
 use super::news::News;
 use super::settings::NodeSettings;
-use super::state::{Limits, PresenceInput, PresenceState, Token, judge};
-use super::today::{TodaysEnergy, Used, day_of};
+use super::state::{Limits, PresenceInput, PresenceState, judge};
+use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use crate::store::tables::{EventRow, NodeRow};
 use crate::store::{Store, StoreError};
-use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use std::collections::{BTreeMap, VecDeque};
-use std::ops::Bound::{Excluded, Unbounded};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -22,8 +20,8 @@ use utoipa::ToSchema;
 
 /// Most nodes written in one transaction.
 const MOST_NEWS: usize = 2000;
-/// Most notices that wait for the database; further ones are only counted.
-const MOST_NOTICES: usize = 1000;
+/// Most events that wait for the database; further ones are dropped.
+const MOST_EVENTS: usize = 1000;
 
 /// A node as it is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -70,10 +68,8 @@ pub struct Fleet {
     limits: Limits,
     nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
     /// Nodes to be written.
-    dirty: Mutex<VecDeque<Arc<str>>>,
-    notices: Mutex<Vec<EventRow>>,
-    /// Where the sweep goes on.
-    swept: Mutex<Option<Arc<str>>>,
+    dirty: Mutex<BTreeSet<Arc<str>>>,
+    events: Mutex<Vec<EventRow>>,
     statuses: AtomicU64,
 }
 
@@ -88,8 +84,7 @@ impl Fleet {
             },
             nodes: RwLock::default(),
             dirty: Mutex::default(),
-            notices: Mutex::default(),
-            swept: Mutex::default(),
+            events: Mutex::default(),
             statuses: AtomicU64::new(0),
         }
     }
@@ -122,6 +117,61 @@ impl Fleet {
         now: Instant,
         now_ms: i64,
     ) -> bool {
+        let (run, seq) = (Run::of(message), message.seq);
+        self.heard(node, now, now_ms, |entry| {
+            let same = entry.run.as_ref() == Some(&run);
+            if same && message.full.is_none() && !entry.needs_full && seq <= entry.seq {
+                // Overtaken by a later one.
+                return None;
+            }
+            let follows = same && entry.seq.checked_add(1) == Some(seq);
+            if !same {
+                entry.another_run(run, now, self.limits.silent);
+            }
+            entry.needs_full = match &message.full {
+                Some(_) => false,
+                None => entry.needs_full || !follows,
+            };
+            let mut changed = entry.revision != message.revision;
+            if let Some(full) = &message.full {
+                changed |= entry.take_status(full);
+            }
+            entry.health = message.health;
+            entry.revision = message.revision;
+            entry.seq = seq;
+            entry.waiting = message.waiting;
+            Some(changed)
+        })
+    }
+
+    /// Takes a heartbeat: all but its numbers is as in the last status of its run. Whether the node should be asked for a full
+    /// status.
+    pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
+        self.heard(node, now, now_ms, |entry| {
+            if entry.run.is_none_or(|run| run.number != heartbeat.run) {
+                // A hub that has just started, or messages that were lost: it is not taken for the run that is known.
+                entry.needs_full = true;
+                return None;
+            }
+            if !entry.needs_full && heartbeat.seq <= entry.seq {
+                return None;
+            }
+            entry.needs_full |= entry.seq.checked_add(1) != Some(heartbeat.seq);
+            entry.seq = heartbeat.seq;
+            entry.waiting = heartbeat.waiting;
+            Some(false)
+        })
+    }
+
+    /// Hands a node's entry to `take`, which says whether it is to be written, and `None` where nothing was heard of its present
+    /// run. Whether the node should be asked for a full status.
+    fn heard(
+        &self,
+        node: &str,
+        now: Instant,
+        now_ms: i64,
+        take: impl FnOnce(&mut Entry) -> Option<bool>,
+    ) -> bool {
         self.statuses.fetch_add(1, Ordering::Relaxed);
         let mut nodes = self.nodes.write();
         let name: Arc<str> = match nodes.get_key_value(node) {
@@ -131,58 +181,15 @@ impl Fleet {
         let entry = nodes
             .entry(Arc::clone(&name))
             .or_insert_with(|| Entry::new(now_ms));
-        let run = Run::of(message);
-        let same = entry.run.as_ref() == Some(&run);
-        if same && message.full.is_none() && !entry.needs_full && message.seq <= entry.seq {
-            // Overtaken by a later one.
-            return false;
-        }
-        let follows = same && entry.seq.checked_add(1) == Some(message.seq);
-        if !same {
-            entry.another_run(run, now, self.limits.silent);
-        }
-        let mut changed = entry.revision != message.revision;
-        entry.heard = Some(now);
-        entry.heard_ms = Some(now_ms);
-        if entry.token == Token::Gone {
-            entry.token = Token::Unknown;
-        }
-        entry.seq = message.seq;
-        entry.waiting = message.waiting;
-        entry.revision = message.revision;
-        match &message.full {
-            Some(full) => {
-                entry.needs_full = false;
-                changed |= entry.take_status(full);
+        if let Some(changed) = take(entry) {
+            entry.heard = Some(now);
+            entry.heard_ms = Some(now_ms);
+            entry.token_gone = false;
+            if changed {
+                self.mark(&name);
             }
-            None if !follows => entry.needs_full = true,
-            None => {}
+            self.settle(&name, entry, now, now_ms);
         }
-        entry.health = message.health;
-        if changed {
-            self.mark(&name, entry);
-        }
-        self.settle(&name, entry, now, now_ms);
-        entry.ask_for_all(now)
-    }
-
-    /// Takes a heartbeat; whether the node should be asked for a full status.
-    pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
-        let known = self
-            .nodes
-            .read()
-            .get(node)
-            .and_then(|entry| entry.alive(heartbeat));
-        if let Some(message) = known {
-            return self.apply_status(node, &message, now, now_ms);
-        }
-        // Of a run that was not heard of: a hub that has just started, or messages that were lost.
-        self.statuses.fetch_add(1, Ordering::Relaxed);
-        let mut nodes = self.nodes.write();
-        let entry = nodes
-            .entry(node.into())
-            .or_insert_with(|| Entry::new(now_ms));
-        entry.needs_full = true;
         entry.ask_for_all(now)
     }
 
@@ -193,7 +200,7 @@ impl Fleet {
             return;
         };
         if let Some(entry) = nodes.get_mut(&name) {
-            entry.token = if present { Token::Present } else { Token::Gone };
+            entry.token_gone = !present;
             self.settle(&name, entry, now, now_ms);
         }
     }
@@ -219,31 +226,17 @@ impl Fleet {
             .or_insert_with(|| Entry::new(now_ms));
     }
 
-    /// Adds a clip filed under `at_ms` to what its node used and saved that day.
-    pub(crate) fn used(&self, node: &str, at_ms: i64, used: Used) {
-        let mut nodes = self.nodes.write();
-        if let Some(entry) = nodes.get_mut(node) {
-            entry.today.add(day_of(at_ms), used);
+    /// Takes what the nodes' clips of today used; a node that is not named used nothing.
+    pub(super) fn set_today(&self, mut today: HashMap<String, TodaysEnergy>) {
+        for (name, entry) in self.nodes.write().iter_mut() {
+            entry.today = today.remove(&**name).unwrap_or_default();
         }
     }
 
-    /// Looks at a tenth of the nodes for those that time made silent or offline.
+    /// Looks for nodes that time made silent or offline.
     pub fn sweep(&self, now: Instant, now_ms: i64) {
-        let mut swept = self.swept.lock();
-        let mut nodes = self.nodes.write();
-        let most = nodes.len() / 10 + 1;
-        // Behind the last one it begins again at the first.
-        for from in [swept.take().map_or(Unbounded, Excluded), Unbounded] {
-            let mut last = None;
-            let range = nodes.range_mut::<Arc<str>, _>((from, Unbounded));
-            for (name, entry) in range.take(most) {
-                self.settle(name, entry, now, now_ms);
-                last = Some(Arc::clone(name));
-            }
-            *swept = last;
-            if swept.is_some() {
-                break;
-            }
+        for (name, entry) in self.nodes.write().iter_mut() {
+            self.settle(name, entry, now, now_ms);
         }
     }
 
@@ -275,7 +268,7 @@ impl Fleet {
         };
         let facts = PresenceInput {
             heard_ago,
-            token: entry.token,
+            token_gone: entry.token_gone,
             health: entry.health,
             reasons: &entry.reasons,
             identity: entry.identity.as_ref().map(|(why, _)| why.as_str()),
@@ -287,15 +280,13 @@ impl Fleet {
         if (state, why.as_str()) != (entry.state, entry.why.as_str()) {
             entry.state = state;
             entry.why = why;
-            self.mark(name, entry);
+            self.mark(name);
         }
     }
 
-    /// Puts a node on the list of those to be written, unless it is there.
-    fn mark(&self, name: &Arc<str>, entry: &mut Entry) {
-        if !std::mem::replace(&mut entry.dirty, true) {
-            self.dirty.lock().push_back(Arc::clone(name));
-        }
+    /// Notes that a node is to be written.
+    fn mark(&self, name: &Arc<str>) {
+        self.dirty.lock().insert(Arc::clone(name));
     }
 
     /// Whether a full status is missing.
@@ -307,57 +298,34 @@ impl Fleet {
     /// Notes a batch that cannot be read.
     pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
         let detail = json!({ "reason": reason });
-        self.note(EventRow::new(now_ms, "refused", node, detail));
-    }
-
-    fn note(&self, notice: EventRow) {
-        let mut notices = self.notices.lock();
-        if notices.len() < MOST_NOTICES {
-            notices.push(notice);
+        let mut events = self.events.lock();
+        if events.len() < MOST_EVENTS {
+            events.push(EventRow::new(now_ms, "refused", node, detail));
         }
     }
 
     /// Whether there is something to be written.
     pub(crate) fn has_news(&self) -> bool {
-        !self.dirty.lock().is_empty() || !self.notices.lock().is_empty()
+        !self.dirty.lock().is_empty() || !self.events.lock().is_empty()
     }
 
     /// Takes what is to be written, at most as much as one transaction may have.
     pub fn take_news(&self) -> News {
-        let names: Vec<Arc<str>> = {
-            let mut dirty = self.dirty.lock();
-            let count = dirty.len().min(MOST_NEWS);
-            dirty.drain(..count).collect()
-        };
-        let mut nodes = self.nodes.write();
-        let mut news = News::default();
-        for name in names {
-            // A node that was forgotten and came back is listed twice.
-            if let Some(entry) = nodes.get_mut(&name).filter(|entry| entry.dirty) {
-                entry.dirty = false;
-                news.nodes.push(entry.row(&name));
-            }
+        let nodes = self.nodes.read();
+        let mut dirty = self.dirty.lock();
+        let names = std::iter::from_fn(|| dirty.pop_first()).take(MOST_NEWS);
+        let row = |name: Arc<str>| Some(nodes.get(&name)?.row(&name));
+        News {
+            nodes: names.filter_map(row).collect(),
+            events: std::mem::take(&mut *self.events.lock()),
         }
-        // Hubs on one database write in the same order, so that none waits for another that waits for it.
-        news.nodes.sort_by(|a, b| a.name.cmp(&b.name));
-        news.notices = std::mem::take(&mut *self.notices.lock());
-        news
     }
 
     /// Takes back what was not written.
     pub fn give_back(&self, news: News) {
-        let mut nodes = self.nodes.write();
-        for node in news.nodes {
-            let name: Arc<str> = node.name.into();
-            if let Some(entry) = nodes.get_mut(&name) {
-                entry.status_dirty |= node.status.is_some();
-                self.mark(&name, entry);
-            }
-        }
-        drop(nodes);
-        for notice in news.notices {
-            self.note(notice);
-        }
+        let names = news.nodes.into_iter().map(|node| node.name.into());
+        self.dirty.lock().extend(names);
+        self.events.lock().extend(news.events);
     }
 
     /// How many nodes have each state, in the order of [`PresenceState::ALL`].
@@ -380,7 +348,7 @@ impl Fleet {
             tallies.twins += u64::from(two);
             tallies.behind += u64::from(heard && entry.revision < desired(name));
             tallies.waiting += entry.waiting;
-            let target = (entry.reported.as_ref()).and_then(|reported| reported.target);
+            let target = (entry.status.as_ref()).and_then(|status| status.target);
             let status = target.map(|target| target.status.unwrap_or(TargetStatus::Measuring));
             let place = (status.filter(|_| heard))
                 .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
@@ -399,8 +367,7 @@ impl Fleet {
     /// One node.
     pub(crate) fn view(&self, node: &str) -> Option<NodeView> {
         let nodes = self.nodes.read();
-        let day = day_of(unix_milliseconds());
-        nodes.get(node).map(|entry| entry.view(node, day))
+        nodes.get(node).map(|entry| entry.view(node))
     }
 
     /// What is known of a node's settings.

@@ -3,13 +3,13 @@
 //! Zenoh's threads only hand over to bounded queues. A status that finds its queue full is dropped: the next one shows a
 //! gap in the numbers, and the hub asks for all.
 
-use super::Fleet;
-use crate::desired::Desires;
+use crate::config::HubConfig;
 use crate::error::HubError;
-use crate::ingest::{Replies, refusal};
+use crate::http::HubView;
+use crate::ingest::Replies;
 use crate::per_node::{PerNode, Place};
-use crate::readiness::Readiness;
 use albireo_service::clock::unix_milliseconds;
+use albireo_service::config::ZenohMode;
 use albireo_wire::{
     ConfigChanged, Heartbeat, NodeKeys, PullRequest, RefusalReason, StatusMessage, VERSION,
 };
@@ -21,6 +21,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
+use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 use zenoh::query::Queryable;
@@ -30,13 +31,13 @@ use zenoh::{Session, Wait};
 /// Messages that may wait.
 const QUEUE: usize = 65_536;
 /// Those of one node: it sends one every half a minute, and a few when it starts.
-const MOST_OF_A_NODE: u32 = 16;
+const MOST_OF_A_NODE: usize = 16;
 /// Largest status, bytes: with as many cameras as a node may have it is half of that.
 const LARGEST_STATUS: usize = 64 << 10;
 /// Notices that may wait; one more is not sent, and the next status finds out anyway.
 const NOTICES: usize = 65_536;
-/// Interval at which a tenth of the nodes are checked.
-const SWEEP: Duration = Duration::from_millis(500);
+/// Interval at which the nodes are checked.
+const SWEEP: Duration = Duration::from_secs(1);
 /// Pause after this many notices: the hub must not make thousands of nodes ask at once.
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
@@ -114,56 +115,30 @@ pub struct ListenCounters {
     pub pulls: AtomicU64,
 }
 
-/// What [`listen`] needs.
-pub(crate) struct ListenSetup<'a> {
-    pub(crate) session: &'a Session,
-    pub(crate) prefix: &'a str,
-    /// Whether liveliness tokens are watched.
-    pub(crate) tokens: bool,
-    pub(crate) fleet: Arc<Fleet>,
-    pub(crate) desires: Arc<Desires>,
-    pub(crate) replies: Replies,
-    pub(crate) counters: Arc<ListenCounters>,
-    pub(crate) readiness: Arc<Readiness>,
-    /// Whether the hub hears nodes through a router of their own only.
-    pub(crate) is_client: bool,
-    pub(crate) shutdown: CancellationToken,
-}
-
 /// Declares everything. What it gives beside is the task that takes what is heard, until the shutdown.
 pub(crate) async fn listen(
-    setup: ListenSetup<'_>,
-) -> Result<(Listening, impl Future<Output = ()> + Send + 'static), HubError> {
-    let ListenSetup {
-        session,
-        prefix,
-        tokens,
-        fleet,
-        desires,
-        replies,
-        counters,
-        readiness,
-        is_client,
-        shutdown,
-    } = setup;
-    let keys = NodeKeys::all(prefix)?;
+    config: &HubConfig,
+    view: &HubView,
+    session: &Session,
+    replies: Replies,
+) -> Result<(Listening, impl Future<Output = ()> + Send + use<>), HubError> {
+    let keys = config.keys()?;
     let (sender, messages) = mpsc::channel(QUEUE);
-    let notifier = start_notifier(session.clone(), prefix.to_owned())
-        .map_err(HubError::system("the thread of notices cannot be started"))?;
+    let notifier = start_notifier(session.clone(), config.hub.prefix.clone())
+        .map_err(HubError::at("the thread of notices cannot be started"))?;
+    let is_client = config.zenoh.mode == ZenohMode::Client;
     let receiver = Receiver {
         messages,
-        fleet: Arc::clone(&fleet),
+        view: view.clone(),
         notifier: notifier.clone(),
-        counters: Arc::clone(&counters),
         router: is_client.then(|| session.clone()),
-        readiness,
         tokens_gone: HashSet::new(),
         alone_since: None,
     };
     let inbox = Inbox {
         queue: sender,
-        places: PerNode::new(MOST_OF_A_NODE),
-        counters: Arc::clone(&counters),
+        places: Arc::new(PerNode::new(MOST_OF_A_NODE)),
+        counters: Arc::clone(&view.listen),
     };
     let statuses = inbox.clone();
     let status = session
@@ -182,8 +157,8 @@ pub(crate) async fn listen(
             statuses.put(node, What::Status(payload));
         })
         .await
-        .map_err(HubError::declaration("status messages cannot be heard"))?;
-    let tokens = if tokens {
+        .map_err(HubError::at("status messages cannot be heard"))?;
+    let tokens = if config.presence.tokens {
         let subscriber = session
             .liveliness()
             .declare_subscriber(keys.alive())
@@ -195,46 +170,39 @@ pub(crate) async fn listen(
                 }
             })
             .await
-            .map_err(HubError::declaration("liveliness tokens cannot be watched"))?;
+            .map_err(HubError::at("liveliness tokens cannot be watched"))?;
         Some(subscriber)
     } else {
         None
     };
+    let asked = view.clone();
     let pulls = session
         .declare_queryable(keys.pull())
         .complete(true)
         .callback(move |query| {
-            counters.pulls.fetch_add(1, Ordering::Relaxed);
-            let payload = query
-                .payload()
-                .map(|payload| payload.to_bytes().into_owned());
-            let request = payload.as_deref().map(albireo_wire::read::<PullRequest>);
-            let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
-            match (request, node) {
-                (Some(Ok(_)), Some(node)) => {
-                    let mut desired = desires.of(&node);
-                    desired.send_full_status = fleet.needs_full_status(&node);
+            asked.listen.pulls.fetch_add(1, Ordering::Relaxed);
+            let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+            match albireo_wire::read::<PullRequest>(&payload) {
+                Ok(_) => {
+                    let node = NodeKeys::node_of(query.key_expr().as_str());
+                    let desired = asked.desired(node.unwrap_or_default());
                     replies.answer(query, &desired);
                 }
-                (Some(Err(error)), _) => {
+                Err(error) => {
                     let reason = RefusalReason::Unreadable;
-                    replies.refuse(query, refusal(reason, error.to_string(), None));
-                }
-                _ => {
-                    let reason = RefusalReason::Unreadable;
-                    replies.refuse(query, refusal(reason, "a query without a payload", None));
+                    replies.refuse(query, reason, error.to_string(), None);
                 }
             }
         })
         .await
-        .map_err(HubError::declaration("what is desired cannot be answered"))?;
+        .map_err(HubError::at("what is desired cannot be answered"))?;
     let listening = Listening {
         _status: status,
         _tokens: tokens,
         _pulls: pulls,
         notifier,
     };
-    Ok((listening, receiver.run(shutdown)))
+    Ok((listening, receiver.run(view.shutdown.clone())))
 }
 
 /// A thread that sends notices, since a put may block; it ends when the last sender is dropped.
@@ -277,12 +245,10 @@ const TAKEN_EVERY: Duration = Duration::from_millis(5);
 /// Takes what is heard.
 struct Receiver {
     messages: mpsc::Receiver<Message>,
-    fleet: Arc<Fleet>,
+    view: HubView,
     notifier: Notifier,
-    counters: Arc<ListenCounters>,
     /// The session, where all nodes are heard through one router.
     router: Option<Session>,
-    readiness: Arc<Readiness>,
     /// Nodes whose token went since the last sweep. All of them go with a lost router, which says nothing of the nodes.
     tokens_gone: HashSet<String>,
     /// When the router was lost.
@@ -328,26 +294,30 @@ impl Receiver {
                     tracing::warn!("the router is lost: no node is heard until it is back");
                     self.alone_since = Some(now);
                 }
-                self.readiness.hold("zenoh", "the router is not connected");
+                self.view
+                    .readiness
+                    .hold("zenoh", "the router is not connected");
                 return;
             }
             (false, Some(since)) => {
-                self.fleet.pass_over(now.saturating_duration_since(since));
+                self.view
+                    .fleet
+                    .pass_over(now.saturating_duration_since(since));
                 self.alone_since = None;
-                self.readiness.release("zenoh");
+                self.view.readiness.release("zenoh");
             }
             (false, None) => {}
         }
         for node in gone {
-            self.fleet.token(&node, false, now, now_ms);
+            self.view.fleet.token(&node, false, now, now_ms);
         }
-        self.fleet.sweep(now, now_ms);
+        self.view.fleet.sweep(now, now_ms);
     }
 
     fn take(&mut self, one: Message) {
         let (now, now_ms) = (Instant::now(), unix_milliseconds());
         let Message { node, what, _place } = one;
-        let fleet = &self.fleet;
+        let fleet = &self.view.fleet;
         match what {
             What::Token(true) => {
                 self.tokens_gone.remove(&node);
@@ -366,7 +336,7 @@ impl Receiver {
                     Ok(true) => self.notifier.notify(&node, 0),
                     Ok(false) => {}
                     Err(error) => {
-                        self.counters.unreadable.fetch_add(1, Ordering::Relaxed);
+                        self.view.listen.unreadable.fetch_add(1, Ordering::Relaxed);
                         tracing::debug!(node, %error, "a status cannot be read");
                     }
                 }

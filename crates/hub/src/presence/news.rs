@@ -1,7 +1,10 @@
-//! Changes of presence that are to be stored: nodes and notices.
+//! Changes of presence that are to be stored: nodes, and events of them.
 
+use super::PresenceState;
+use crate::store::row::read_all;
 use crate::store::tables::{EventRow, NodeRow};
 use crate::store::{Database, StoreError};
+use serde::Deserialize;
 use serde_json::json;
 use std::collections::HashMap;
 
@@ -9,27 +12,53 @@ use std::collections::HashMap;
 #[derive(Debug, Default)]
 pub struct News {
     pub(super) nodes: Vec<NodeRow>,
-    pub(super) notices: Vec<EventRow>,
+    pub(super) events: Vec<EventRow>,
 }
 
 impl News {
-    /// Writes it; the events to be written with it.
-    pub(crate) fn write(
-        &self,
-        writing: &mut dyn Database,
-        now_ms: i64,
-    ) -> Result<Vec<EventRow>, StoreError> {
-        let before = match self.nodes.is_empty() {
-            true => HashMap::new(),
-            false => writing.update_nodes(&self.nodes, now_ms)?,
+    /// Writes the nodes, and returns the events to be written with them. Of several hubs that see the same change of a node,
+    /// one writes it.
+    pub(crate) fn write(&self, database: &mut dyn Database) -> Result<Vec<EventRow>, StoreError> {
+        #[derive(Deserialize)]
+        struct Before {
+            name: String,
+            state: String,
+            since_ms: i64,
+        }
+        let mut events = self.events.clone();
+        if self.nodes.is_empty() {
+            return Ok(events);
+        }
+        let names: Vec<&str> = self.nodes.iter().map(|row| row.name.as_str()).collect();
+        let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
+        let before: Vec<Before> = read_all(database.among(text, &names)?)?;
+        let before: HashMap<&str, &Before> = (before.iter())
+            .map(|node| (node.name.as_str(), node))
+            .collect();
+        // A node that was forgotten since stays so.
+        let stays = |row: &&NodeRow| {
+            (before.get(row.name.as_str()))
+                .is_none_or(|node| node.state != "forgotten" || node.since_ms < row.since_ms)
         };
-        let event = |node: &NodeRow| {
-            let detail =
-                json!({ "from": before.get(&node.name)?, "to": node.state, "why": node.why });
-            Some(EventRow::new(node.since_ms, "node", &node.name, detail))
-        };
-        let mut events: Vec<EventRow> = self.nodes.iter().filter_map(event).collect();
-        events.extend(self.notices.iter().cloned());
+        let rows: Vec<&NodeRow> = self.nodes.iter().filter(stays).collect();
+        database.insert(
+            "nodes",
+            &rows,
+            // What is not known now stays as it was.
+            "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
+             since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
+             why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \
+             run = COALESCE(excluded.run, nodes.run), started_ns = COALESCE(excluded.started_ns, nodes.started_ns), \
+             revision = excluded.revision, status = COALESCE(excluded.status, nodes.status)",
+        )?;
+        for row in rows {
+            let node = before.get(row.name.as_str());
+            let from = node.map_or(PresenceState::Silent.name(), |node| &node.state);
+            if from != row.state {
+                let detail = json!({ "from": from, "to": row.state, "why": row.why });
+                events.push(EventRow::new(row.since_ms, "node", &row.name, detail));
+            }
+        }
         Ok(events)
     }
 }

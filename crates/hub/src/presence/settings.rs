@@ -1,41 +1,9 @@
-//! What is known of a node's settings. It is read once from each full status, so that following settings parses nothing.
+//! What is known of a node's settings, from its last full status.
 
 use super::entry::Entry;
-use albireo_wire::{DesiredSetting, NodeStatus, NodeTarget, Target, Threshold, ThresholdName};
+use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// The settings that a node reported in its last full status.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct ReportedSettings {
-    labels: BTreeMap<String, String>,
-    policy: String,
-    /// Name of its policy's threshold, when a camera reports it.
-    threshold_name: Option<ThresholdName>,
-    /// The threshold in force on all of its cameras; `None` when they differ or have none.
-    threshold: Option<Threshold>,
-    pub(super) target: Option<NodeTarget>,
-    target_off: Option<String>,
-    refused: Option<(u64, String)>,
-}
-
-impl From<&NodeStatus> for ReportedSettings {
-    fn from(status: &NodeStatus) -> Self {
-        let cameras = || status.cameras.iter().map(|camera| camera.threshold);
-        let first = cameras().next().flatten();
-        let named = cameras().flatten().next();
-        let refused = status.refused.as_ref();
-        Self {
-            labels: status.labels.clone(),
-            policy: status.policy.clone(),
-            threshold_name: named.map(|threshold| threshold.name),
-            threshold: first.filter(|_| cameras().all(|other| other == first)),
-            target: status.target,
-            target_off: status.target_off.clone(),
-            refused: refused.map(|refused| (refused.revision, refused.reason.clone())),
-        }
-    }
-}
 
 /// What the hub knows of a node's settings.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +14,7 @@ pub(crate) struct NodeSettings {
     pub(crate) reachable: bool,
     /// Revision in force that it reported last.
     pub(crate) revision: u64,
-    reported: Option<Arc<ReportedSettings>>,
+    status: Option<Arc<NodeStatus>>,
 }
 
 impl NodeSettings {
@@ -55,33 +23,36 @@ impl NodeSettings {
             name: Arc::clone(name),
             reachable: entry.state.is_heard(),
             revision: entry.revision,
-            reported: entry.reported.clone(),
+            status: entry.status.clone(),
         }
     }
 
     /// Whether it ever sent a full status.
     pub(crate) const fn is_known(&self) -> bool {
-        self.reported.is_some()
+        self.status.is_some()
     }
 
     /// Its labels.
     pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
-        labels(self.reported.as_deref())
+        labels(self.status.as_deref())
     }
 
     /// The threshold in force on all of its cameras; `None` when they differ, have none, or nothing is known.
     pub(crate) fn threshold(&self) -> Option<Threshold> {
-        self.reported.as_ref()?.threshold
+        let cameras = &self.status.as_ref()?.cameras;
+        let first = cameras.first()?.threshold;
+        first.filter(|_| cameras.iter().all(|camera| camera.threshold == first))
     }
 
     /// Name of its policy's threshold, when a camera reports it.
     pub(crate) fn threshold_name(&self) -> Option<ThresholdName> {
-        self.reported.as_ref()?.threshold_name
+        let mut cameras = self.status.as_ref()?.cameras.iter();
+        cameras.find_map(|camera| Some(camera.threshold?.name))
     }
 
     /// The target that it holds.
     pub(crate) fn target(&self) -> Option<Target> {
-        Some(self.reported.as_ref()?.target?.target)
+        Some(self.status.as_ref()?.target?.target)
     }
 
     /// Whether it reported that setting. A threshold that a target has moved to is on its way elsewhere, and does not count.
@@ -105,33 +76,44 @@ impl NodeSettings {
 
     /// Why it holds no target any more, in its own words.
     pub(crate) fn target_off(&self) -> Option<String> {
-        self.reported.as_ref()?.target_off.clone()
+        self.status.as_ref()?.target_off.clone()
     }
 
     /// The revision that it refused, and why.
     pub(crate) fn refused(&self) -> Option<(u64, String)> {
-        self.reported.as_ref()?.refused.clone()
+        let refused = self.status.as_ref()?.refused.as_ref()?;
+        Some((refused.revision, refused.reason.clone()))
     }
 
     /// Why it cannot hold a target, as far as its status shows.
     pub(crate) fn cannot_hold(&self) -> Option<String> {
         // Before its cameras have reported, the node itself knows.
         let name = self.threshold_name()?;
-        let policy = &self.reported.as_ref()?.policy;
+        let policy = &self.status.as_ref()?.policy;
         (!matches!(name.as_str(), "u" | "lambda"))
             .then(|| format!("a target moves `u` or `lambda`, and policy `{policy}` has `{name}`"))
     }
 }
 
-/// The labels of a node.
-pub(super) fn labels(reported: Option<&ReportedSettings>) -> &BTreeMap<String, String> {
+impl Entry {
+    /// Its labels.
+    pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
+        labels(self.status.as_deref())
+    }
+}
+
+fn labels(status: Option<&NodeStatus>) -> &BTreeMap<String, String> {
     static NONE: BTreeMap<String, String> = BTreeMap::new();
-    reported.map_or(&NONE, |reported| &reported.labels)
+    status.map_or(&NONE, |status| &status.labels)
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use albireo_wire::{
+        CameraState, CameraStatus, EnergyQuality, HealthState, HealthStatus, OutboxStatus,
+        RefusedDesired, SettingSource,
+    };
 
     /// A node with one value on all of its cameras, which refused the setting of one revision or none.
     pub(crate) fn reported(
@@ -140,20 +122,38 @@ pub(crate) mod tests {
         threshold: Threshold,
         refused: Option<u64>,
     ) -> NodeSettings {
-        let reported = ReportedSettings {
-            labels: BTreeMap::new(),
-            policy: "albireo".to_owned(),
-            threshold_name: Some(threshold.name),
+        let camera = CameraStatus {
+            name: String::new(),
+            state: CameraState::Live,
             threshold: Some(threshold),
+            threshold_source: SettingSource::Hub,
+        };
+        let status = NodeStatus {
+            version: String::new(),
+            labels: BTreeMap::new(),
+            cameras: vec![camera],
+            policy: String::new(),
+            model: String::new(),
+            provider: None,
+            power_source: String::new(),
+            power_quality: EnergyQuality::Measured,
+            health: HealthStatus {
+                state: HealthState::Ready,
+                reasons: BTreeMap::new(),
+            },
+            outbox: OutboxStatus::default(),
+            refused: refused.map(|revision| RefusedDesired {
+                revision,
+                reason: "range".to_owned(),
+            }),
             target: None,
             target_off: None,
-            refused: refused.map(|revision| (revision, "range".to_owned())),
         };
         NodeSettings {
             name: "".into(),
             reachable,
             revision,
-            reported: Some(Arc::new(reported)),
+            status: Some(Arc::new(status)),
         }
     }
 }

@@ -25,25 +25,13 @@ impl PresenceState {
     }
 }
 
-/// What is known of the liveliness token.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Token {
-    /// None was seen, or the node was heard since it went: it says nothing.
-    #[default]
-    Unknown,
-    /// It is there.
-    Present,
-    /// It went, and nothing was heard since.
-    Gone,
-}
-
 /// What is known of a node.
 #[derive(Clone, Copy, Debug)]
 pub struct PresenceInput<'a> {
     /// Since the last status; `None` when none ever came.
     pub heard_ago: Option<Duration>,
-    /// The token.
-    pub token: Token,
+    /// Whether its liveliness token went, and nothing was heard since.
+    pub token_gone: bool,
     /// What the last status says.
     pub health: HealthState,
     /// Its reasons, in words; may be empty while the full status is on its way.
@@ -66,7 +54,7 @@ pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, Strin
     let Some(ago) = facts.heard_ago else {
         return (PresenceState::Silent, "no status has come yet".to_owned());
     };
-    if facts.token == Token::Gone {
+    if facts.token_gone {
         let why = "its liveliness token went: it stopped, or its link broke";
         return (PresenceState::Offline, why.to_owned());
     }

@@ -15,119 +15,47 @@ const LIMITS: Limits = Limits {
 fn the_state_is_what_the_table_in_the_documentation_says() {
     use HealthState::{Degraded as Bad, NotReady, Ready};
     use PresenceState::{Degraded, Offline, Online, Silent};
-    let some = |seconds| Some(Duration::from_secs(seconds));
-    for (heard_ago, token, health, reasons, identity, state, why) in [
-        (
-            None,
-            Token::Unknown,
-            Ready,
-            "",
-            None,
-            Silent,
-            "no status has come yet",
-        ),
-        (
-            None,
-            Token::Present,
-            Ready,
-            "",
-            None,
-            Silent,
-            "no status has come yet",
-        ),
-        (some(0), Token::Unknown, Ready, "", None, Online, ""),
-        (some(94), Token::Present, Ready, "", None, Online, ""),
-        (
-            some(95),
-            Token::Present,
-            Ready,
-            "",
-            None,
-            Silent,
-            "no status for 95 s",
-        ),
-        (
-            some(599),
-            Token::Unknown,
-            Bad,
-            "a: b",
-            None,
-            Silent,
-            "no status for 95 s",
-        ),
-        (
-            some(600),
-            Token::Present,
-            Ready,
-            "",
-            None,
-            Offline,
-            "no status for 600 s",
-        ),
-        (
-            some(1),
-            Token::Gone,
-            Ready,
-            "",
-            None,
-            Offline,
-            "its liveliness token went: it stopped, or its link broke",
-        ),
-        (some(1), Token::Unknown, Bad, "a: b", None, Degraded, "a: b"),
-        (
-            some(1),
-            Token::Unknown,
-            Bad,
-            "",
-            None,
-            Degraded,
-            "a part does not work",
-        ),
-        (
-            some(1),
-            Token::Unknown,
-            NotReady,
-            "",
-            None,
-            Degraded,
-            "it does not answer frames",
-        ),
-        (
-            some(1),
-            Token::Unknown,
-            Ready,
-            "",
-            Some("twins"),
-            Degraded,
-            "twins",
-        ),
-        (
-            some(1),
-            Token::Unknown,
-            Bad,
-            "a: b",
-            Some("twins"),
-            Degraded,
-            "twins",
-        ),
-        (
-            some(95),
-            Token::Unknown,
-            Ready,
-            "",
-            Some("twins"),
-            Silent,
-            "no status for 95 s",
-        ),
+    let well = |seconds| PresenceInput {
+        heard_ago: Some(Duration::from_secs(seconds)),
+        token_gone: false,
+        health: Ready,
+        reasons: "",
+        identity: None,
+    };
+    let health = |health, reasons| PresenceInput {
+        health,
+        reasons,
+        ..well(1)
+    };
+    let twin = |input| PresenceInput {
+        identity: Some("twins"),
+        ..input
+    };
+    let unheard = PresenceInput {
+        heard_ago: None,
+        ..well(0)
+    };
+    let token_gone = PresenceInput {
+        token_gone: true,
+        ..well(1)
+    };
+    let gone = "its liveliness token went: it stopped, or its link broke";
+    for (input, state, why) in [
+        (unheard, Silent, "no status has come yet"),
+        (well(0), Online, ""),
+        (well(94), Online, ""),
+        (well(95), Silent, "no status for 95 s"),
+        (well(599), Silent, "no status for 95 s"),
+        (well(600), Offline, "no status for 600 s"),
+        (token_gone, Offline, gone),
+        (health(Bad, "a: b"), Degraded, "a: b"),
+        (health(Bad, ""), Degraded, "a part does not work"),
+        (health(NotReady, ""), Degraded, "it does not answer frames"),
+        (twin(well(1)), Degraded, "twins"),
+        (twin(health(Bad, "a: b")), Degraded, "twins"),
+        (twin(well(95)), Silent, "no status for 95 s"),
     ] {
-        let facts = PresenceInput {
-            heard_ago,
-            token,
-            health,
-            reasons,
-            identity,
-        };
-        assert_eq!(judge(&facts, LIMITS), (state, why.to_owned()), "{facts:?}");
+        assert_eq!(judge(&input, LIMITS), (state, why.to_owned()), "{input:?}");
     }
 }
 

@@ -1,14 +1,16 @@
-//! What a node's clips of today used and saved, in memory, so that a fleet can be sorted by it.
+//! What a node's clips of today used and skipped, read from the database, so that a fleet can be sorted by it.
 
+use super::Fleet;
+use crate::store::Store;
+use albireo_service::clock::unix_milliseconds;
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use tokio::time::{Instant, sleep};
 use utoipa::ToSchema;
 
-const DAY_MS: i64 = 86_400_000;
-
-/// The day of a time, counted from the Unix epoch: days of UTC, as the database's.
-pub(crate) const fn day_of(ms: i64) -> i64 {
-    ms.div_euclid(DAY_MS)
-}
+/// Pause between two readings, and how many times as long as a reading it lasts at least: a large fleet is read less often.
+const PAUSE: Duration = Duration::from_secs(10);
+const PAUSE_TIMES: u32 = 50;
 
 /// What a node's clips of today used. Measured and estimated energy are never added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -25,115 +27,24 @@ pub struct TodaysEnergy {
     pub recall: Option<f64>,
 }
 
-/// The sums of one day, energy in whole microjoules.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Today {
-    day: i64,
-    measured_uj: i64,
-    estimated_uj: i64,
-    frames: u64,
-    skipped: u64,
-    detected: u64,
-    paired: u64,
-}
-
-impl Today {
-    /// Adds a clip filed under `day`; a day before the newest one is over.
-    pub(super) fn add(&mut self, day: i64, used: Used) {
-        if day > self.day {
-            *self = Self {
-                day,
-                ..Self::default()
-            };
-        }
-        if day == self.day {
-            let sum = match used.estimated {
-                true => &mut self.estimated_uj,
-                false => &mut self.measured_uj,
-            };
-            *sum = sum.saturating_add(used.uj);
-            self.frames = self.frames.saturating_add(used.frames);
-            self.skipped = self.skipped.saturating_add(used.skipped);
-            self.detected = self.detected.saturating_add(used.detected);
-            self.paired = self.paired.saturating_add(used.paired);
-        }
-    }
-
-    /// The sums, if they are of `day`.
-    pub(super) fn energy(&self, day: i64) -> TodaysEnergy {
-        if self.day != day {
-            return TodaysEnergy::default();
-        }
-        let share = |part: u64, whole: u64| (whole > 0).then(|| part as f64 / whole as f64);
-        TodaysEnergy {
-            measured_joules: self.measured_uj as f64 / 1e6,
-            estimated_joules: self.estimated_uj as f64 / 1e6,
-            skip_rate: share(self.skipped, self.frames),
-            recall: share(self.paired, self.detected),
-        }
-    }
-
-    /// What nodes are sorted by: the larger of the two, for they are not added.
-    pub(super) fn key(&self, day: i64) -> i64 {
-        match self.day == day {
-            true => self.measured_uj.max(self.estimated_uj),
-            false => 0,
-        }
+impl TodaysEnergy {
+    /// What nodes are sorted by, microjoules: the larger of the two, for they are not added.
+    pub(crate) fn largest_uj(&self) -> i64 {
+        (self.measured_joules.max(self.estimated_joules) * 1e6) as i64
     }
 }
 
-/// What a clip used and saved.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Used {
-    /// Microjoules; 0 when not known.
-    pub(crate) uj: i64,
-    /// Computed and not read from a meter.
-    pub(crate) estimated: bool,
-    pub(crate) frames: u64,
-    /// Frames that skipped the detector, degraded ones not among them.
-    pub(crate) skipped: u64,
-    /// Boxes of the detector on audited skipped frames.
-    pub(crate) detected: u64,
-    /// Those of them that were shown.
-    pub(crate) paired: u64,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_day_ends_at_midnight_and_qualities_are_not_added() {
-        let used = |uj, estimated| Used {
-            uj,
-            estimated,
-            frames: 10,
-            skipped: 4,
-            detected: 0,
-            paired: 0,
-        };
-        let mut today = Today::default();
-        today.add(7, used(3_000_000, false));
-        today.add(7, used(1_000_000, false));
-        today.add(7, used(9_000_000, true));
-        // Late, and of a day that is over.
-        today.add(6, used(5_000_000, false));
-        let energy = today.energy(7);
-        assert_eq!(
-            (energy.measured_joules, energy.estimated_joules),
-            (4.0, 9.0)
-        );
-        assert_eq!((energy.skip_rate, energy.recall), (Some(0.4), None));
-        assert_eq!(today.key(7), 9_000_000);
-        assert_eq!(
-            (today.energy(8), today.key(8)),
-            (TodaysEnergy::default(), 0)
-        );
-        today.add(8, used(1, false));
-        assert_eq!((today.key(7), today.key(8)), (0, 1));
-        assert_eq!(
-            (day_of(-1), day_of(86_399_999), day_of(86_400_000)),
-            (-1, 0, 1)
-        );
+impl Fleet {
+    /// Reads again and again what the clips of this day, UTC, used.
+    pub(crate) async fn follow_today(&self, store: &Store) {
+        loop {
+            let begun = Instant::now();
+            let day = unix_milliseconds().div_euclid(86_400_000);
+            match store.today(day * 86_400).await {
+                Ok(today) => self.set_today(today),
+                Err(error) => tracing::debug!(%error, "what nodes used today was not read"),
+            }
+            sleep(PAUSE.max(begun.elapsed() * PAUSE_TIMES)).await;
+        }
     }
 }

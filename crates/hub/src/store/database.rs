@@ -1,8 +1,8 @@
-//! One connection to a database, and what is written over it.
+//! One connection to a database, and what ingest writes over it.
 
 use super::row::{Row, read_all, row};
-use super::tables::{EventRow, LARGEST_SUM, NodeRow, ReportCountsRow, SetupKey, SumRow};
-use super::{Kind, StoreError, migrate};
+use super::tables::{LARGEST_SUM, ReportCountsRow, SUM_KEY, SUMMED, SetupKey};
+use super::{Kind, StoreError};
 use crate::presence::PresenceState;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -60,12 +60,6 @@ pub(crate) struct CameraRow {
 }
 
 impl dyn Database + '_ {
-    /// The id of the database, which a copy of it keeps.
-    pub(crate) fn identity(&mut self) -> Result<Uuid, StoreError> {
-        let identity = migrate::meta(self)?.identity;
-        identity.ok_or_else(|| StoreError::Statement("the database has no id".to_owned()))
-    }
-
     /// Inserts rows into a table, in order. `rest` ends the statement: an `ON CONFLICT` clause, a `RETURNING` clause, both, or
     /// nothing.
     pub(crate) fn insert<R: Serialize>(
@@ -74,7 +68,17 @@ impl dyn Database + '_ {
         rows: &[R],
         rest: &str,
     ) -> Result<Vec<Row>, StoreError> {
-        let rows = rows.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        let rows = rows.iter().map(row).collect::<Result<_, _>>()?;
+        self.insert_rows(table, rows, rest)
+    }
+
+    /// As [`insert`](Self::insert); all rows have the same columns.
+    pub(crate) fn insert_rows(
+        &mut self,
+        table: &str,
+        rows: Vec<Row>,
+        rest: &str,
+    ) -> Result<Vec<Row>, StoreError> {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
@@ -91,28 +95,24 @@ impl dyn Database + '_ {
         )
     }
 
-    /// The numbers of nodes by name; a node that is new is added.
-    pub(crate) fn nodes(
-        &mut self,
-        names: &[&str],
-        now_ms: i64,
-    ) -> Result<Vec<(String, i64)>, StoreError> {
-        self.add_nodes(names, now_ms, "DO NOTHING")?;
-        let mut numbered = Vec::new();
-        for name in names {
-            let id = self.number("SELECT id FROM nodes WHERE name = $1", &[(*name).into()])?;
-            numbered.extend(id.map(|id| ((*name).to_owned(), id)));
-        }
-        Ok(numbered)
+    /// The rows of a query that ends with a column of text and `IN`: those where it is one of these texts.
+    pub(crate) fn among(&mut self, query: &str, texts: &[&str]) -> Result<Vec<Row>, StoreError> {
+        let list = match self.kind() {
+            Kind::Sqlite => "(SELECT value FROM json_each($1))",
+            Kind::Postgres => "(SELECT jsonb_array_elements_text($1::jsonb))",
+        };
+        self.query(
+            &format!("{query} {list}"),
+            &[json!(texts).to_string().into()],
+        )
     }
 
-    /// Adds nodes of these names; `conflict` says what is done with those that are there already.
-    fn add_nodes(
+    /// These nodes by name, with what is known of their reports; a node that is new is added.
+    pub(crate) fn reporting_nodes(
         &mut self,
         names: &[&str],
         now_ms: i64,
-        conflict: &str,
-    ) -> Result<Vec<Row>, StoreError> {
+    ) -> Result<HashMap<String, ReportCountsRow>, StoreError> {
         let new = |name: &&str| {
             json!({
                 "name": name,
@@ -123,13 +123,22 @@ impl dyn Database + '_ {
             })
         };
         let new: Vec<Value> = names.iter().map(new).collect();
-        self.insert("nodes", &new, &format!("ON CONFLICT (name) {conflict}"))
+        self.insert("nodes", &new, "ON CONFLICT (name) DO NOTHING")?;
+        let nodes = self.among(include_str!("sql/reporting_nodes.sql"), names)?;
+        let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
+        let nodes = nodes.into_iter().map(|mut node| {
+            if node.first_ms == 0 {
+                node.first_ms = now_ms;
+            }
+            (node.name.clone(), node)
+        });
+        Ok(nodes.collect())
     }
 
-    /// The cameras of a node.
-    pub(crate) fn cameras_of(&mut self, node: i64) -> Result<Vec<CameraRow>, StoreError> {
-        let text = "SELECT id, node_id, name FROM cameras WHERE node_id = $1";
-        read_all(self.query(text, &[node.into()])?)
+    /// The cameras of these nodes.
+    pub(crate) fn cameras_of(&mut self, nodes: &[&str]) -> Result<Vec<CameraRow>, StoreError> {
+        let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
+        read_all(self.among(text, nodes)?)
     }
 
     /// Adds cameras, given by node and name.
@@ -139,28 +148,27 @@ impl dyn Database + '_ {
     ) -> Result<Vec<CameraRow>, StoreError> {
         let new = |(node, name): &(i64, &str)| json!({ "node_id": node, "name": name });
         let new: Vec<Value> = cameras.iter().map(new).collect();
-        let conflict = "ON CONFLICT (node_id, name) DO UPDATE SET name = excluded.name RETURNING id, node_id, name";
-        read_all(self.insert("cameras", &new, conflict)?)
+        read_all(self.insert("cameras", &new, "RETURNING id, node_id, name")?)
     }
 
     /// The numbers of setups; one that is new is added.
     pub(crate) fn setups(
         &mut self,
-        setups: &[&SetupKey],
-    ) -> Result<Vec<(SetupKey, i64)>, StoreError> {
+        setups: &BTreeSet<&SetupKey>,
+    ) -> Result<HashMap<SetupKey, i64>, StoreError> {
         #[derive(Deserialize)]
         struct Numbered {
             id: i64,
             #[serde(flatten)]
             setup: SetupKey,
         }
+        let setups: Vec<_> = setups.iter().collect();
+        // Changes nothing, and returns the row.
         let conflict = "ON CONFLICT (policy, knob, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
-        let numbered: Vec<Numbered> = read_all(self.insert("setups", setups, conflict)?)?;
-        Ok(numbered
-            .into_iter()
-            .map(|one| (one.setup, one.id))
-            .collect())
+        let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
+        let numbered = numbered.into_iter().map(|one| (one.setup, one.id));
+        Ok(numbered.collect())
     }
 
     /// Notes reports; those of them that were not known before.
@@ -185,96 +193,30 @@ impl dyn Database + '_ {
         Ok(new.into_iter().map(|one| one.id).collect())
     }
 
-    /// What is known of the reports of these nodes.
-    pub(crate) fn report_counts(
-        &mut self,
-        nodes: &[i64],
-        now_ms: i64,
-    ) -> Result<HashMap<i64, ReportCountsRow>, StoreError> {
-        let new = |node: &i64| json!({ "node_id": node, "first_ms": now_ms, "last_ms": now_ms });
-        let new: Vec<Value> = nodes.iter().map(new).collect();
-        // Changes nothing, and returns the row.
-        let conflict = "ON CONFLICT (node_id) DO UPDATE SET node_id = excluded.node_id RETURNING *";
-        let known: Vec<ReportCountsRow> =
-            read_all(self.insert("report_counts", &new, conflict)?)?;
-        Ok(known.into_iter().map(|row| (row.node_id, row)).collect())
-    }
-
     /// Writes what is known of the reports of nodes.
     pub(crate) fn write_report_counts(
         &mut self,
-        rows: &[ReportCountsRow],
+        mut rows: Vec<ReportCountsRow>,
     ) -> Result<(), StoreError> {
-        let conflict = "ON CONFLICT (node_id) DO UPDATE SET first_ms = excluded.first_ms, last_ms = excluded.last_ms, \
+        rows.sort_by_key(|row| row.node_id);
+        let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
                         missing = excluded.missing";
-        self.insert("report_counts", rows, conflict).map(drop)
-    }
-
-    /// Writes what is known of nodes, which come in the order of their names. Those whose state changed are returned with
-    /// the state before: of several hubs that see the same, one changes it.
-    pub(crate) fn update_nodes(
-        &mut self,
-        rows: &[NodeRow],
-        now_ms: i64,
-    ) -> Result<HashMap<String, String>, StoreError> {
-        #[derive(Deserialize)]
-        struct Before {
-            name: String,
-            state: String,
-            since_ms: i64,
-        }
-        let names: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
-        // Changes nothing, and returns the row.
-        let same = "DO UPDATE SET name = excluded.name RETURNING name, state, since_ms";
-        let before: Vec<Before> = read_all(self.add_nodes(&names, now_ms, same)?)?;
-        let mut before: HashMap<String, Before> = before
-            .into_iter()
-            .map(|node| (node.name.clone(), node))
-            .collect();
-        // A node that was forgotten since stays so.
-        let mut rows = rows.to_vec();
-        rows.retain(|row| {
-            (before.get(&row.name))
-                .is_some_and(|node| node.state != "forgotten" || node.since_ms < row.since_ms)
-        });
-        self.insert(
-            "nodes",
-            &rows,
-            // What is not known now stays as it was.
-            "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
-             since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
-             why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \
-             run = COALESCE(excluded.run, nodes.run), started_ns = COALESCE(excluded.started_ns, nodes.started_ns), \
-             revision = excluded.revision, status = COALESCE(excluded.status, nodes.status)",
-        )?;
-        let changed = rows.into_iter().filter_map(|row| {
-            let before = before.remove(&row.name)?;
-            (before.state != row.state).then_some((row.name, before.state))
-        });
-        Ok(changed.collect())
+        self.insert("report_counts", &rows, conflict).map(drop)
     }
 
     /// Adds sums to those of `table`.
-    pub(crate) fn add_sums(&mut self, table: &str, rows: &[SumRow]) -> Result<(), StoreError> {
-        let added: Vec<String> = SumRow::summed()
-            .map(|name| {
-                format!(
-                    "{name} = CASE WHEN {table}.{name} > {LARGEST_SUM} - excluded.{name} THEN {LARGEST_SUM} \
-                     ELSE {table}.{name} + excluded.{name} END"
-                )
-            })
-            .collect();
-        let (key, added) = (SumRow::KEY.join(", "), added.join(", "));
+    pub(crate) fn add_sums(&mut self, table: &str, rows: Vec<Row>) -> Result<(), StoreError> {
+        let added = SUMMED.map(|name| {
+            format!(
+                "{name} = CASE WHEN {table}.{name} > {LARGEST_SUM} - excluded.{name} THEN {LARGEST_SUM} \
+                 ELSE {table}.{name} + excluded.{name} END"
+            )
+        });
+        let (key, added) = (SUM_KEY.join(", "), added.join(", "));
         let conflict = format!("ON CONFLICT ({key}) DO UPDATE SET {added}");
-        self.insert(table, rows, &conflict).map(drop)
-    }
-
-    /// Writes events and gives them their numbers, in order. The numbers grow in the order of commits, so that who reads
-    /// after a number misses none.
-    pub(crate) fn events(&mut self, events: &[EventRow]) -> Result<(), StoreError> {
-        self.insert("events", events, "").map(drop)
+        self.insert_rows(table, rows, &conflict).map(drop)
     }
 }
 

@@ -11,11 +11,30 @@ pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAsi
 use super::row::read_all;
 use super::tables::NodeRow;
 use super::{Store, StoreError};
+use crate::presence::TodaysEnergy;
+use serde::Deserialize;
+use std::collections::HashMap;
 
 impl Store {
     /// Every node as it was known last.
     pub(crate) async fn nodes(&self) -> Result<Vec<NodeRow>, StoreError> {
         let text = "SELECT * FROM nodes WHERE state <> 'forgotten'";
         read_all(self.query(text, Vec::new()).await?)
+    }
+
+    /// What the clips of the day that begins at `since_s` used, by node.
+    pub(crate) async fn today(
+        &self,
+        since_s: i64,
+    ) -> Result<HashMap<String, TodaysEnergy>, StoreError> {
+        #[derive(Deserialize)]
+        struct Used {
+            node: String,
+            #[serde(flatten)]
+            today: TodaysEnergy,
+        }
+        let rows = self.query(include_str!("sql/today.sql"), vec![since_s.into()]);
+        let used: Vec<Used> = read_all(rows.await?)?;
+        Ok(used.into_iter().map(|one| (one.node, one.today)).collect())
     }
 }

@@ -1,6 +1,6 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
-use super::migrate::{MARK, VERSION, meta};
+use super::migrate::identity;
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
@@ -67,7 +67,7 @@ pub async fn to_postgres(
             .map_err(|error| refused(&from, &error.to_string()))?;
         // Nothing is written to the file meanwhile.
         source.begin()?;
-        let identity = identity(&from, &mut source)?;
+        let identity = identity(&mut source).map_err(|error| refused(&from, &error.to_string()))?;
         Ok((source, identity))
     });
     let (source, identity) = source.await?;
@@ -144,24 +144,6 @@ fn copy(
     )?;
     target.commit()?;
     Ok(rows)
-}
-
-/// The identity of the database, if it is one that this program wrote.
-fn identity(from: &str, source: &mut dyn Database) -> Result<Uuid, StoreError> {
-    let meta = meta(source).map_err(|error| refused(from, &error.to_string()))?;
-    if meta.program.as_deref() != Some(MARK) {
-        return Err(refused(from, "it has no mark of a hub"));
-    }
-    let version = meta.version.unwrap_or_default();
-    if version != VERSION.to_string() {
-        return Err(refused(
-            from,
-            &format!(
-                "its tables have version {version:?}; start this version's hub on it once, or use the program that wrote it"
-            ),
-        ));
-    }
-    (meta.identity).ok_or_else(|| refused(from, "it has no identity"))
 }
 
 #[cfg(test)]

@@ -129,7 +129,7 @@ impl Tuner {
         let forgotten = node.to_owned();
         let written = self.store.write(move |writing| {
             writing.forget(&forgotten, now)?;
-            writing.events(&[event])
+            writing.insert("events", &[event], "").map(drop)
         });
         written.await?;
         self.stop_following(node);

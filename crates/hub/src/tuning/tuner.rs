@@ -366,7 +366,7 @@ impl Tuner {
         }
         if !events.is_empty() {
             (self.store)
-                .write(move |writing| writing.events(&events))
+                .write(move |writing| writing.insert("events", &events, ""))
                 .await?;
         }
         // Known is only what is in the history: after an error it is found again.

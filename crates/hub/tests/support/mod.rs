@@ -15,11 +15,11 @@ pub(crate) use ports::free_port;
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
-    AuditReport, AuditSums, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy, DroppedFrames,
-    EnergyQuality, FrameStates, HealthState, HealthStatus, NodeStatus, OutboxStatus, Percentiles,
-    PullRequest, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, Threshold, VERSION,
+    AuditReport, AuditSums, ClipReport, Desired, HealthState, OutboxStatus, PullRequest,
+    ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
 };
-use serde_json::Value;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
@@ -103,6 +103,59 @@ impl Hub {
         }
     }
 }
+
+/// A hub with a database of its own, and a session of a node.
+pub struct Stand {
+    pub hub: Hub,
+    pub session: zenoh::Session,
+    folder: Option<tempfile::TempDir>,
+}
+
+impl Stand {
+    /// With a SQLite file.
+    pub async fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let stand = Self::on(config(&sqlite(folder.path()))).await;
+        Self {
+            folder: Some(folder),
+            ..stand
+        }
+    }
+
+    pub async fn on(config: HubConfig) -> Self {
+        let hub = Hub::start(config).await;
+        Self {
+            session: uplink(&hub.zenoh).await,
+            hub,
+            folder: None,
+        }
+    }
+
+    pub async fn end(self) {
+        self.session.close().await.unwrap();
+        self.hub.stop().await;
+        drop(self.folder);
+    }
+}
+
+/// A test on a database of each kind.
+macro_rules! on_both {
+    ($test:path, $sqlite:ident, $postgres:ident) => {
+        #[tokio::test(flavor = "multi_thread")]
+        async fn $sqlite() {
+            let folder = tempfile::tempdir().unwrap();
+            $test(&crate::support::sqlite(folder.path())).await;
+        }
+
+        #[tokio::test(flavor = "multi_thread")]
+        #[ignore = "needs PostgreSQL"]
+        async fn $postgres() {
+            let server = crate::support::postgres::Postgres::start();
+            $test(&server.url()).await;
+        }
+    };
+}
+pub(crate) use on_both;
 
 /// A Zenoh session of a node's uplink.
 pub async fn uplink(endpoint: &str) -> zenoh::Session {
@@ -219,68 +272,28 @@ pub fn id(series: u8, number: u64, made_ns: u64) -> Uuid {
 pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipReport {
     let begun_ns = started_ns + number * 40_000_000_000;
     let joules = 100.1 + number as f64 / 3.0;
-    let percentiles = |count, mean| Percentiles {
-        count,
-        mean,
-        p50: mean,
-        p95: mean * 2.0,
-        p99: mean * 3.0,
+    let times = |count: u64, mean: f64| {
+        let (p95, p99) = (mean * 2.0, mean * 3.0);
+        json!({"count": count, "mean": mean, "p50": mean, "p95": p95, "p99": p99})
     };
+    let quality = ["measured", "partial", "estimated"][number as usize % 3];
+    let report = json!({
+        "v": VERSION, "id": id(series, number, begun_ns + 40_000_000_000), "node": node, "camera": "front",
+        "clip": format!("window-{number}"), "count": number, "ended_by": "window", "started_ns": begun_ns,
+        "duration_s": 40.0, "frames": 1200, "states": {"E": 100, "P": 700, "E+I": 50, "I": 300, "AI": 50},
+        "skip_rate": 800.0 / 1200.0, "degraded_frames": 20, "dropped": {}, "policy": "albireo",
+        "threshold": {"name": "u", "value": 3e-4}, "threshold_changes": [], "model": "detector.onnx", "provider": "cpu",
+        "total_latency_ms": times(1200, 11.3), "detector_latency_ms": times(400, 30.7),
+        "energy": {
+            "joules": joules, "node_joules": joules * 2.0, "saved_joules_estimated": 12.5,
+            "edp": joules * 40_000.0 / 1200.0, "quality": quality,
+            "source": "rapl", "total_from": "input_rail", "samples": 400, "coverage": 1.0,
+            "domains": [{"domain": "cpu", "joules": joules * 1.5, "mean_watts": 3.0}],
+        },
+    });
     ClipReport {
-        v: VERSION,
-        id: id(series, number, begun_ns + 40_000_000_000),
-        node: node.into(),
-        camera: "front".into(),
-        clip: format!("window-{number}"),
-        part: 0,
-        count: Some(number),
-        ended_by: ClipEnd::Window,
-        started_ns: begun_ns,
-        duration_s: 40.0,
-        frames: 1200,
-        states: FrameStates {
-            e: 100,
-            p: 700,
-            ei: 50,
-            i: 300,
-            ai: 50,
-        },
-        skip_rate: 800.0 / 1200.0,
-        degraded_frames: 20,
-        dropped: DroppedFrames::default(),
-        policy: "albireo".into(),
-        threshold: Some(Threshold::new("u", 3e-4)),
-        threshold_changes: Vec::new(),
-        model: "detector.onnx".into(),
-        provider: "cpu".into(),
-        total_latency_ms: percentiles(1200, 11.3),
-        detector_latency_ms: percentiles(400, 30.7),
-        detector_used_ms: 400.0 * 28.0,
-        energy: ClipEnergy {
-            joules: Some(joules),
-            node_joules: Some(joules * 2.0),
-            saved_joules_estimated: Some(12.5),
-            edp: Some(joules * 40_000.0 / 1200.0),
-            quality: if number.is_multiple_of(3) {
-                EnergyQuality::Measured
-            } else if number % 3 == 1 {
-                EnergyQuality::Partial
-            } else {
-                EnergyQuality::Estimated
-            },
-            source: "rapl".into(),
-            total_from: "input_rail".into(),
-            samples: 400,
-            coverage: 1.0,
-            domains: vec![DomainEnergy {
-                domain: "cpu".into(),
-                joules: joules * 1.5,
-                mean_watts: 3.0,
-                peak_watts: None,
-            }],
-        },
-        board: None,
         audit: number.is_multiple_of(2).then(|| audit(number)),
+        ..serde_json::from_value(report).unwrap()
     }
 }
 
@@ -337,30 +350,15 @@ pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessag
     } else {
         HealthState::Degraded
     };
-    let full = NodeStatus {
-        version: "0.1.0".into(),
-        labels: Default::default(),
-        cameras: Vec::new(),
-        policy: "albireo".into(),
-        model: "detector.onnx".into(),
-        provider: Some("cpu".into()),
-        power_source: "rapl".into(),
-        power_quality: EnergyQuality::Measured,
-        health: HealthStatus {
-            state,
-            reasons: reasons
-                .iter()
-                .map(|(part, reason)| ((*part).to_owned(), (*reason).to_owned()))
-                .collect(),
-        },
-        outbox: OutboxStatus::default(),
-        refused: None,
-        target: None,
-        target_off: None,
-    };
+    let reasons: BTreeMap<_, _> = reasons.iter().copied().collect();
+    let full = json!({
+        "version": "0.1.0", "cameras": [], "policy": "albireo", "model": "detector.onnx", "provider": "cpu",
+        "power_source": "rapl", "power_quality": "measured", "health": {"state": state, "reasons": reasons},
+        "outbox": OutboxStatus::default(),
+    });
     StatusMessage {
         health: state,
-        full: Some(Box::new(full)),
+        full: Some(serde_json::from_value(full).unwrap()),
         ..status(run, seq)
     }
 }

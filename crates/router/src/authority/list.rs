@@ -1,6 +1,7 @@
 //! The list of the certificates that an authority has issued.
 
-use super::{AuthorityError, at, read, write_private};
+use super::{read, write_private};
+use crate::error::{RouterError, at};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -93,7 +94,7 @@ pub(super) struct List {
 }
 
 impl List {
-    pub(super) fn open(folder: &Path) -> Result<Self, AuthorityError> {
+    pub(super) fn open(folder: &Path) -> Result<Self, RouterError> {
         let lock_file = folder.join(LOCK);
         let lock = File::create(&lock_file).map_err(at(&lock_file))?;
         lock.lock().map_err(at(&lock_file))?;
@@ -119,7 +120,7 @@ impl List {
         })
     }
 
-    pub(super) fn write(&self) -> Result<(), AuthorityError> {
+    pub(super) fn write(&self) -> Result<(), RouterError> {
         let text = serde_json::to_string_pretty(&self.stored).map_err(at(&self.file))?;
         write_private(&self.file, &(text + "\n"))
     }
@@ -134,12 +135,12 @@ impl List {
     }
 
     /// The one of that name that is not revoked.
-    pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, AuthorityError> {
+    pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
         self.of(role, name)
             .find(|entry| entry.revoked_s.is_none())
-            .ok_or_else(|| AuthorityError::Unknown {
-                role,
-                name: name.to_owned(),
+            .ok_or_else(|| {
+                let reason = format!("{role} `{name}` has no certificate that is good");
+                RouterError::Other(reason)
             })
     }
 
@@ -149,7 +150,7 @@ impl List {
     }
 
     /// Adds an entry, in place of one with the same common name, and writes the list.
-    pub(super) fn put(&mut self, entry: Entry) -> Result<(), AuthorityError> {
+    pub(super) fn put(&mut self, entry: Entry) -> Result<(), RouterError> {
         let issued = &mut self.stored.issued;
         issued.retain(|known| known.common_name() != entry.common_name());
         issued.push(entry);

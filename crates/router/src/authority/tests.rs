@@ -8,13 +8,18 @@ fn authority(folder: &Path) -> Authority {
     Authority::create(folder, "fleet north", YEAR * 10).unwrap()
 }
 
-fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, AuthorityError> {
-    let request = Request::lasting(role, name, &[], YEAR).unwrap();
-    authority.issue(&request)
+fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, RouterError> {
+    authority.issue(role, name, &[], YEAR)
+}
+
+#[track_caller]
+fn assert_refused<T: std::fmt::Debug>(done: Result<T, RouterError>, why: &str) {
+    let error = done.unwrap_err().to_string();
+    assert!(error.contains(why), "{error}");
 }
 
 fn common_name_of(issued: &Issued) -> String {
-    subject(&issued.certificate).unwrap().0
+    subject(&issued.certificate).unwrap()
 }
 
 #[test]
@@ -38,8 +43,7 @@ fn openssl_finds_the_chain_good_and_the_purposes_right() {
     let folder = tempfile::tempdir().unwrap();
     let mut authority = authority(folder.path());
     let hosts = ["router.example".to_owned(), "127.0.0.1".to_owned()];
-    let request = Request::lasting(Role::Router, "east", &hosts, YEAR).unwrap();
-    let router = authority.issue(&request).unwrap();
+    let router = authority.issue(Role::Router, "east", &hosts, YEAR).unwrap();
     let node = issue(&mut authority, Role::Node, "car-7").unwrap();
     let verifies = |purpose: &str, file: &Path| {
         let ended = Command::new("openssl")
@@ -74,12 +78,12 @@ fn a_name_has_one_good_certificate_and_another_issue_after_it_was_revoked() {
     let mut authority = authority(folder.path());
     issue(&mut authority, Role::Node, "car-7").unwrap();
     let again = issue(&mut authority, Role::Node, "car-7");
-    assert!(matches!(again, Err(AuthorityError::Issued { .. })));
+    assert_refused(again, "renew it, or revoke it first");
     // Another role is another holder.
     issue(&mut authority, Role::Hub, "car-7").unwrap();
     assert_eq!(authority.revoke(Role::Node, "car-7").unwrap().issue, 1);
     let twice = authority.revoke(Role::Node, "car-7");
-    assert!(matches!(twice, Err(AuthorityError::Unknown { .. })));
+    assert_refused(twice, "no certificate that is good");
     drop(authority);
     let mut authority = Authority::open(folder.path()).unwrap();
     let next = issue(&mut authority, Role::Node, "car-7").unwrap();
@@ -99,7 +103,7 @@ fn a_renewed_certificate_has_the_same_name_another_key_and_a_later_end() {
     assert!(second.entry.ends_s > first.entry.ends_s);
     assert_eq!(authority.entries().len(), 1);
     let nobody = authority.renew(Role::Node, "car-8", YEAR);
-    assert!(matches!(nobody, Err(AuthorityError::Unknown { .. })));
+    assert_refused(nobody, "no certificate that is good");
 }
 
 #[test]
@@ -107,7 +111,7 @@ fn a_second_authority_is_not_put_over_the_first() {
     let folder = tempfile::tempdir().unwrap();
     drop(authority(folder.path()));
     let again = Authority::create(folder.path(), "other", YEAR);
-    assert!(matches!(again, Err(AuthorityError::Exists(_))));
+    assert_refused(again.map(drop), "is there already");
 }
 
 #[test]
@@ -116,18 +120,12 @@ fn names_that_mean_something_to_zenoh_and_times_that_cannot_be_are_refused() {
     let mut authority = authority(folder.path());
     for name in ["", "a/b", "*", "../x", "a b"] {
         let refused = issue(&mut authority, Role::Node, name);
-        assert!(matches!(refused, Err(AuthorityError::Name(_))), "{name}");
+        assert_refused(refused, "name");
     }
-    let now = SystemTime::now();
-    let backwards = Request {
-        role: Role::Node,
-        name: "car-7",
-        hosts: &[],
-        begins: now,
-        ends: now - DAY,
-    };
-    let refused = authority.issue(&backwards);
-    assert!(matches!(refused, Err(AuthorityError::Time)));
+    for lasts in [YEAR * 1_000_000, Duration::MAX] {
+        let refused = authority.issue(Role::Node, "car-7", &[], lasts);
+        assert_refused(refused, "that time cannot stand in a certificate");
+    }
 }
 
 #[test]

@@ -1,14 +1,11 @@
 //! Hostile batches by the thousand, from the payload to the rows: no network, a real database.
 
-use crate::config::DatabaseConfig;
-use crate::ingest::commit::{Numbers, write};
-use crate::ingest::decode::decode;
-use crate::ingest::limits::EventLimits;
-use crate::store::{Access, Store};
-use albireo_wire::{
-    BatchCompression, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
-    Percentiles, REPORT_DICTIONARY, ReportBatch, VERSION,
-};
+use crate::config::{DatabaseConfig, HistoryConfig};
+use crate::ingest::{Recorder, decode};
+use crate::presence::News;
+use crate::store::Store;
+use albireo_service::clock::Now;
+use albireo_wire::{BatchCompression, REPORT_DICTIONARY, ReportBatch, VERSION};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Value, json};
@@ -37,58 +34,19 @@ fn batch(random: &mut Pcg64Mcg) -> Value {
 
 /// A report as a node makes it.
 fn report(number: u64) -> Value {
-    let latency = Percentiles {
-        count: 9,
-        mean: 5.0,
-        p50: 5.0,
-        p95: 6.0,
-        p99: 7.0,
-    };
-    let made_ms = NOW_MS.unsigned_abs() + number;
-    let report = ClipReport {
-        v: VERSION,
-        id: Builder::from_unix_timestamp_millis(made_ms, &[3; 10]).into_uuid(),
-        count: Some(number),
-        node: "car-1".into(),
-        camera: "front".into(),
-        clip: format!("w{number}"),
-        part: 0,
-        ended_by: ClipEnd::Window,
-        started_ns: 1_780_000_000_000_000_000 + number,
-        duration_s: 40.0,
-        frames: 9,
-        states: FrameStates {
-            p: 3,
-            i: 6,
-            ..FrameStates::default()
+    let times = json!({"count": 9, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
+    let id = Builder::from_unix_timestamp_millis(NOW_MS.unsigned_abs() + number, &[3; 10]);
+    json!({
+        "v": VERSION, "id": id.into_uuid(), "count": number, "node": "car-1", "camera": "front",
+        "clip": format!("w{number}"), "ended_by": "window", "started_ns": 1_780_000_000_000_000_000 + number,
+        "duration_s": 40.0, "frames": 9, "states": {"E": 0, "P": 3, "E+I": 0, "I": 6, "AI": 0}, "skip_rate": 3.0 / 9.0,
+        "degraded_frames": 0, "dropped": {}, "policy": "albireo", "threshold_changes": [], "model": "m",
+        "provider": "cpu", "total_latency_ms": times, "detector_latency_ms": times,
+        "energy": {
+            "joules": 10.0, "node_joules": 10.0, "quality": "measured", "source": "rapl",
+            "total_from": "input_rail", "samples": 4, "coverage": 1.0, "domains": [],
         },
-        skip_rate: 3.0 / 9.0,
-        degraded_frames: 0,
-        dropped: DroppedFrames::default(),
-        policy: "albireo".into(),
-        threshold: None,
-        threshold_changes: Vec::new(),
-        model: "m".into(),
-        provider: "cpu".into(),
-        total_latency_ms: latency,
-        detector_latency_ms: latency,
-        detector_used_ms: 0.0,
-        energy: ClipEnergy {
-            joules: Some(10.0),
-            node_joules: Some(10.0),
-            saved_joules_estimated: None,
-            edp: None,
-            quality: EnergyQuality::Measured,
-            source: "rapl".into(),
-            total_from: "input_rail".into(),
-            samples: 4,
-            coverage: 1.0,
-            domains: Vec::new(),
-        },
-        board: None,
-        audit: None,
-    };
-    serde_json::to_value(report).unwrap()
+    })
 }
 
 /// A value that nobody should send.
@@ -193,8 +151,11 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         ..DatabaseConfig::default()
     };
     let store = Store::open(&config).await.unwrap();
-    let mut writing = store.connect(Access::Write, None).unwrap();
-    let (mut numbers, mut limits) = (Numbers::default(), EventLimits::default());
+    let now = Now {
+        unix_ms: NOW_MS,
+        ..Now::system()
+    };
+    let mut recorder = Recorder::new(&store, &HistoryConfig::default(), now);
     let mut random = Pcg64Mcg::seed_from_u64(20_261_122);
     let (mut unreadable, mut group) = (0_u64, Vec::new());
     let (mut clips, mut again, mut aside, mut refused) = (0, 0, 0, 0);
@@ -203,7 +164,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         match decode("car-1", &payload(&mut random), NOW_MS) {
             Ok(batch) => group.push(batch),
             Err(error) => {
-                assert!(!error.to_string().is_empty());
+                assert!(!error.is_empty());
                 unreadable += 1;
             }
         }
@@ -211,18 +172,15 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
             continue;
         }
         let group = std::mem::take(&mut group);
-        writing.begin().unwrap();
-        let done = write(&mut *writing, &mut numbers, &mut limits, &group, NOW_MS);
+        let done = recorder.record(&group, &News::default(), false, now);
         let done = done.expect("whatever a batch holds, the database takes what is made of it");
-        writing.events(&done.events).unwrap();
-        writing.commit().unwrap();
         clips += done.counts.clips;
         again += done.counts.again;
         aside += done.counts.set_aside;
-        assert_eq!(done.outcomes.len(), group.len());
-        for (batch, outcome) in group.iter().zip(&done.outcomes) {
-            refused += outcome.refused.len() as u64;
-            let no: BTreeSet<Uuid> = outcome.refused.iter().map(|report| report.id).collect();
+        assert_eq!(done.answers.len(), group.len());
+        for (batch, answer) in group.iter().zip(&done.answers) {
+            refused += answer.refused.len() as u64;
+            let no: BTreeSet<Uuid> = answer.refused.iter().map(|report| report.id).collect();
             let ids = batch.reports.iter().filter(|report| report.content.is_ok());
             stored.extend(
                 ids.filter_map(|report| report.id)
@@ -250,9 +208,9 @@ fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
         let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
         decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).map(|_| ())
     };
-    assert_eq!(of(json!([])).unwrap_err().to_string(), "no reports");
+    assert_eq!(of(json!([])).unwrap_err(), "no reports");
     let zeros = vec![0; 200_000];
-    let error = of(json!(zeros)).unwrap_err().to_string();
+    let error = of(json!(zeros)).unwrap_err();
     assert_eq!(error, "200000 reports, above 1000");
     let mut other = report(1);
     other["node"] = "car-2".into();

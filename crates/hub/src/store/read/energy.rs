@@ -119,42 +119,16 @@ pub struct EnergyGroup {
     pub audit_counts: AuditCounts,
 }
 
-/// The sums over rows of a table whose camera is one of these.
-macro_rules! sums {
-    ($table:literal, $cameras:literal) => {
-        concat!(
-            include_str!("../sql/energy_sums.sql"),
-            "FROM ",
-            $table,
-            " t",
-            include_str!("../sql/energy_groups.sql"),
-            $cameras,
-            include_str!("../sql/energy_order.sql")
-        )
-    };
-}
-
-/// The same of the whole fleet, of all cameras, and of those of one node.
-macro_rules! scopes {
-    ($table:literal) => {
-        [
-            sums!($table, "(0) AND $6 = ''"),
-            sums!($table, "(SELECT id FROM cameras) AND $6 = ''"),
-            sums!(
-                $table,
-                "(SELECT c.id FROM cameras c JOIN nodes o ON o.id = c.node_id WHERE o.name = $6)"
-            ),
-        ]
-    };
-}
-
-const DAYS: [&str; 3] = scopes!("(SELECT d.*, '' AS clip FROM sums_day d)");
-const FIVE_MINUTES: [&str; 3] = scopes!("(SELECT f.*, '' AS clip FROM sums_5m f)");
+const DAYS: &str = "(SELECT d.*, '' AS clip FROM sums_day d)";
+const FIVE_MINUTES: &str = "(SELECT f.*, '' AS clip FROM sums_5m f)";
 /// Clips one by one, as sums of their own.
-const CLIPS: [&str; 3] = scopes!(
-    "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
-     CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls FROM clips c)"
-);
+const CLIPS: &str = "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
+    CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls FROM clips c)";
+
+const FLEET: &str = "(0) AND $6 = ''";
+const CAMERAS: &str = "(SELECT id FROM cameras) AND $6 = ''";
+const CAMERAS_OF_NODE: &str =
+    "(SELECT c.id FROM cameras c JOIN nodes o ON o.id = c.node_id WHERE o.name = $6)";
 
 impl Store {
     /// The sums of spans of that length that begin in `seconds` since the Unix epoch. Those of the fleet, and those of one node,
@@ -168,16 +142,22 @@ impl Store {
         resolution: Resolution,
         seconds: Range<i64>,
     ) -> Result<Vec<EnergyGroup>, StoreError> {
-        let [fleet, cameras, node] = match (wanted.by, resolution) {
+        let table = match (wanted.by, resolution) {
             (EnergyBy::Clip, _) => CLIPS,
             (_, Resolution::FiveMinutes) => FIVE_MINUTES,
             (_, Resolution::Day) => DAYS,
         };
-        let text = match (&wanted.node, wanted.by) {
-            (Some(_), _) => node,
-            (None, EnergyBy::Node | EnergyBy::Camera | EnergyBy::Clip) => cameras,
-            (None, _) => fleet,
+        let cameras = match (&wanted.node, wanted.by) {
+            (Some(_), _) => CAMERAS_OF_NODE,
+            (None, EnergyBy::Node | EnergyBy::Camera | EnergyBy::Clip) => CAMERAS,
+            (None, _) => FLEET,
         };
+        let text = format!(
+            "{} FROM {table} t {} {cameras} {}",
+            include_str!("../sql/energy_sums.sql"),
+            include_str!("../sql/energy_groups.sql"),
+            include_str!("../sql/energy_order.sql"),
+        );
         let values = vec![
             json!(wanted.by),
             seconds.start.into(),

@@ -104,7 +104,6 @@ fn database(file: &Path) -> DatabaseConfig {
     DatabaseConfig {
         url: format!("sqlite:{}", file.display()),
         timeout_ms: 1,
-        ..DatabaseConfig::default()
     }
 }
 
