@@ -135,9 +135,14 @@ fn the_boards_own_meter_is_read_in_every_run() {
     let power = format!("source = \"tegrastats\"\ntegrastats = {program:?}");
     let config = configuration(folder.path(), &power);
     let out = folder.path().join("out");
-    let sysfs = folder.path().join("sys").display().to_string();
+    let sysfs = folder.path().join("sys");
+    let zone = sysfs.join("class/thermal/thermal_zone0");
+    std::fs::create_dir_all(&zone).unwrap();
+    std::fs::write(zone.join("type"), "tj-thermal").unwrap();
+    std::fs::write(zone.join("temp"), "63281").unwrap();
     let constants = format!(
-        "sysfs={sysfs} nvpmodel={}",
+        "sysfs={} nvpmodel={}",
+        sysfs.display(),
         fake_nvpmodel(folder.path()).display()
     );
     let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
@@ -163,7 +168,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
         let product = joules * seconds * 1e3 / 20.0;
         // Each of the three has six decimals.
         assert!((number(&energy["edp"]) / product - 1.0).abs() < 1e-5);
-        let board = json!({"hottest_sensor": "tj", "power_mode": "MODE_30W"});
+        let board = json!({"hottest_sensor": "tj-thermal", "power_mode": "MODE_30W"});
         assert_has(&report["board"], &board);
     }
 }
