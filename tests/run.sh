@@ -11,6 +11,8 @@ export ALBIREO_SHARED="${ALBIREO_SHARED:-$(cd .. && pwd)/shared}"
 export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxruntime.so* 2>/dev/null | head -n 1)}"
 export ORT_DISABLE_TELEMETRY=1
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
+# Most of the time of most tests is waiting for processes.
+export RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * $(nproc)))}"
 # hadolint comes with that environment.
 export PATH="$PATH:$(dirname "$ALBIREO_PYTHON")"
 

@@ -78,7 +78,7 @@ pub(super) struct Arguments {
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
         // What is dropped or failed is in the summary; a warning, a library's too, would tear the table.
-        level: "error,tower_http=off,zenoh=error,zenoh_transport=error,zenoh_link=error,zenoh_ext=error,ort=error,hyper=error"
+        level: "error,tower_http=off,zenoh=off,zenoh_transport=off,zenoh_link=off,zenoh_ext=off,ort=off,hyper=off"
             .to_owned(),
         ..LogConfig::default()
     })?;
