@@ -177,6 +177,53 @@ fn every_file_that_a_page_names_is_there() {
     assert!(missing.is_empty(), "not there: {missing:#?}");
 }
 
+/// The anchors of a page's headings, as code forges make them.
+fn anchors(page: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(page).unwrap();
+    let headings = text.lines().filter(|line| line.starts_with('#'));
+    let kept = |c: &char| c.is_alphanumeric() || [' ', '-', '_'].contains(c);
+    let anchor = |heading: &str| {
+        let words = heading.trim_start_matches('#').trim().to_lowercase();
+        words
+            .chars()
+            .filter(kept)
+            .collect::<String>()
+            .replace(' ', "-")
+    };
+    headings.map(anchor).collect()
+}
+
+#[test]
+fn every_heading_that_a_page_links_to_is_there() {
+    let (mut seen, mut missing) = (0, Vec::new());
+    for page in pages() {
+        let text = text(&page);
+        for link in text
+            .split("](")
+            .skip(1)
+            .filter_map(|rest| rest.split(')').next())
+        {
+            let Some((file, anchor)) = link.split_once('#').filter(|_| !link.contains("://"))
+            else {
+                continue;
+            };
+            let page = project(&page);
+            let target = match file {
+                "" => page,
+                file => page.parent().unwrap().join(file),
+            };
+            seen += 1;
+            if !anchors(&target).iter().any(|known| known == anchor) {
+                missing.push((target, anchor.to_owned()));
+            }
+        }
+    }
+    assert!(
+        missing.is_empty() && seen > 10,
+        "{seen} seen, not there: {missing:#?}"
+    );
+}
+
 /// The fields of a schema, those that may be missing in asterisks; parts that are flattened into it among them.
 fn fields(schemas: &Value, schema: &Value) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
