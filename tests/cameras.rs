@@ -315,7 +315,7 @@ async fn a_file_is_a_camera_that_never_ends() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
-async fn a_sender_that_starts_anew_loses_no_frame() {
+async fn a_sender_that_restarts_loses_no_frame() {
     let folder = tempfile::tempdir().unwrap();
     for number in 0..50 {
         std::fs::write(folder.path().join(format!("{number}.jpg")), picture()).unwrap();

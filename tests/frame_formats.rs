@@ -185,7 +185,7 @@ fn a_ros2_camera_is_numbered_by_its_own_attachment() {
 }
 
 #[test]
-fn the_encoding_or_the_first_bytes_tell_the_format() {
+fn the_encoding_or_the_first_bytes_name_the_format() {
     let (jpeg, png) = picture_files();
     for (payload, encoding, format) in [
         (&jpeg, "image/jpeg", PictureFormat::Jpeg),

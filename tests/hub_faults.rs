@@ -295,7 +295,7 @@ impl Traced {
 }
 
 #[test]
-fn a_trace_with_an_answer_before_its_sync_is_told_from_a_good_one() {
+fn a_trace_with_an_answer_before_its_sync_is_caught() {
     let write = r#"7 pwrite64(11</t/hub.db-wal>, "x"..., 4096, 0) = 4096"#;
     let sync = "7 fdatasync(11</t/hub.db-wal>) = 0";
     let answer =

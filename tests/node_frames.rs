@@ -341,7 +341,7 @@ async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() {
+async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() {
     let mut config = configuration();
     config.policy.name = "fixed-skip".to_owned();
     config.policy.fixed_skip.n = 4.0;

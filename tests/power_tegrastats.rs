@@ -102,7 +102,7 @@ async fn a_square_wave_keeps_its_mean_and_its_peak() {
 }
 
 #[tokio::test]
-async fn a_stall_is_told_as_coverage_and_adds_no_energy() {
+async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
     let task = json!({"curve": [[0, 30], [1, 30]], "stall": [1.5, 4.0]});
     let running = run(&task).await;
     let (mean, found) = running.watch(Duration::from_secs(6)).await;

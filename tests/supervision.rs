@@ -262,7 +262,7 @@ async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_that_finds_only_the_impossible_is_told_by_readiness_until_it_works() {
+async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_until_it_works() {
     let mut config = configuration();
     config.detector.model = model("dark_overflows.onnx");
     let mut bench = Bench::start(&config).await;

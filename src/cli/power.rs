@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_tells_each_source_its_rails_and_why_not() {
+    fn the_table_lists_each_source_its_rails_and_why_not() {
         let rail = |name: &str, watts, domain, in_total| RailNow {
             name: name.to_owned(),
             watts,

@@ -57,7 +57,7 @@ impl Events {
 }
 
 #[tokio::test]
-async fn a_change_of_the_threshold_is_told_to_who_listens() {
+async fn a_change_of_the_threshold_is_sent_to_listeners() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
     // How things stand.
@@ -67,9 +67,9 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
         assert!(response.status().is_success());
     }
     // A change of only the other camera is not sent.
-    let told = events.expect("threshold").await;
+    let event = events.expect("threshold").await;
     let threshold = json!({"name": "u", "value": 5e-4});
-    assert_eq!(told, json!({"camera": "rear", "threshold": threshold}));
+    assert_eq!(event, json!({"camera": "rear", "threshold": threshold}));
 }
 
 #[tokio::test]
@@ -83,9 +83,9 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
         assert_eq!(events.expect("counters").await["camera"], camera);
     }
     node.front().answered(frame(1, FrameState::P));
-    let told = events.expect("frame").await;
+    let event = events.expect("frame").await;
     assert_has(
-        &told,
+        &event,
         &json!({"seq": 1, "state": "P", "boxes": [{"class": "car"}]}),
     );
     node.board.record_clip(clip("front", 3));

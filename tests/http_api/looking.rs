@@ -36,7 +36,7 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
 }
 
 #[tokio::test]
-async fn a_degraded_frame_is_told_apart_and_never_counted_as_skipped() {
+async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..4 {
@@ -240,11 +240,11 @@ async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
     let request = request.header("content-type", "application/json");
     let response = request.send().await.unwrap();
     assert_says(response.headers()["allow"].to_str().unwrap(), allowed);
-    let told = problem(response, 405).await;
-    let told = told["allowed"].as_array().unwrap();
+    let answer = problem(response, 405).await;
+    let answer = answer["allowed"].as_array().unwrap();
     assert!(
-        allowed.iter().all(|method| told.contains(&json!(method))),
-        "{told:?}"
+        allowed.iter().all(|method| answer.contains(&json!(method))),
+        "{answer:?}"
     );
 }
 
@@ -289,14 +289,14 @@ async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
         &["albireo/car-7/front/frame"],
     );
     node.front().answered_all(&[FrameState::P, FrameState::I]);
-    let told = node.json("/api/v1/cameras/front").await;
+    let answer = node.json("/api/v1/cameras/front").await;
     let expected = json!({
         "policy": "albireo", "version": env!("CARGO_PKG_VERSION"), "threshold": {"value": 3e-4}, "frames": 2,
         "skip_rate": 0.5, "set_by": "configuration",
     });
-    assert_has(&told, &expected);
+    assert_has(&answer, &expected);
     // Pictures of 320x240: the published code counts its noise in pixels.
-    let published = told["u_as_published"].as_f64().unwrap();
+    let published = answer["u_as_published"].as_f64().unwrap();
     assert!(published > 8e-4, "{published}");
     let detections = node.json("/api/v1/cameras/front/detections").await;
     assert_has(&detections, &json!({"seq": 1, "state": "I"}));

@@ -51,12 +51,12 @@ async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
     front.answered(periodic);
     let calls = json!({"calls": {"uncertain": 3, "periodic_cap": 1}});
     let counters = serde_json::to_value(node.board.counters(front, 0)).unwrap();
-    for told in [
+    for answer in [
         node.json("/api/v1/frame-states").await,
         node.json("/api/v1/cameras/front/frame-states").await,
         counters,
     ] {
-        assert_has(&told, &calls);
+        assert_has(&answer, &calls);
     }
     let line = r#"albireo_detector_calls_total{camera="front",cause="periodic_cap"} 1"#;
     assert_says(&node.metrics().await, &[line]);
@@ -83,17 +83,17 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
         message.tau_max = Some(1.1e-4 * (age + 1) as f64);
         front.answered(message);
     }
-    let told = node.json(&format!("{path}?values=1e-4,3e-4,1")).await;
+    let answer = node.json(&format!("{path}?values=1e-4,3e-4,1")).await;
     assert_has(
-        &told,
+        &answer,
         &json!({"estimated": true, "threshold": {"value": 3e-4}}),
     );
-    let really = told["skip_rate"].as_f64().unwrap();
-    assert!((really - 2.0 / 3.0).abs() < 0.01, "{told}");
-    let rates = [0, 1, 2].map(|value| told["values"][value]["skip_rate"].as_f64().unwrap());
+    let really = answer["skip_rate"].as_f64().unwrap();
+    assert!((really - 2.0 / 3.0).abs() < 0.01, "{answer}");
+    let rates = [0, 1, 2].map(|value| answer["values"][value]["skip_rate"].as_f64().unwrap());
     assert!(
         rates[0] == 0.0 && (rates[1] - really).abs() < 0.01 && rates[2] > 0.9,
-        "{told}"
+        "{answer}"
     );
     let curve = node.json(path).await;
     let curve = curve["values"].as_array().unwrap();
@@ -155,12 +155,12 @@ async fn savings_are_reported_since_the_start_and_today() {
             "quality": quality, "joules": 7200.0, "covered_s": 120.0, "saved_joules_estimated": 300.0,
         });
         for period in ["since_start", "today"] {
-            let told = &overview[period];
+            let answer = &overview[period];
             assert_has(
-                told,
+                answer,
                 &json!({"frames": 5, "avoided_calls": 2, "energy": energy}),
             );
-            assert_eq!(told["since_ms"], overview["today"]["since_ms"]);
+            assert_eq!(answer["since_ms"], overview["today"]["since_ms"]);
         }
     }
 }

@@ -44,7 +44,7 @@ group("the past", () => {
     },
   } as CameraHistory;
 
-  test("is told as frames of the same kind, with boxes that are counted and not shown", () => {
+  test("is shown as frames of the same kind, with boxes that are counted and not shown", () => {
     const [first, second, third] = past(history, "u", 100);
     expect(describe(first!, 100)).toBe("frame 7 · 3.0 s ago · I, detector · an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴ · 2 boxes · 22.0 ms");
     expect(describe(second!, 100)).toBe("frame 8 · 2.0 s ago · P, predicted · 1 box · 0.3 ms");

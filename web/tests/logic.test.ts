@@ -190,7 +190,7 @@ describe("what is ordered", () => {
     expect(ordered("u", undefined)).toBeUndefined();
   });
 
-  test("is told as a value or as a target", () => {
+  test("is shown as a value or as a target", () => {
     expect(settingText({ threshold: { name: "lambda", value: 0.5 } })).toBe("lambda = 0.5");
     expect(settingText({ target: { skip_rate: 0.5 } })).toBe("hold skip_rate = 0.5");
     expect(settingText({ target: null })).toBe("hold nothing");

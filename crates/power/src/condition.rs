@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_span_tells_the_hottest_moment_any_throttling_and_the_mean_clock() {
+    fn a_span_has_the_hottest_moment_any_throttling_and_the_mean_clock() {
         let mut sum = ConditionSum::default();
         sum.add(&condition("cpu", 50.0, false, 1000.0, "15W"));
         sum.add(&condition("gpu", 70.0, true, 2000.0, "MAXN"));
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn two_sources_tell_the_hotter_sensor_and_throttling_by_either() {
+    fn two_sources_give_the_hotter_sensor_and_throttling_by_either() {
         let one = condition("cpu", 50.0, false, 1000.0, "15W");
         let two = condition("gpu", 60.0, true, 2000.0, "MAXN");
         let both = one.and(two);

@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn one_event_a_period_is_told_and_the_rest_are_counted() {
+    async fn one_event_per_period_is_logged_and_the_rest_are_counted() {
         let mut limit = RateLimit::new(Duration::from_secs(10));
         assert_eq!(limit.admit(Instant::now()), Some(0));
         for _ in 0..7 {

@@ -165,7 +165,7 @@ mod tests {
     use crate::config::ZenohMode;
 
     #[test]
-    fn an_error_of_zenoh_is_told_without_the_paths_of_its_sources() {
+    fn a_zenoh_error_is_shown_without_the_paths_of_its_sources() {
         assert_eq!(
             without_places(
                 "Can not create listener [Address in use at /home/x/.cargo/registry/src/a-1/b.rs:75.] at /y/o.rs:910."

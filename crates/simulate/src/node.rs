@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_tells_the_value_that_held_when_its_clip_was_made() {
+    fn a_report_has_the_value_that_held_when_its_clip_was_made() {
         let mut node = node(Options {
             backlog: 3,
             ..Options::default()

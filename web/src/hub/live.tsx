@@ -9,7 +9,7 @@ import type { CountersMessage, TargetReport } from "./types";
 
 /** Shortest time between two pictures: they go over the node's uplink. */
 const PICTURE_MS = 2000;
-/** Seconds over which rates are told. */
+/** Seconds over which rates are shown. */
 const WINDOW = 30;
 
 export interface Rate {

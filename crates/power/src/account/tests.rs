@@ -137,7 +137,7 @@ fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
 }
 
 #[test]
-fn a_span_older_than_what_is_kept_is_told_as_not_covered() {
+fn a_span_older_than_what_is_kept_is_reported_as_not_covered() {
     let mut bench = Bench::new();
     bench.sample_until(200_000, |_| 10.0);
     let found = bench.energy(0, 200_000);
@@ -233,7 +233,7 @@ fn a_measurement_that_is_given_up_leaves_nothing_behind() {
 }
 
 #[test]
-fn an_old_sample_is_not_told_as_power_now() {
+fn an_old_sample_is_not_reported_as_power_now() {
     let mut bench = Bench::new();
     bench.sample_until(0, |_| 1.0);
     assert!(bench.account.history.present(bench.at(900)).is_some());
@@ -241,7 +241,7 @@ fn an_old_sample_is_not_told_as_power_now() {
 }
 
 #[test]
-fn a_change_of_rule_is_told() {
+fn a_change_of_rule_is_reported() {
     let mut bench = Bench::new();
     let mut one = reading(&[(Domain::Total, Value::Power(1.0))]);
     for i in 0..10 {

@@ -113,7 +113,7 @@ fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
 }
 
 #[test]
-fn a_card_that_tells_nothing_is_left_out_beside_one_that_does() {
+fn a_card_that_reports_nothing_is_left_out_beside_one_that_does() {
     let meter = FakeMachine::new(&[jetson(), counting(0)]).open();
     assert_eq!(meter.cards.len(), 1);
     assert_eq!(&*meter.cards[0].name, "1 Test GPU");
@@ -135,7 +135,7 @@ fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
 }
 
 #[test]
-fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
+fn a_driver_that_was_reloaded_does_not_take_energy_back() {
     let machine = FakeMachine::new(&[counting(9_000_000)]);
     let reading = second_reading(&machine, counting(10));
     assert_eq!(reading.value(Domain::Total), Some(Value::Counter(0.0)));
@@ -150,7 +150,7 @@ fn the_condition_is_that_of_the_hottest_card_and_throttling_of_any() {
 }
 
 #[test]
-fn without_a_driver_the_reason_is_told() {
+fn without_a_driver_the_reason_is_given() {
     let error = driver::Driver::load(&["/nowhere/libnvidia-ml.so.1"]).err();
     let text = missing(error.unwrap()).to_string();
     assert_eq!(

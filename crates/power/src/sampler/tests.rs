@@ -158,7 +158,7 @@ async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_clip_is_told_when_the_first_sample_after_its_end_has_come() {
+async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
     let (handle, start, stop, _task) = sampled_every(10_000, Some);
     let span = handle.camera("front").measure(start);
     let end = start + Duration::from_millis(13_000);

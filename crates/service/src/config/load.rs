@@ -356,7 +356,7 @@ mode = slow: there is one mode";
     }
 
     #[test]
-    fn a_variable_with_one_underscore_too_few_is_told() {
+    fn a_variable_with_one_underscore_too_few_is_reported() {
         let names = [
             "ALBIREO_HTTP_LISTEN",
             "ALBIREO_HTTP__LISTEN",

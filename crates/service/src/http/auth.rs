@@ -320,7 +320,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_of_another_site_is_told_from_own_pages_and_from_clients_that_are_no_browser() {
+    fn pages_of_other_sites_are_recognised_and_own_pages_and_other_clients_are_not() {
         let guard = Guard {
             rule: Arc::new(Rule::ThisMachine),
             origins: Arc::new(["https://fleet.example".to_owned()]),

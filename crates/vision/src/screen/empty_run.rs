@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_verdict_of_not_empty_starts_the_run_anew_and_zero_is_no_limit() {
+    fn a_verdict_of_not_empty_restarts_the_run_and_zero_is_no_limit() {
         let mut run = EmptyRun::new(2);
         for _ in 0..10 {
             assert!(run.limit(true));
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_of_the_detector_starts_the_count_anew() {
+    fn a_run_of_the_detector_restarts_the_count() {
         let mut run = EmptyRun::new(2);
         for _ in 0..10 {
             assert!(run.limit(true));

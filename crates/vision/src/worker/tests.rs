@@ -494,7 +494,7 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_tells_its_own_time_whatever_was_waited_and_how_many_shared_it() {
+async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it() {
     const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
     let first = stage.begin(0).await;
@@ -595,7 +595,7 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_built_anew_with_other_facts_is_refused_until_the_old_ones_are_back() {
+async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back() {
     let mut stage = stage(settings()).await;
     stage.facts.store(8, Ordering::SeqCst);
     let failing = stage.begin(0).await;

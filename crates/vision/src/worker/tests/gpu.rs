@@ -48,7 +48,7 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried() {
+async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(LOST).leak();
     *stage.build_failure.lock() = words;
