@@ -174,7 +174,7 @@ impl Player {
         count(&mut self.totals.counts.lock());
     }
 
-    /// Has `notice` told of each notice of the hub.
+    /// Sends each notice of the hub to `notice`.
     fn hear(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
         let notice = Arc::clone(notice);
         let notices = self

@@ -37,7 +37,7 @@ pub fn decide<S: EvidenceAtHand>(
     Ok(())
 }
 
-/// Everything that can be known of a frame, known beforehand: for benches, tests and films without pictures. What is
+/// Everything that can be known of a frame, known beforehand: for benches, tests and recordings without pictures. What is
 /// `None` is [`Evidence::Unavailable`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameEvidence<'a> {

@@ -31,7 +31,7 @@ impl DetectorBoxes {
         }
     }
 
-    /// Appends the boxes as found in the frame at hand.
+    /// Appends the boxes as found in the current frame.
     pub(crate) fn report(&self, boxes: &mut Vec<OutputBox>) {
         boxes.extend_from_slice(&self.boxes);
     }

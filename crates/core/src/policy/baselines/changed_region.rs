@@ -29,9 +29,9 @@ pub(super) struct ChangedRegion {
     changed: Vec<u8>,
     above: Vec<Run>,
     row: Vec<Run>,
-    /// Regions of the row above, then those that begin in the row at hand.
+    /// Regions of the row above, then those that begin in the current row.
     regions: Vec<Region>,
-    /// New index of each region that the row at hand belongs to.
+    /// New index of each region that the current row belongs to.
     renumbered: Vec<u32>,
     kept: Vec<Region>,
 }
@@ -170,7 +170,7 @@ impl ChangedRegion {
         largest
     }
 
-    /// Makes the row at hand the row above, with the regions it belongs to and no others.
+    /// Makes the current row the row above, with the regions it belongs to and no others.
     fn keep_row(&mut self) {
         self.renumbered.clear();
         self.renumbered.resize(self.regions.len(), NONE);
