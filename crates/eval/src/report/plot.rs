@@ -37,9 +37,9 @@ const GRID: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
 /// The Pareto frontier.
 const BAND: RGBColor = RGBColor(0xcd, 0xd2, 0xd9);
 
-/// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white, and with a
-/// brown.
-const PALETTE: [RGBColor; 8] = [
+/// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white; then a violet,
+/// a brown and three of P. Tol's "muted" colours.
+const PALETTE: [RGBColor; 11] = [
     RGBColor(0x00, 0x72, 0xb2),
     RGBColor(0xd5, 0x5e, 0x00),
     RGBColor(0x00, 0x9e, 0x73),
@@ -48,6 +48,9 @@ const PALETTE: [RGBColor; 8] = [
     RGBColor(0x56, 0xb4, 0xe9),
     RGBColor(0x78, 0x5e, 0xf0),
     RGBColor(0x6b, 0x42, 0x26),
+    RGBColor(0x88, 0x22, 0x55),
+    RGBColor(0x99, 0x99, 0x33),
+    RGBColor(0x11, 0x77, 0x33),
 ];
 
 /// Fill and ink of a frame state: cool where the detector rests, warm where it runs.
@@ -66,6 +69,7 @@ const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
 /// # Errors
 /// [`PlotError`] when one cannot be drawn.
 pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> {
+    let families = families(report.policies.iter().map(|policy| policy.policy.as_str()));
     let mut figures = Vec::new();
     if report.policies.iter().any(|policy| policy.ap50.is_some()) {
         figures.push(Figure {
@@ -73,7 +77,7 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> 
             title: "Accuracy against skip rate",
             caption: "Mean over clips. Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips, \
                       cut at the figure's edge. Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it.",
-            svg: tradeoff(&report.policies)?,
+            svg: tradeoff(&report.policies, &families)?,
         });
     }
     figures.push(Figure {
@@ -83,14 +87,14 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> 
                   I: detector; AI: detector and a rescue.",
         svg: states(&report.policies)?,
     });
-    let changes = changes(&report.clips);
-    if !changes.is_empty() {
+    let changes = changes(&report.clips, &families);
+    if changes.iter().any(|changes| !changes.is_empty()) {
         figures.push(Figure {
             name: "clips-ap50-change-against-skip-rate",
             title: "Change of accuracy clip by clip",
             caption: "Each marker is one clip under one policy: how much AP@50 changed against Vanilla, and how many frames \
                       went without the detector.",
-            svg: clips(&changes)?,
+            svg: clips(&changes, &families)?,
         });
     }
     Ok(figures)
@@ -176,8 +180,21 @@ fn mark<'p, 'a>(
     }
 }
 
+/// Names the `index`th family in the legend, with its marker.
+fn label<'a>(series: &mut SeriesAnno<'a, SVGBackend<'a>>, index: usize, family: &str) {
+    let style = color_of(index, family).filled();
+    series.label(family).legend(move |(x, y)| {
+        let at = (x + 10, y);
+        match index % 3 {
+            0 => Circle::new(at, 4, style).into_dyn(),
+            1 => TriangleMarker::new(at, 5, style).into_dyn(),
+            _ => Rectangle::new([(x + 6, y - 4), (x + 14, y + 4)], style).into_dyn(),
+        }
+    });
+}
+
 /// Accuracy against skip rate: one marker per policy, families joined, the frontier behind.
-fn tradeoff(summaries: &[PolicySummary]) -> Result<String, PlotError> {
+fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, PlotError> {
     let judged: Vec<(&PolicySummary, (f64, f64))> = (summaries.iter())
         .filter_map(|summary| Some((summary, (summary.skip_rate * 100.0, summary.ap50?))))
         .collect();
@@ -207,15 +224,13 @@ fn tradeoff(summaries: &[PolicySummary]) -> Result<String, PlotError> {
                 Some(PathElement::new(ends.to_vec(), SOFT_INK.mix(0.5)))
             });
             plane.draw_series(whiskers)?;
-            let names = families(judged.iter().map(|(summary, _)| summary.policy.as_str()));
-            for (index, family) in names.into_iter().enumerate() {
+            for (index, family) in families.iter().enumerate() {
                 let color = color_of(index, family);
-                let own = |summary: &PolicySummary| split_label(&summary.policy).0 == family;
+                let own = |summary: &PolicySummary| split_label(&summary.policy).0 == *family;
                 plane.draw_series(LineSeries::new(places(&own), color))?;
                 mark(plane, &places(&own), index, WHITE.filled())?;
-                mark(plane, &places(&own), index, color.stroke_width(2))?
-                    .label(family)
-                    .legend(move |(x, y)| Circle::new((x + 10, y), 4, color.filled()));
+                let series = mark(plane, &places(&own), index, color.stroke_width(2))?;
+                label(series, index, family);
                 let best = places(&|summary| own(summary) && summary.on_skip_frontier);
                 mark(plane, &best, index, color.filled())?;
             }
@@ -289,6 +304,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
         let mut plane = ChartBuilder::on(&root)
             .margin(12)
             .margin_top(32)
+            .margin_right(28)
             .x_label_area_size(24)
             .y_label_area_size(20 + 7 * widest.unwrap_or(0) as u32)
             .build_cartesian_2d(0.0..1.0, 0.0..rows as f64)?;
@@ -343,8 +359,8 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
     Ok(svg)
 }
 
-/// Skip rate in percent and change of AP@50 in percentage points of every clip with ground truth, by family.
-fn changes(results: &[ClipResult]) -> Vec<(&str, Vec<(f64, f64)>)> {
+/// Skip rate in percent and change of AP@50 in percentage points of every clip with ground truth, for each of `families`.
+fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
     let ap50 = |result: &ClipResult| result.accuracy.map(|accuracy| accuracy.ap50);
     let (baselines, others): (Vec<_>, Vec<_>) =
         results.iter().partition(|result| result.policy == BASELINE);
@@ -355,20 +371,18 @@ fn changes(results: &[ClipResult]) -> Vec<(&str, Vec<(f64, f64)>)> {
         let before = baselines.get(result.clip.as_str())?;
         Some((result.skip_rate() * 100.0, (ap50(result)? - before) * 100.0))
     };
-    let of = |family| {
+    let of = |family: &&str| {
         let own = others
             .iter()
-            .filter(|result| split_label(&result.policy).0 == family);
-        (family, own.filter_map(change).collect::<Vec<_>>())
+            .filter(|result| split_label(&result.policy).0 == *family);
+        own.filter_map(change).collect()
     };
-    let families = families(others.iter().map(|result| result.policy.as_str()));
-    let changes = families.into_iter().map(of);
-    changes.filter(|(_, changes)| !changes.is_empty()).collect()
+    families.iter().map(of).collect()
 }
 
 /// Clip by clip: the change of AP@50 against the skip rate.
-fn clips(changes: &[(&str, Vec<(f64, f64)>)]) -> Result<String, PlotError> {
-    let all = || changes.iter().flat_map(|(_, changes)| changes);
+fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotError> {
+    let all = || changes.iter().flatten();
     let across = range(all().map(|change| change.0), 0.05);
     let up = range(all().map(|change| change.1).chain([0.0]), 0.06);
     let signed = |value: &f64| match *value == 0.0 {
@@ -379,11 +393,11 @@ fn clips(changes: &[(&str, Vec<(f64, f64)>)]) -> Result<String, PlotError> {
     chart([across.clone(), up], name, &signed, |plane| {
         let ends = [(across.start, 0.0), (across.end, 0.0)];
         plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-        for (index, (family, changes)) in changes.iter().enumerate() {
-            let color = color_of(index, family);
-            mark(plane, changes, index, color.mix(0.6).filled())?
-                .label(*family)
-                .legend(move |(x, y)| Circle::new((x + 10, y), 4, color.filled()));
+        let of_families = families.iter().zip(changes).enumerate();
+        for (index, (family, changes)) in of_families.filter(|(_, (_, some))| !some.is_empty()) {
+            let color = color_of(index, family).mix(0.6);
+            let series = mark(plane, changes, index, color.filled())?;
+            label(series, index, family);
         }
         Ok(())
     })
