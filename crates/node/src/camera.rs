@@ -79,12 +79,10 @@ pub(crate) struct Camera {
     /// The open clip.
     tracker: ClipTracker,
     threshold: watch::Receiver<Option<f64>>,
-    /// Index of the frame before; none while the policy knows nothing.
-    last_index: Option<u64>,
     /// Highest index and newest stream of the camera so far.
     newest: Option<(u64, u64)>,
-    /// Index of the stream's first frame; the policy counts from there.
-    first_index: u64,
+    /// Index of the first frame that the policy knows of, and counts from.
+    first_index: Option<u64>,
     /// What the camera called the clip of the frame before.
     clip: Option<Arc<str>>,
     outcome: Outcome,
@@ -145,9 +143,8 @@ impl Camera {
             settled,
             tracker,
             threshold,
-            last_index: None,
             newest: None,
-            first_index: 0,
+            first_index: None,
             clip: None,
             outcome: Outcome::default(),
         }
@@ -192,7 +189,7 @@ impl Camera {
         let parts = &self.parts;
         for mut frame in parts.receiver.ring.close() {
             let reason = "the camera's loop ended before its turn";
-            (parts.receiver.drops).count(|dropped| &mut dropped.stopped, 1, &reason);
+            (parts.receiver).count_dropped(|dropped| &mut dropped.stopped, 1, &reason);
             frame.answer(Some(reason));
         }
         parts.audit.give_up();
@@ -206,8 +203,8 @@ impl Camera {
     /// to the next.
     fn count_others(&mut self) {
         if self.tracker.clip().is_some() {
-            let (dropped, found) = (self.parts.receiver.drops.take(), self.parts.audit.take());
-            self.tracker.count_others(&dropped, found.as_deref());
+            let (dropped, found) = self.parts.board.take_unreported();
+            self.tracker.count_others(&dropped, &found);
         }
     }
 
@@ -217,7 +214,7 @@ impl Camera {
             return;
         };
         let deciding = Instant::now();
-        let need = self.decider.frame(frame.head, &mut self.outcome);
+        let need = self.decider.policy.frame(frame.head, &mut self.outcome);
         frame.times.latency.policy = milliseconds(deciding.elapsed());
         if need == Need::Nothing {
             return self.conclude(&frame);
@@ -239,7 +236,7 @@ impl Camera {
     fn finish(&mut self, decided: Option<Decided>) {
         match decided {
             Some(Ok(frame)) => self.conclude(&frame),
-            Some(Err(fault)) => (self.parts.receiver.drops).count(kind_of(&fault), 1, &fault),
+            Some(Err(fault)) => (self.parts.receiver).count_dropped(kind_of(&fault), 1, &fault),
             None => {}
         }
     }
@@ -274,36 +271,29 @@ impl Camera {
     fn begin(&mut self, incoming: SequencedFrame) -> Option<BegunFrame> {
         let taken = Instant::now();
         let frame = &incoming.frame;
-        if self
-            .newest
-            .is_some_and(|(index, _)| incoming.index <= index)
-        {
+        let before = self.newest;
+        if before.is_some_and(|(index, _)| incoming.index <= index) {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            (self.parts.receiver.drops).count(|dropped| &mut dropped.late, 1, &reason);
+            (self.parts.receiver).count_dropped(|dropped| &mut dropped.late, 1, &reason);
             return None;
         }
-        let restarted = (self.newest.replace((incoming.index, incoming.epoch)))
-            .is_some_and(|(_, epoch)| epoch != incoming.epoch);
+        self.newest = Some((incoming.index, incoming.epoch));
+        let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
         if restarted || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
             let given_up = self.decider.give_up(&mut self.outcome);
             self.finish(given_up.map(Ok));
-            self.decider.reset();
-            self.last_index = None;
+            self.decider.policy.reset();
+            self.first_index = None;
         }
         self.clip.clone_from(&frame.clip);
         self.take_threshold();
 
-        let step = match self.last_index.replace(incoming.index) {
-            Some(last) => incoming.index.saturating_sub(last).max(1),
-            None => {
-                self.first_index = incoming.index;
-                1
-            }
-        };
+        let known = self.first_index.and(before);
+        let step = known.map_or(1, |(last, _)| incoming.index - last);
         let head = FrameHead {
-            index: incoming.index - self.first_index,
+            index: incoming.index - *self.first_index.get_or_insert(incoming.index),
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
@@ -313,7 +303,7 @@ impl Camera {
         let clip = frame.clip.as_deref();
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let knob = (parts.board.knob).zip(self.decider.policy().knob_value());
+        let knob = (parts.board.knob).zip(self.decider.policy.policy().knob_value());
         Some(BegunFrame {
             head,
             clip,
@@ -375,7 +365,7 @@ impl Camera {
             return;
         }
         if let Some(value) = *self.threshold.borrow_and_update()
-            && let Err(error) = self.decider.set_knob(value)
+            && let Err(error) = self.decider.policy.set_knob(value)
         {
             tracing::error!(camera = self.parts.board.name(), %error, "threshold not taken by the policy");
         }

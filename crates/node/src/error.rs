@@ -27,4 +27,9 @@ impl NodeError {
             source: error.into(),
         }
     }
+
+    /// What Zenoh refuses.
+    pub(crate) fn refused(what: impl Display) -> impl FnOnce(zenoh::Error) -> Self {
+        move |error| Self::of(what)(albireo_service::session::plain(&error))
+    }
 }

@@ -197,31 +197,24 @@ impl PreparedNode {
             subscriptions: Subscriptions::default(),
             shutdown: shutdown.clone(),
         };
-        for (slot, camera) in config.cameras.iter().enumerate() {
-            let camera_keys = keys.camera(&camera.name).map_err(NodeError::new)?;
+        for (slot, (camera, board)) in config.cameras.iter().zip(&board.cameras).enumerate() {
             cameras
-                .add(CameraSlot(slot), camera, &camera_keys)
+                .add(CameraSlot(slot), camera, board)
                 .await
                 .map_err(NodeError::of(format!("camera `{}`", camera.name)))?;
         }
         let subscriptions = cameras.subscriptions;
-        let counters = Counters::declare(&session, &keys, Arc::clone(&board), power).await?;
+        let counters = Counters::declare(&session, Arc::clone(&board), power).await?;
         tasks.essential("counters", counters.run(shutdown.clone()));
         let mut values = NodeKeyValues::new();
         for camera in &board.cameras {
-            let key = keys
-                .camera(camera.name())
-                .map_err(NodeError::new)?
-                .threshold();
-            (values
-                .add_threshold(&session, key, Arc::clone(camera))
-                .await)
-                .map_err(refused("a threshold cannot be served"))?;
+            (values.add_threshold(&session, Arc::clone(camera)).await)
+                .map_err(NodeError::refused("a threshold cannot be served"))?;
         }
         (values
             .add_target(&session, keys.target(), Arc::clone(&board))
             .await)
-            .map_err(refused("the target cannot be served"))?;
+            .map_err(NodeError::refused("the target cannot be served"))?;
         tasks.essential("requests", values.run(shutdown.clone()));
         let disk = retry_disk(board.outbox.clone(), board.settings.clone());
         tasks.until_shutdown("disk", disk);
@@ -235,7 +228,7 @@ impl PreparedNode {
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             config: config.clone(),
-            keys: keys.clone(),
+            keys,
             desired: DesiredKeeper::open(&board.settings),
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
@@ -339,11 +332,6 @@ impl Node {
         );
         ended.map_err(NodeError::new)
     }
-}
-
-/// For what Zenoh refuses.
-fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
-    move |error| NodeError::of(what)(session::plain(&error))
 }
 
 /// Copies the detector's status to the board.

@@ -61,6 +61,35 @@ impl Default for PowerSnapshot {
     }
 }
 
+impl PowerSnapshot {
+    /// The same, but energy, the time it covers and what was saved since `before`.
+    #[must_use]
+    pub fn since(self, before: &Self) -> Self {
+        let since = |mut now: BTreeMap<String, f64>, before: &BTreeMap<String, f64>| {
+            for (domain, sum) in &mut now {
+                *sum -= before.get(domain).copied().unwrap_or_default();
+            }
+            now
+        };
+        Self {
+            joules: since(self.joules, &before.joules),
+            covered_s: since(self.covered_s, &before.covered_s),
+            sampled_s: self.sampled_s - before.sampled_s,
+            saved_detector_s: self.saved_detector_s - before.saved_detector_s,
+            ..self
+        }
+    }
+
+    /// Joules of a domain, and the time that samples of it cover, seconds; `None` where they cover none.
+    pub fn energy(&self, domain: &str) -> Option<(f64, f64)> {
+        let seconds = self
+            .covered_s
+            .get(domain)
+            .filter(|seconds| **seconds > 0.0)?;
+        Some((*self.joules.get(domain)?, *seconds))
+    }
+}
+
 /// What reading the meter has cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MeterCost {

@@ -25,6 +25,20 @@ pub struct AuditReport {
     pub sums: AuditSums,
 }
 
+impl AuditReport {
+    /// Adds the other's counts.
+    pub fn merge(&mut self, more: &Self) {
+        self.calls = self.calls.saturating_add(more.calls);
+        self.detector_us = self.detector_us.saturating_add(more.detector_us);
+        self.sums.merge(&more.sums);
+    }
+
+    /// In figures.
+    pub fn figures(&self) -> AuditFigures {
+        AuditFigures::new(&self.sums, self.calls, self.detector_us)
+    }
+}
+
 /// The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
 /// truth: a policy that keeps showing an object which the detector misses loses precision here although it may
 /// be right.

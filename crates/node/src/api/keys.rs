@@ -64,9 +64,9 @@ impl NodeKeyValues {
     pub(crate) async fn add_threshold(
         &mut self,
         session: &Session,
-        key: String,
         camera: Arc<CameraBoard>,
     ) -> zenoh::Result<()> {
+        let key = camera.keys.threshold();
         let value = move |payload: Option<&[u8]>| {
             if let Some(payload) = payload {
                 let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;

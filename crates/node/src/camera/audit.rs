@@ -9,7 +9,7 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use frames::{AuditCount, CameraAudit, DrawnFrame};
+pub(crate) use frames::{CameraAudit, DrawnFrame};
 pub(crate) use task::Auditor;
 
 use albireo_core::audit::AuditDraw;

@@ -6,6 +6,7 @@ mod report;
 pub(crate) mod tests;
 mod tracker;
 
+pub(crate) use latencies::percentile;
 pub(crate) use report::Clip;
 pub use report::energy_of;
 pub(crate) use tracker::ClipTracker;

@@ -3,7 +3,7 @@
 use super::BegunFrame;
 use super::evidence::LiveEvidence;
 use crate::rate_limit::SharedLimit;
-use albireo_core::policy::{Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy};
+use albireo_core::policy::{Evidence, LatePolicy, Need, Outcome};
 use albireo_service::clock::milliseconds;
 use albireo_vision::picture::FrameFault;
 use std::future::Future;
@@ -12,9 +12,9 @@ use tokio::time::Instant;
 
 static BROKEN: SharedLimit = SharedLimit::new();
 
-/// Decides a camera's frames, one after the other.
+/// Decides a camera's frames, one after the other: gives the policy what it needs of each.
 pub(crate) struct Decider {
-    policy: LatePolicy,
+    pub policy: LatePolicy,
     /// The frame that waits for evidence, and what it needs.
     pending: Option<(BegunFrame, Need)>,
     /// Where evidence comes from; not here while some is being fetched.
@@ -44,19 +44,6 @@ impl Decider {
         }
     }
 
-    pub(super) fn policy(&self) -> &dyn Policy {
-        self.policy.policy()
-    }
-
-    pub(super) fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.policy.set_knob(value)
-    }
-
-    /// Forgets the objects. The pending frame must have been [given up](Self::give_up).
-    pub(super) fn reset(&mut self) {
-        self.policy.reset();
-    }
-
     /// Whether a frame waits for evidence.
     pub(super) fn is_pending(&self) -> bool {
         self.pending.is_some()
@@ -65,12 +52,6 @@ impl Decider {
     /// Whether frames that need evidence are answered by prediction first.
     pub(super) fn answers_at_once(&self) -> bool {
         !self.policy.waits()
-    }
-
-    /// Begins a frame. Returns what it needs; with [`Need::Nothing`], `outcome` has its final answer, else the prediction
-    /// where frames are answered at once.
-    pub(super) fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
-        self.policy.frame(head, outcome)
     }
 
     /// Fetches what a frame needs.

@@ -4,13 +4,15 @@
 //! not fit; that of a camera that loses none for as long as its subscriber takes. Each kind has its priority, as each
 //! priority has a queue and a lock in Zenoh: a report that waits for a slow subscriber never delays a detection.
 
-use albireo_service::metrics::Counter;
+use crate::error::NodeError;
+use crate::state::board::CameraBoard;
 use serde::Serialize;
+use std::sync::Arc;
 use tokio::task::block_in_place;
-use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::{Session, Wait};
 
 /// Priority of a live camera's detections.
 pub(crate) const LIVE: Priority = Priority::InteractiveHigh;
@@ -21,19 +23,33 @@ pub(crate) const CLIPS: Priority = Priority::DataLow;
 /// Priority of counters and status.
 pub(crate) const COUNTERS: Priority = Priority::Background;
 
-/// A key that messages are put on.
+/// A key that messages about a camera are put on.
 pub(crate) struct Outlet {
     publisher: Publisher<'static>,
-    /// Messages that Zenoh refused.
-    unpublished: Counter,
+    camera: Arc<CameraBoard>,
 }
 
 impl Outlet {
-    pub(crate) const fn new(publisher: Publisher<'static>, unpublished: Counter) -> Self {
-        Self {
+    /// Declares the key.
+    ///
+    /// # Errors
+    /// When Zenoh refuses the declaration.
+    pub(crate) async fn declare(
+        session: &Session,
+        key: String,
+        (congestion, priority): (CongestionControl, Priority),
+        camera: &Arc<CameraBoard>,
+    ) -> Result<Self, NodeError> {
+        let publisher = session
+            .declare_publisher(key.clone())
+            .congestion_control(congestion)
+            .priority(priority)
+            .await
+            .map_err(NodeError::refused(format!("`{key}` cannot be published")))?;
+        Ok(Self {
             publisher,
-            unpublished,
-        }
+            camera: Arc::clone(camera),
+        })
     }
 
     /// Puts a message. Where nothing may be lost, it waits for room, and the worker's other tasks go elsewhere.
@@ -47,7 +63,7 @@ impl Outlet {
             _ => put(),
         };
         if let Err(error) = done {
-            self.unpublished.inc();
+            self.camera.count_unpublished();
             let key = self.publisher.key_expr();
             tracing::debug!(%key, %error, "a message was not published");
         }

@@ -13,7 +13,6 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
-use albireo_service::metrics::Counter;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
@@ -22,7 +21,7 @@ use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
-use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
 
 /// A camera whose frames are put into its ring by hand.
 struct Bench {
@@ -81,9 +80,9 @@ impl Bench {
         };
         let camera = Camera::new(
             Arc::new(CameraParts {
+                detections: silent_outlet(&camera).await,
                 board: camera,
                 receiver: Arc::clone(&receiver),
-                detections: Outlet::new(silent_publisher().await, Counter::default()),
                 late: None,
                 settled: None,
                 min_confidence: MinConfidence::new(None, 0.5),
@@ -157,8 +156,8 @@ impl Bench {
     }
 }
 
-/// A publisher of a session that neither listens nor looks for others.
-async fn silent_publisher() -> Publisher<'static> {
+/// A key of a session that neither listens nor looks for others.
+async fn silent_outlet(camera: &Arc<CameraBoard>) -> Outlet {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("listen/endpoints", "[]"),
@@ -167,10 +166,9 @@ async fn silent_publisher() -> Publisher<'static> {
         config.insert_json5(key, value).unwrap();
     }
     let session = zenoh::open(config).await.unwrap();
-    session
-        .declare_publisher("albireo/node/front/detections")
-        .await
-        .unwrap()
+    let sent = (CongestionControl::Drop, publishing::LIVE);
+    let outlet = Outlet::declare(&session, camera.keys.detections(), sent, camera);
+    outlet.await.unwrap()
 }
 
 fn vanilla() -> PolicyConfig {
@@ -219,8 +217,8 @@ async fn a_new_stream_is_begun_with_an_empty_policy_whichever_of_its_frames_come
 #[ignore = "needs ONNX Runtime"]
 async fn a_frame_that_was_overtaken_is_counted_late_and_one_dropped_before_a_clip_in_the_next() {
     let bench = Bench::new(vanilla(), ClipConfig::default()).await;
-    let drops = &bench.receiver.drops;
-    drops.count(|dropped| &mut dropped.undecodable, 3, &"broken");
+    let receiver = &bench.receiver;
+    receiver.count_dropped(|dropped| &mut dropped.undecodable, 3, &"broken");
     for index in [1, 0, 2, 2, 3] {
         bench.put(index, 0, Instant::now());
     }
@@ -279,7 +277,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         published.push(message);
         // Each drawn frame is looked at before the next comes, as on a road on which the detector has time.
         let seen = board.camera("front").unwrap();
-        while share >= 1.0 && seen.snapshot().audit.sums.drawn() < skipped {
+        while share >= 1.0 && seen.snapshot().audit.unwrap().sums.drawn() < skipped {
             tokio::task::yield_now().await;
         }
     }
@@ -289,7 +287,8 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let closed = bench.clips.recv().await.unwrap();
     let report = report(closed).await;
     let counted = board.camera("front").unwrap().snapshot().audit;
-    if let Some(audit) = &report.audit {
+    assert_eq!(report.audit.is_some(), counted.is_some());
+    if let Some((audit, counted)) = report.audit.as_ref().zip(counted) {
         assert_eq!(audit.sums, counted.sums);
         assert_eq!(audit.calls, counted.calls);
     }

@@ -40,8 +40,6 @@ pub struct OutboxError {
 pub struct OutboxCounts {
     /// Reports that no hub has, on disk and in memory.
     pub waiting: u64,
-    /// Of these, reports that are in memory only.
-    pub in_memory: u64,
     /// Reports that a hub lost, to be sent again.
     pub again: u64,
     /// Reports lost: there was no room for them.
@@ -105,7 +103,9 @@ impl Outbox {
                 );
                 Waiting::new(None, 0).map(Self::of)
             }
-            Some(directory) if directory.is_file() => Err(TableError::NotAFolder),
+            Some(directory) if directory.is_file() => Err(TableError::Unusable(
+                "it is a file, not a folder: name a folder, or move the file away".to_owned(),
+            )),
             Some(directory) => {
                 let file = Box::new(StateFile::new(directory));
                 Self::open_on(file, config.max_bytes, Now::system())
@@ -125,7 +125,7 @@ impl Outbox {
     ) -> Result<Self, TableError> {
         let mut waiting = Waiting::new(Some(disk), max_bytes)?;
         match waiting.open(now) {
-            Err(error @ (TableError::Locked | TableError::Foreign(_))) => Err(error),
+            Err(error @ TableError::Unusable(_)) => Err(error),
             // A disk that fails is tried again.
             Ok(()) | Err(_) => Ok(Self::of(waiting)),
         }

@@ -97,53 +97,6 @@ impl FrameQuery {
     }
 }
 
-/// Dropped frames of one camera: counted on the board at once and kept for the open clip.
-#[derive(Debug)]
-pub(crate) struct DropCounts {
-    board: Arc<CameraBoard>,
-    state: Mutex<DropState>,
-}
-
-#[derive(Debug, Default)]
-struct DropState {
-    since_taken: DroppedFrames,
-    limits: BTreeMap<&'static str, RateLimit>,
-}
-
-impl DropCounts {
-    /// Counts `number` frames as dropped, and logs `reason` from time to time.
-    pub(crate) fn count(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
-        let mut more = DroppedFrames::default();
-        *kind(&mut more) = number;
-        self.board.record_dropped(&more);
-        let mut state = self.state.lock();
-        state.since_taken += &more;
-        let counted = more.by_kind().into_iter().find(|(_, number)| *number > 0);
-        let kind = counted.map_or("", |(name, _)| name);
-        let expected = more.overrun > 0;
-        let period = if expected {
-            OVERRUN_LOG_PERIOD
-        } else {
-            LOG_PERIOD
-        };
-        let limit = state.limits.entry(kind).or_insert(RateLimit::new(period));
-        let admitted = limit.admit(Instant::now());
-        drop(state);
-        let Some(held_back) = admitted else { return };
-        let camera = self.board.name();
-        if expected {
-            tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
-        } else {
-            tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
-        }
-    }
-
-    /// What was dropped since the last call: the open clip's share.
-    pub(crate) fn take(&self) -> DroppedFrames {
-        std::mem::take(&mut self.state.lock().since_taken)
-    }
-}
-
 /// Why a frame was not processed: the counter of its kind.
 pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
 
@@ -160,8 +113,8 @@ pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
 #[derive(Debug)]
 pub(crate) struct FrameReceiver {
     board: Arc<CameraBoard>,
-    /// Frames that are not processed.
-    pub drops: DropCounts,
+    /// Of the log, for each kind of dropped frames.
+    log_limits: Mutex<BTreeMap<&'static str, RateLimit>>,
     /// Frames that wait for the camera's loop.
     pub ring: Ring<SequencedFrame>,
     format: PayloadFormat,
@@ -185,11 +138,8 @@ impl FrameReceiver {
     /// The receiver of the camera of `board`. Called where the runtime is that its answers are sent from.
     pub(crate) fn new(board: Arc<CameraBoard>, config: &CameraConfig, limits: FrameLimits) -> Self {
         Self {
-            drops: DropCounts {
-                board: Arc::clone(&board),
-                state: Mutex::default(),
-            },
             board,
+            log_limits: Mutex::default(),
             ring: Ring::new(config.delivery, config.ring, limits.max_payload_bytes),
             format: config.format,
             limits,
@@ -292,7 +242,7 @@ impl FrameReceiver {
             stream.epoch += u64::from(restarted);
             if lost > 0 {
                 let reason = "numbers are missing in the camera's sequence";
-                self.drops.count(|dropped| &mut dropped.lost, lost, &reason);
+                self.count_dropped(|dropped| &mut dropped.lost, lost, &reason);
             }
         }
         let frame = read.map_err(|fault| self.refuse(kind_of(&fault), fault.to_string()))?;
@@ -318,9 +268,35 @@ impl FrameReceiver {
         Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
     }
 
+    /// Counts `number` frames that will not be processed, and logs `reason` from time to time.
+    pub(crate) fn count_dropped(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
+        let mut more = DroppedFrames::default();
+        *kind(&mut more) = number;
+        self.board.record_dropped(&more);
+        let counted = more.by_kind().into_iter().find(|(_, number)| *number > 0);
+        let kind = counted.map_or("", |(name, _)| name);
+        let expected = more.overrun > 0;
+        let period = if expected {
+            OVERRUN_LOG_PERIOD
+        } else {
+            LOG_PERIOD
+        };
+        let mut limits = self.log_limits.lock();
+        let limit = limits.entry(kind).or_insert(RateLimit::new(period));
+        let admitted = limit.admit(Instant::now());
+        drop(limits);
+        let Some(held_back) = admitted else { return };
+        let camera = self.board.name();
+        if expected {
+            tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
+        } else {
+            tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
+        }
+    }
+
     /// Counts a frame that will not be processed, and returns why.
     fn refuse(&self, kind: DropKind, reason: String) -> String {
-        self.drops.count(kind, 1, &reason);
+        self.count_dropped(kind, 1, &reason);
         reason
     }
 
@@ -330,7 +306,7 @@ impl FrameReceiver {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced(_) => {
                 let reason = "a newer frame came before its turn (camera.delivery)";
-                self.drops.count(|dropped| &mut dropped.overrun, 1, &reason);
+                self.count_dropped(|dropped| &mut dropped.overrun, 1, &reason);
                 return Ok(());
             }
             Pushed::Full(frame) => (

@@ -1,6 +1,6 @@
 //! Adds a camera to a node that starts: its publishers, its loop, its reporter, its threshold and its source of frames.
 
-use super::{PolicyMaker, refused};
+use super::PolicyMaker;
 use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::ClipTracker;
 use crate::camera::evidence::LiveEvidence;
@@ -20,7 +20,7 @@ use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
-use albireo_wire::{CameraKeys, HealthState, stream_of_token, stream_tokens};
+use albireo_wire::{HealthState, stream_of_token, stream_tokens};
 use std::any::Any;
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -63,23 +63,28 @@ impl Cameras<'_> {
         &mut self,
         slot: CameraSlot,
         config: &CameraConfig,
-        keys: &CameraKeys,
+        board: &Arc<CameraBoard>,
     ) -> Result<(), NodeError> {
-        let board = self.board.camera(&config.name);
-        let board = board.ok_or_else(|| NodeError::new("it is not on the board"))?;
+        let keys = &board.keys;
         let name = &config.name;
         let shared = Arc::clone(&self.shared);
         let receiver = FrameReceiver::new(Arc::clone(board), config, shared.config.frame);
         let receiver = Arc::new(receiver);
         let (closed, clips) = mpsc::unbounded_channel();
 
-        let detections = self.publisher(config, keys.detections(), board).await?;
+        // A replay loses none of its answers.
+        let sent = match config.delivery {
+            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
+            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
+        };
+        let outlet = |key: String| Outlet::declare(self.session, key, sent, board);
+        let detections = outlet(keys.detections()).await?;
         let late = match shared.config.answer_time(config) {
             AnswerTime::WhenKnown => None,
-            AnswerTime::AtOnce => Some(self.publisher(config, keys.late(), board).await?),
+            AnswerTime::AtOnce => Some(outlet(keys.late()).await?),
         };
         let settled = match shared.config.settle.enabled {
-            true => Some(self.publisher(config, keys.settled(), board).await?),
+            true => Some(outlet(keys.settled()).await?),
             false => None,
         };
         let reports = self
@@ -91,7 +96,7 @@ impl Cameras<'_> {
             .sample_miss_detection(MissDetectionConfig::default())
             .publisher_detection()
             .await
-            .map_err(refused("clip reports cannot be published"))?;
+            .map_err(NodeError::refused("clip reports cannot be published"))?;
 
         let audit = Arc::new(CameraAudit::new(shared.config.audit, Arc::clone(board)));
         self.add_auditor(name, &audit);
@@ -130,7 +135,7 @@ impl Cameras<'_> {
             return self.add_source(name, receiver, settings).await;
         }
         let key = &board.key;
-        let refused = || refused(format!("frames on `{key}` cannot be received"));
+        let refused = || NodeError::refused(format!("frames on `{key}` cannot be received"));
         if config.delivery == Delivery::Every {
             let every_frame = Arc::clone(&receiver);
             let queryable = self
@@ -162,27 +167,6 @@ impl Cameras<'_> {
             .map_err(refused())?;
         self.subscriptions.push(Box::new((tokens, frames)));
         Ok(())
-    }
-
-    /// A publisher of a camera's answers: a replay loses none.
-    async fn publisher(
-        &self,
-        config: &CameraConfig,
-        key: String,
-        board: &CameraBoard,
-    ) -> Result<Outlet, NodeError> {
-        let (congestion, priority) = match config.delivery {
-            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
-            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
-        };
-        let publisher = self
-            .session
-            .declare_publisher(key.clone())
-            .congestion_control(congestion)
-            .priority(priority)
-            .await
-            .map_err(refused(format!("`{key}` cannot be published")))?;
-        Ok(Outlet::new(publisher, board.unpublished()))
     }
 
     /// Runs the detector on some of the camera's skipped frames, after their answers.

@@ -28,12 +28,12 @@ use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus, ExecutionProvider};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
-use albireo_wire::{ClipReport, CountersMessage, SettingSource};
+use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
 use camera::Shared;
 use history::PowerPast;
 use parking_lot::Mutex;
 use savings::Today;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::broadcast;
@@ -263,7 +263,7 @@ impl Board {
             watts: power.watts,
             power_quality: power.quality,
             target: self.target.is_on().then(|| self.target.report()),
-            audit: camera.is_audited.then(|| snapshot.audit.figures()),
+            audit: snapshot.audit.as_ref().map(AuditReport::figures),
         }
     }
 
@@ -313,14 +313,10 @@ impl Board {
         self.power.lock().slots(&now)
     }
 
-    /// What was counted since the start, with power as it is there.
-    pub(crate) fn totals(&self, power: &PowerSnapshot) -> Totals {
-        let total = |sums: &BTreeMap<String, f64>| sums.get("total").copied().unwrap_or_default();
+    /// What was counted since the start, with this power.
+    pub(crate) fn totals(&self, power: PowerSnapshot) -> Totals {
         let mut totals = Totals {
-            joules: total(&power.joules),
-            covered_s: total(&power.covered_s),
-            sampled_s: power.sampled_s,
-            saved_detector_s: power.saved_detector_s,
+            power,
             ..Totals::default()
         };
         for camera in &self.cameras {
@@ -334,18 +330,18 @@ impl Board {
     }
 
     fn turn_day(&self) {
-        let so_far = || self.totals(&self.power());
+        let so_far = || self.totals(self.power());
         self.today.lock().turn(unix_milliseconds(), so_far);
     }
 
     /// What was saved since the start, and today.
     pub(crate) fn savings(&self) -> (Savings, Savings) {
         self.turn_day();
-        let power = self.power();
-        let now = self.totals(&power);
+        let now = self.totals(self.power());
+        let since_start = now.savings(self.started_ms);
         let today = self.today.lock();
-        let of_today = (now - today.before).savings(today.since_ms, &power);
-        (now.savings(self.started_ms, &power), of_today)
+        let of_today = now.since(&today.before).savings(today.since_ms);
+        (since_start, of_today)
     }
 
     /// The power figures as last written.

@@ -5,8 +5,6 @@ use crate::error::NodeError;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::clock::unix_nanoseconds;
-use albireo_wire::{CountersMessage, NodeKeys};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
@@ -25,7 +23,8 @@ const KEEP_EVERY: u32 = 60;
 pub(crate) struct Counters {
     board: Arc<Board>,
     power: PowerHandle,
-    outlets: BTreeMap<String, Outlet>,
+    /// Of the cameras, in their order.
+    outlets: Vec<Outlet>,
 }
 
 impl Counters {
@@ -35,27 +34,14 @@ impl Counters {
     /// When Zenoh refuses a declaration.
     pub(crate) async fn declare(
         session: &Session,
-        keys: &NodeKeys,
         board: Arc<Board>,
         power: PowerHandle,
     ) -> Result<Self, NodeError> {
-        let mut outlets = BTreeMap::new();
+        let mut outlets = Vec::new();
+        let sent = (CongestionControl::Drop, publishing::COUNTERS);
         for camera in &board.cameras {
-            let key = keys
-                .camera(camera.name())
-                .map_err(NodeError::new)?
-                .counters();
-            let publisher = session
-                .declare_publisher(key)
-                .congestion_control(CongestionControl::Drop)
-                .priority(publishing::COUNTERS)
-                .await
-                .map_err(|error| {
-                    let error = albireo_service::session::plain(&error);
-                    NodeError::of("counters cannot be published")(error)
-                })?;
-            let outlet = Outlet::new(publisher, camera.unpublished());
-            outlets.insert(camera.name().to_owned(), outlet);
+            let key = camera.keys.counters();
+            outlets.push(Outlet::declare(session, key, sent, camera).await?);
         }
         Ok(Self {
             board,
@@ -68,16 +54,18 @@ impl Counters {
     pub(crate) async fn run(self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        let (mut before, mut then) = (self.board.totals(&self.power.snapshot()), Instant::now());
+        let (mut before, mut then) = (self.board.totals(self.power.snapshot()), Instant::now());
         let mut second = 0_u32;
         while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
             let (power, now) = (self.power.snapshot(), Instant::now());
-            let totals = self.board.totals(&power);
+            let totals = self.board.totals(power.clone());
             self.board.set_power(power);
-            for message in self.board.publish_counters(unix_nanoseconds()) {
-                self.publish(&message);
+            let messages = self.board.publish_counters(unix_nanoseconds());
+            for (outlet, message) in self.outlets.iter().zip(messages) {
+                outlet.put(&*message);
             }
-            self.board.step_target(totals - before, now - then);
+            let since = totals.clone().since(&before);
+            self.board.step_target(&since, now - then);
             (before, then) = (totals, now);
             second = second.wrapping_add(1);
             if second.is_multiple_of(KEEP_EVERY) {
@@ -89,11 +77,5 @@ impl Counters {
         // The figures at the end are the last ones anybody sees.
         self.board.set_power(self.power.snapshot());
         let _ = spawn_blocking(move || self.board.target.keep_place()).await;
-    }
-
-    fn publish(&self, message: &CountersMessage) {
-        if let Some(outlet) = self.outlets.get(&message.camera) {
-            outlet.put(message);
-        }
     }
 }

@@ -133,7 +133,7 @@ pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
         let camera = Arc::clone(camera);
         board.readiness.probe(CAMERAS, name, move || {
             let seconds = silence.as_secs_f64();
-            match camera.snapshot().last_frame_age {
+            match camera.snapshot().last_frame_age() {
                 Some(age) => (age > silence)
                     .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
                 None => (start.elapsed() > silence)

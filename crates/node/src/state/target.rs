@@ -246,7 +246,7 @@ impl NodeTarget {
 
 impl Board {
     /// Gives the controller what was counted in the last second, and the cameras the knob's new value.
-    pub(crate) fn step_target(&self, since: Totals, time: Duration) {
+    pub(crate) fn step_target(&self, since: &Totals, time: Duration) {
         let mut audit = AuditSums::default();
         for camera in &self.cameras {
             audit.merge(&camera.take_audit());
@@ -259,7 +259,7 @@ impl Board {
             seconds: time.as_secs_f64(),
             frames: since.frames,
             skipped: since.skipped,
-            watts: (since.covered_s > 0.0).then(|| since.joules / since.covered_s),
+            watts: (since.power.energy("total")).map(|(joules, seconds)| joules / seconds),
             audit,
         };
         self.target.step(&measured, |value| {

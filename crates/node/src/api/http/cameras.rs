@@ -102,7 +102,7 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         fault,
         frames: snapshot.states.frames(),
         clips: snapshot.clips,
-        last_frame_age_s: snapshot.last_frame_age.map(seconds),
+        last_frame_age_s: snapshot.last_frame_age().map(seconds),
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),

@@ -208,7 +208,11 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     page.gauge(
         "albireo_outbox_in_memory",
         "Of these, reports that are not on disk",
-        counts.in_memory as f64,
+        if counts.durable {
+            0.0
+        } else {
+            counts.waiting as f64
+        },
     );
     page.gauge(
         "albireo_outbox_again",

@@ -1,11 +1,12 @@
 //! Shows the frame-state counters.
 
 use super::RouteState;
-use crate::camera::audit::AuditCount;
 use crate::state::board::{CameraBoard, CameraSnapshot};
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{AuditFigures, DetectorCalls, DroppedFrames, FrameStates, Threshold};
+use albireo_wire::{
+    AuditFigures, AuditReport, DetectorCalls, DroppedFrames, FrameStates, Threshold,
+};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -66,17 +67,17 @@ pub(super) struct NodeStates {
 
 impl FrameCounts {
     /// Of these cameras together.
-    fn of<'a>(cameras: impl IntoIterator<Item = (&'a CameraBoard, &'a CameraSnapshot)>) -> Self {
+    fn of<'a>(cameras: impl IntoIterator<Item = &'a CameraSnapshot>) -> Self {
         let mut states = FrameStates::default();
         let mut calls = DetectorCalls::default();
-        let mut audit: Option<AuditCount> = None;
+        let mut audit: Option<AuditReport> = None;
         let mut degraded_frames = 0;
-        for (camera, snapshot) in cameras {
+        for snapshot in cameras {
             states += snapshot.states;
             calls += &snapshot.calls;
             degraded_frames += snapshot.degraded_frames;
-            if camera.is_audited {
-                audit.get_or_insert_default().merge(&snapshot.audit);
+            if let Some(found) = &snapshot.audit {
+                audit.get_or_insert_default().merge(found);
             }
         }
         Self {
@@ -85,7 +86,7 @@ impl FrameCounts {
             skip_rate: significant(states.skip_rate(degraded_frames), 4),
             degraded_frames,
             calls,
-            audit: audit.map(|audit| audit.figures()),
+            audit: audit.as_ref().map(AuditReport::figures),
         }
     }
 }
@@ -93,11 +94,11 @@ impl FrameCounts {
 fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
     CameraStates {
         camera: camera.name().to_owned(),
-        counts: FrameCounts::of([(camera, snapshot)]),
+        counts: FrameCounts::of([snapshot]),
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.as_ref().and_then(|latest| latest.tau_max),
         threshold: camera.threshold_in_force(),
-        last_frame_age_s: snapshot.last_frame_age.map(seconds),
+        last_frame_age_s: snapshot.last_frame_age().map(seconds),
     }
 }
 
@@ -107,15 +108,15 @@ fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
 #[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = &shared.board;
-    let cameras: Vec<_> = (board.cameras.iter())
-        .map(|camera| (&**camera, camera.snapshot()))
+    let snapshots: Vec<_> = (board.cameras.iter())
+        .map(|camera| camera.snapshot())
         .collect();
-    let counted = || cameras.iter().map(|(camera, snapshot)| (*camera, snapshot));
+    let cameras = board.cameras.iter().zip(&snapshots);
     Json(NodeStates {
         node: board.node.clone(),
         uptime_s: seconds(board.uptime()),
-        counts: FrameCounts::of(counted()),
-        cameras: counted().map(|(camera, shown)| of(camera, shown)).collect(),
+        counts: FrameCounts::of(&snapshots),
+        cameras: cameras.map(|(camera, shown)| of(camera, shown)).collect(),
     })
 }
 

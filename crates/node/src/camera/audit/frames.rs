@@ -2,10 +2,10 @@
 
 use super::AuditConfig;
 use crate::state::board::CameraBoard;
-use albireo_core::audit::{AuditDraw, AuditSums};
+use albireo_core::audit::AuditDraw;
 use albireo_core::policy::OutputBox;
 use albireo_vision::picture::EncodedPicture;
-use albireo_wire::AuditFigures;
+use albireo_wire::AuditReport;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -14,36 +14,11 @@ use tokio::sync::Notify;
 /// Most drawn frames of a camera that wait: each holds its encoded picture.
 const MOST_WAITING: usize = 2;
 
-/// What an audit has counted.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct AuditCount {
-    /// What was compared, and what could not be looked at in time.
-    pub sums: AuditSums,
-    /// Times the detector looked.
-    pub calls: u64,
-    /// Its time for that, microseconds.
-    pub detector_us: u64,
-}
-
-impl AuditCount {
-    /// Adds the other's counts.
-    pub(crate) fn merge(&mut self, more: &Self) {
-        self.sums.merge(&more.sums);
-        self.calls = self.calls.saturating_add(more.calls);
-        self.detector_us = self.detector_us.saturating_add(more.detector_us);
-    }
-
-    /// In figures.
-    pub(crate) fn figures(&self) -> AuditFigures {
-        AuditFigures::new(&self.sums, self.calls, self.detector_us)
-    }
-
-    /// A drawn frame that was missed, with that many boxes shown on it.
-    fn missed(shown: usize) -> Self {
-        let mut count = Self::default();
-        count.sums.add_missed(shown);
-        count
-    }
+/// A drawn frame that was missed, with that many boxes shown on it.
+fn missed(shown: usize) -> AuditReport {
+    let mut count = AuditReport::default();
+    count.sums.add_missed(shown);
+    count
 }
 
 /// A frame that was drawn, to run the detector on.
@@ -70,8 +45,6 @@ struct State {
     waiting: VecDeque<DrawnFrame>,
     /// How many boxes were shown on the frame that is being compared.
     comparing: Option<usize>,
-    /// Mostly nothing, and asked for at every frame.
-    since_reported: Option<Box<AuditCount>>,
 }
 
 impl CameraAudit {
@@ -100,7 +73,7 @@ impl CameraAudit {
     pub(crate) fn offer(&self, frame: DrawnFrame) {
         let mut state = self.state.lock();
         if state.waiting.len() >= MOST_WAITING {
-            return self.count(&mut state, &AuditCount::missed(frame.shown.len()));
+            return self.board.record_audit(&missed(frame.shown.len()));
         }
         state.waiting.push_back(frame);
         drop(state);
@@ -126,11 +99,11 @@ impl CameraAudit {
 
     /// Counts the result of the current frame; `None` when the detector did not run on it in time. A frame that was given up
     /// meanwhile is counted already.
-    pub(crate) fn done(&self, found: Option<AuditCount>) {
+    pub(crate) fn done(&self, found: Option<AuditReport>) {
         let mut state = self.state.lock();
         if let Some(shown) = state.comparing.take() {
-            let found = found.unwrap_or_else(|| AuditCount::missed(shown));
-            self.count(&mut state, &found);
+            let found = found.unwrap_or_else(|| missed(shown));
+            self.board.record_audit(&found);
         }
     }
 
@@ -140,17 +113,7 @@ impl CameraAudit {
         let waiting = std::mem::take(&mut state.waiting);
         let waiting = waiting.iter().map(|frame| frame.shown.len());
         for shown in state.comparing.take().into_iter().chain(waiting) {
-            self.count(&mut state, &AuditCount::missed(shown));
+            self.board.record_audit(&missed(shown));
         }
-    }
-
-    /// What was counted since the last call, if anything: the open clip's part.
-    pub(crate) fn take(&self) -> Option<Box<AuditCount>> {
-        self.state.lock().since_reported.take()
-    }
-
-    fn count(&self, state: &mut State, more: &AuditCount) {
-        state.since_reported.get_or_insert_default().merge(more);
-        self.board.record_audit(more);
     }
 }

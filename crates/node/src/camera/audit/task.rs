@@ -1,12 +1,12 @@
 //! Runs the detector on drawn frames, one task per camera.
 
-use super::frames::{AuditCount, CameraAudit, DrawnFrame};
-use albireo_core::audit::AuditSums;
+use super::frames::{CameraAudit, DrawnFrame};
 use albireo_power::CameraEnergy;
 use albireo_vision::detector::DetectorHandle;
 use albireo_vision::picture::InputFormat;
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::decoding_target;
+use albireo_wire::AuditReport;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
@@ -40,7 +40,7 @@ impl Auditor {
     }
 
     /// What comes of a frame; `None` when the detector has no time for it, or its picture is broken.
-    async fn look(&self, frame: &DrawnFrame) -> Option<AuditCount> {
+    async fn look(&self, frame: &DrawnFrame) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
         // Only now that the detector is free: most pictures are never decoded.
@@ -51,12 +51,12 @@ impl Auditor {
         // The detector counts and logs its failures itself.
         let detected = answer.ok()?.ok()?;
         self.energy.detector_called(Instant::now(), detected.took);
-        let mut sums = AuditSums::default();
-        sums.add(&frame.shown, &detected.detections);
-        Some(AuditCount {
-            sums,
+        let mut found = AuditReport {
             calls: 1,
             detector_us: u64::try_from(detected.took.as_micros()).unwrap_or(u64::MAX),
-        })
+            ..AuditReport::default()
+        };
+        found.sums.add(&frame.shown, &detected.detections);
+        Some(found)
     }
 }

@@ -1,6 +1,6 @@
 //! What is counted of a clip, and its report.
 
-use super::latencies::Latencies;
+use super::latencies::percentiles;
 use crate::camera::FrameRecord;
 use albireo_power::{Domain, Measured, Measurement};
 use albireo_service::clock::{milliseconds, unix_nanoseconds};
@@ -26,10 +26,10 @@ pub(crate) struct Clip {
     pub start: Instant,
     /// When it ended; its start as long as it is open.
     pub end: Instant,
-    /// Latencies from reception to publication.
-    pub total: Latencies,
+    /// Latencies from reception to publication, milliseconds. A clip is reported in parts, which bounds their number.
+    pub total: Vec<f32>,
     /// Latencies of the detector, over the frames where it ran.
-    pub detector: Latencies,
+    pub detector: Vec<f32>,
     /// Its energy, being measured.
     pub energy: Measurement,
 }
@@ -46,9 +46,9 @@ impl Clip {
         report.frames += 1;
         report.states.count(frame.detections.state);
         report.degraded_frames += u64::from(frame.detections.degraded);
-        self.total.add(milliseconds(frame.first_answer));
+        self.total.push(milliseconds(frame.first_answer) as f32);
         if let Some(detector) = frame.times.latency.detector {
-            self.detector.add(detector);
+            self.detector.push(detector as f32);
         }
         let run = frame.times.detector_run;
         report.detector_used_ms += run.map_or(0.0, |run| milliseconds(run.used));
@@ -94,8 +94,8 @@ impl Clip {
             id: new_id(),
             duration_s: duration.as_secs_f64(),
             skip_rate: report.states.skip_rate(report.degraded_frames),
-            total_latency_ms: self.total.into_percentiles(),
-            detector_latency_ms: self.detector.into_percentiles(),
+            total_latency_ms: percentiles(self.total),
+            detector_latency_ms: percentiles(self.detector),
             energy: energy_of(&measured, duration, report.frames),
             board: measured.board,
             ..report

@@ -6,7 +6,7 @@ use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
-use albireo_wire::{ClipReport, DroppedFrames, Latency, Threshold};
+use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -336,7 +336,7 @@ proptest! {
                 }
                 Event::Dropped { lost, late } => {
                     let more = DroppedFrames { lost, late, ..DroppedFrames::default() };
-                    camera.tracker.count_others(&more, None);
+                    camera.tracker.count_others(&more, &AuditReport::default());
                     if camera.tracker.clip().is_some() {
                         dropped += lost + late;
                     }

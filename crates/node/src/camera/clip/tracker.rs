@@ -7,10 +7,8 @@
 //! was answered, if that is later), so that the silence itself is not charged to it.
 
 use super::ClipConfig;
-use super::latencies::Latencies;
 use super::report::Clip;
 use crate::camera::FrameRecord;
-use crate::camera::audit::AuditCount;
 use albireo_power::CameraEnergy;
 use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Threshold};
 use std::sync::Arc;
@@ -77,15 +75,13 @@ impl ClipTracker {
     }
 
     /// Counts for the open clip, if there is one, frames that were not processed, and what an audit has found.
-    pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: Option<&AuditCount>) {
+    pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: &AuditReport) {
         let Some(OpenClip { clip, .. }) = &mut self.open else {
             return;
         };
         clip.report.dropped += dropped;
-        if let (Some(audit), Some(found)) = (&mut clip.report.audit, found) {
-            audit.calls += found.calls;
-            audit.detector_us += found.detector_us;
-            audit.sums.merge(&found.sums);
+        if let Some(audit) = &mut clip.report.audit {
+            audit.merge(found);
         }
     }
 
@@ -250,8 +246,8 @@ impl ClipTracker {
                 },
                 start,
                 end: start,
-                total: Latencies::default(),
-                detector: Latencies::default(),
+                total: Vec::new(),
+                detector: Vec::new(),
                 energy,
             },
             name,

@@ -61,7 +61,7 @@ impl Disk for StateFile {
         let mode: String =
             db.pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get(0))?;
         if !mode.eq_ignore_ascii_case("wal") {
-            return Err(TableError::Foreign(
+            return Err(TableError::Unusable(
                 "its file system cannot do write-ahead logging: choose a node.state_dir on a local disk"
                     .to_owned(),
             ));
@@ -79,7 +79,10 @@ impl Disk for StateFile {
     fn check(&self) -> Result<(), TableError> {
         match self.inode() {
             Ok(inode) if Some(inode) == self.opened => Ok(()),
-            _ => Err(TableError::Gone),
+            _ => Err(std::io::Error::other(
+                "the file is no longer there: the disk was removed, or somebody deleted it",
+            )
+            .into()),
         }
     }
 
@@ -110,7 +113,10 @@ fn lock(directory: &Path) -> Result<File, TableError> {
         .open(directory.join("lock"))?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(TableError::Locked),
+        Err(TryLockError::WouldBlock) => Err(TableError::Unusable(
+            "it is in use by another node: two nodes cannot share one; choose another, or stop the other node"
+                .to_owned(),
+        )),
         Err(TryLockError::Error(error)) => Err(error.into()),
     }
 }

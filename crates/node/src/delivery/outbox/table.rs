@@ -45,20 +45,9 @@ pub(crate) enum TableError {
     /// The file system fails.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// Another program's file, or one of another version.
+    /// What waiting does not mend: another node's folder, another program's file, or one of another version.
     #[error("{0}")]
-    Foreign(String),
-    /// Another node has the folder.
-    #[error(
-        "it is in use by another node: two nodes cannot share one; choose another, or stop the other node"
-    )]
-    Locked,
-    /// The configuration names something that can never be a folder.
-    #[error("it is a file, not a folder: name a folder, or move the file away")]
-    NotAFolder,
-    /// The file is no longer where it was.
-    #[error("the file is no longer there: the disk was removed, or somebody deleted it")]
-    Gone,
+    Unusable(String),
 }
 
 impl TableError {
@@ -151,12 +140,12 @@ impl Table {
                  {SCHEMA} COMMIT;"
             ))?;
         } else if application != APPLICATION_ID {
-            return Err(TableError::Foreign(
+            return Err(TableError::Unusable(
                 "it is another program's database: move it away, or choose another node.state_dir"
                     .to_owned(),
             ));
         } else if layout != LAYOUT {
-            return Err(TableError::Foreign(format!(
+            return Err(TableError::Unusable(format!(
                 "it was written by another version of albireo (layout {layout}; this one has {LAYOUT}), such as 0.1.0: \
                  run that one until its reports are delivered, then move the file away"
             )));

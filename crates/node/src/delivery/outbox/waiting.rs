@@ -240,7 +240,6 @@ impl Waiting {
         let durable = self.file.is_some();
         let counters = self.file.as_ref().unwrap_or(&self.memory).counters;
         OutboxCounts {
-            in_memory: if durable { 0 } else { self.counts.waiting },
             lost: counters.lost,
             undeliverable: counters.undeliverable,
             durable,

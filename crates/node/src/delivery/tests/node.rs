@@ -175,7 +175,7 @@ impl Node {
 
     /// What the outbox says is on its disk is no longer in memory only.
     fn note_durable(&mut self) {
-        if (self.counts()).is_some_and(|counts| counts.durable && counts.in_memory == 0) {
+        if (self.counts()).is_some_and(|counts| counts.durable) {
             self.in_memory.clear();
         }
     }

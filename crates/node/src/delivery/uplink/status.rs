@@ -95,7 +95,7 @@ impl StatusTeller {
 
     fn status(&self, board: &Board, desired: &DesiredKeeper) -> NodeStatus {
         let cameras = board.cameras.iter().map(|camera| {
-            let state = match camera.snapshot().last_frame_age {
+            let state = match camera.snapshot().last_frame_age() {
                 None => CameraState::NeverSeen,
                 Some(age) if age > STALE => CameraState::Stale,
                 Some(_) => CameraState::Live,

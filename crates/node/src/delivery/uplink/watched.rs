@@ -82,9 +82,7 @@ impl Watched {
         let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
         let declares = self.pictures.is_empty();
         for camera in &setup.board.cameras {
-            let Ok(keys) = setup.keys.camera(camera.name()) else {
-                continue;
-            };
+            let keys = &camera.keys;
             if declares {
                 let (queries, name) = (self.queries.clone(), Arc::<str>::from(camera.name()));
                 let queryable = session

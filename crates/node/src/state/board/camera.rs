@@ -4,7 +4,6 @@ use super::event::{Event, FrameEvent, News};
 use super::history::{CameraSlot, Clock, History, PastFrame, SkipEstimate};
 use super::threshold;
 use crate::camera::FrameRecord;
-use crate::camera::audit::AuditCount;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::advice::{Advice, SkipWatch};
 use crate::state::settings::Settings;
@@ -13,11 +12,11 @@ use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Knob, Policy, Profile, short};
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::metrics::{Counter, LatencyHistogram};
+use albireo_service::metrics::LatencyHistogram;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
-    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KeyError,
-    SettingSource,
+    AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
+    FrameStates, KeyError, SettingSource,
 };
 use bytes::Bytes;
 use parking_lot::Mutex;
@@ -77,10 +76,8 @@ pub struct CameraSnapshot {
     pub dropped: DroppedFrames,
     /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
     pub looks: u64,
-    /// What the audit has found.
-    pub audit: AuditCount,
-    /// Joules of the audit in the clips that ended.
-    pub audit_joules: f64,
+    /// What the audit has found, and its joules in the clips that ended; `None` without an audit.
+    pub audit: Option<AuditReport>,
     /// Clips ended.
     pub clips: u64,
     /// Energy of these clips, joules, over the time that samples cover.
@@ -95,8 +92,8 @@ pub struct CameraSnapshot {
     pub detector_latency: LatencyHistogram,
     /// What was published for the newest frame.
     pub latest: Option<Arc<DetectionsMessage>>,
-    /// Time since the newest frame was processed.
-    pub last_frame_age: Option<Duration>,
+    /// When the newest frame was answered.
+    pub last_frame: Option<Instant>,
     /// Frames that came in memory which their sender shares.
     pub shared_frames: u64,
     /// Messages about it that did not go out.
@@ -109,6 +106,11 @@ impl CameraSnapshot {
     /// Share of frames that skipped the detector, degraded ones not among them.
     pub fn skip_rate(&self) -> f64 {
         self.states.skip_rate(self.degraded_frames)
+    }
+
+    /// Time since the newest frame was answered.
+    pub fn last_frame_age(&self) -> Option<Duration> {
+        Some(self.last_frame?.elapsed())
     }
 
     /// Counts a frame with its final answer.
@@ -158,11 +160,12 @@ const fn source_name(source: BoxSource) -> &'static str {
 
 #[derive(Debug, Default)]
 struct Counts {
-    /// What is shown of them; what is known elsewhere is added when it is asked for.
+    /// What is shown of them, but for the advice.
     shown: CameraSnapshot,
-    /// What of the audit the target has not heard of.
-    untold_audit: AuditSums,
-    last_frame: Option<Instant>,
+    /// Of the dropped frames and the audit, what is in no clip yet.
+    unreported: (DroppedFrames, AuditReport),
+    /// Of the audit, what the target has not taken yet.
+    unmeasured: AuditSums,
     watch: SkipWatch,
 }
 
@@ -180,6 +183,8 @@ pub(super) struct Shared {
 #[derive(Debug)]
 pub struct CameraBoard {
     pub(super) name: Arc<str>,
+    /// Its Zenoh keys.
+    pub(crate) keys: CameraKeys,
     /// Zenoh key its frames come on, unless it has a source.
     pub(crate) key: String,
     /// The source that the node opens for it, without credentials.
@@ -188,8 +193,6 @@ pub struct CameraBoard {
     pub(crate) policy: &'static str,
     /// What the policy lets a user turn, if anything.
     pub knob: Option<Knob>,
-    /// Whether some of its skipped frames are looked at afterwards.
-    pub(crate) is_audited: bool,
     /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
     /// value for it: the filter of the profile `paper`.
     pub(super) is_sizeless: bool,
@@ -205,8 +208,6 @@ pub struct CameraBoard {
     counts: Mutex<Counts>,
     history: Mutex<History>,
     latest_frame: Mutex<Option<Arc<LatestFrame>>>,
-    shared_frames: Counter,
-    unpublished: Counter,
 }
 
 impl CameraBoard {
@@ -220,13 +221,19 @@ impl CameraBoard {
         let wanted = camera.threshold.or_else(|| policy.knob_value());
         let configured = knob.map(|knob| threshold::configured(name, &knob, wanted));
         let kept = knob.and_then(|knob| threshold::kept(&shared.settings, name, &knob, configured));
+        let mut counts = Counts::default();
+        let share = config.audit.share;
+        counts.shown.audit = (share > 0.0).then(|| AuditReport {
+            share,
+            ..AuditReport::default()
+        });
         Ok(Self {
             name: name.into(),
+            keys: config.keys()?.camera(name)?,
             key: config.frame_key(camera)?,
             source: camera.source.as_ref().map(ToString::to_string),
             policy: policy.name(),
             knob,
-            is_audited: config.audit.share > 0.0,
             is_sizeless: config.policy.profile == Profile::Paper,
             longest_pause: policy.longest_pause(),
             shared,
@@ -234,11 +241,9 @@ impl CameraBoard {
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             set_by: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
-            counts: Mutex::default(),
+            counts: Mutex::new(counts),
             history: Mutex::default(),
             latest_frame: Mutex::default(),
-            shared_frames: Counter::default(),
-            unpublished: Counter::default(),
         })
     }
 
@@ -248,15 +253,23 @@ impl CameraBoard {
     }
 
     /// Adds what the audit has found.
-    pub(crate) fn record_audit(&self, more: &AuditCount) {
+    pub(crate) fn record_audit(&self, more: &AuditReport) {
         let mut counts = self.counts.lock();
-        counts.shown.audit.merge(more);
-        counts.untold_audit.merge(&more.sums);
+        if let Some(audit) = &mut counts.shown.audit {
+            audit.merge(more);
+        }
+        counts.unreported.1.merge(more);
+        counts.unmeasured.merge(&more.sums);
     }
 
     /// What was audited since this was asked last.
     pub(crate) fn take_audit(&self) -> AuditSums {
-        std::mem::take(&mut self.counts.lock().untold_audit)
+        std::mem::take(&mut self.counts.lock().unmeasured)
+    }
+
+    /// Dropped frames and what was audited since this was asked last: the open clip's part.
+    pub(crate) fn take_unreported(&self) -> (DroppedFrames, AuditReport) {
+        std::mem::take(&mut self.counts.lock().unreported)
     }
 
     /// Counts a frame with its final answer.
@@ -276,7 +289,7 @@ impl CameraBoard {
     /// Sends the answer of a frame, which may be pending, to subscribers.
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
-        counts.last_frame = Some(Instant::now());
+        counts.shown.last_frame = Some(Instant::now());
         let before = counts.shown.latest.replace(Arc::clone(&detections));
         drop(counts);
         if before.is_none() {
@@ -319,17 +332,19 @@ impl CameraBoard {
 
     /// Counts a frame that came in memory which its sender shares.
     pub(crate) fn count_shared_frame(&self) {
-        self.shared_frames.inc();
+        self.counts.lock().shown.shared_frames += 1;
     }
 
-    /// Counts the messages about it that did not go out; clones are the same counter.
-    pub(crate) fn unpublished(&self) -> Counter {
-        self.unpublished.clone()
+    /// Counts a message about it that did not go out.
+    pub(crate) fn count_unpublished(&self) {
+        self.counts.lock().shown.unpublished += 1;
     }
 
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
-        self.counts.lock().shown.dropped += more;
+        let mut counts = self.counts.lock();
+        counts.shown.dropped += more;
+        counts.unreported.0 += more;
     }
 
     /// Counts a clip that ended, and its energy where it has a figure.
@@ -337,7 +352,9 @@ impl CameraBoard {
         let shown = &mut self.counts.lock().shown;
         let known = |joules: Option<f64>| joules.filter(|joules| *joules > 0.0).unwrap_or_default();
         shown.clips += 1;
-        shown.audit_joules += known(audit_joules);
+        if let Some(audit) = &mut shown.audit {
+            *audit.joules.get_or_insert_default() += known(audit_joules);
+        }
         shown.clip_joules += known(joules);
     }
 
@@ -345,9 +362,6 @@ impl CameraBoard {
     pub fn snapshot(&self) -> CameraSnapshot {
         let counts = self.counts.lock();
         CameraSnapshot {
-            last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
-            shared_frames: self.shared_frames.get(),
-            unpublished: self.unpublished.get(),
             advice: self.advice(&counts),
             ..counts.shown.clone()
         }

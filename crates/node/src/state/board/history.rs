@@ -6,6 +6,7 @@ mod skipping;
 pub(crate) use skipping::SkipEstimate;
 
 use super::PowerSnapshot;
+use crate::camera::clip::percentile;
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_wire::{DetectionsMessage, EnergyQuality};
 use serde::Serialize;
@@ -211,14 +212,9 @@ impl History {
     fn ended(&self) -> Option<CameraSlot> {
         let mut sorted = self.times.clone();
         sorted.sort_unstable_by(f32::total_cmp);
-        // Nearest rank.
-        let at = |percent: usize| {
-            let rank = (sorted.len() * percent).div_ceil(100);
-            sorted.get(rank.checked_sub(1)?).copied()
-        };
         (self.open.frames > 0).then(|| CameraSlot {
-            detector_p50_ms: at(50),
-            detector_p99_ms: at(99),
+            detector_p50_ms: percentile(&sorted, 50),
+            detector_p99_ms: percentile(&sorted, 99),
             ..self.open.clone()
         })
     }
@@ -274,16 +270,11 @@ impl PowerPast {
 
     /// The open piece: joules over the time that samples cover, and never over the rest; nothing without samples.
     fn ended(&self) -> Option<PowerPiece> {
-        let since = |now: &BTreeMap<String, f64>, before: &BTreeMap<String, f64>, domain: &str| {
-            let of = |sums: &BTreeMap<String, f64>| sums.get(domain).copied().unwrap_or_default();
-            of(now) - of(before)
-        };
-        let (now, before) = (&self.newest, &self.began);
-        let watts: BTreeMap<_, _> = (now.joules.keys())
+        let piece = self.newest.clone().since(&self.began);
+        let watts: BTreeMap<_, _> = (piece.joules.keys())
             .filter_map(|domain| {
-                let seconds = since(&now.covered_s, &before.covered_s, domain);
-                let joules = since(&now.joules, &before.joules, domain);
-                (seconds > 0.0).then(|| (domain.clone(), (joules / seconds) as f32))
+                let (joules, seconds) = piece.energy(domain)?;
+                Some((domain.clone(), (joules / seconds) as f32))
             })
             .collect();
         (!watts.is_empty()).then(|| PowerPiece {

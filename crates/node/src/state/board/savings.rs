@@ -7,7 +7,6 @@
 use super::PowerSnapshot;
 use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use serde::Serialize;
-use std::ops::Sub;
 use utoipa::ToSchema;
 
 const DAY_MS: i64 = 86_400_000;
@@ -43,7 +42,7 @@ pub(crate) struct Savings {
 }
 
 /// What the node has counted since its start, all cameras together. Of a time between, the difference.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Totals {
     /// Frames processed.
     pub frames: u64,
@@ -53,50 +52,40 @@ pub(crate) struct Totals {
     pub degraded: u64,
     /// Time the detector worked for them, microseconds.
     pub detector_us: u64,
-    /// Joules, over the time that samples cover.
-    pub joules: f64,
-    /// That time, seconds.
-    pub covered_s: f64,
-    /// From the first sample to the newest, seconds.
-    pub sampled_s: f64,
-    /// Detector time that avoided calls would have taken, seconds.
-    pub saved_detector_s: f64,
+    /// Energy.
+    pub power: PowerSnapshot,
 }
 
-impl Sub for Totals {
-    type Output = Self;
-
-    fn sub(self, before: Self) -> Self {
+impl Totals {
+    /// What was counted since `before`.
+    pub(crate) fn since(self, before: &Self) -> Self {
         Self {
             frames: self.frames.saturating_sub(before.frames),
             skipped: self.skipped.saturating_sub(before.skipped),
             degraded: self.degraded.saturating_sub(before.degraded),
             detector_us: self.detector_us.saturating_sub(before.detector_us),
-            joules: self.joules - before.joules,
-            covered_s: self.covered_s - before.covered_s,
-            sampled_s: self.sampled_s - before.sampled_s,
-            saved_detector_s: self.saved_detector_s - before.saved_detector_s,
+            power: self.power.since(&before.power),
         }
     }
-}
 
-impl Totals {
     /// What was saved in this time, which began at `since_ms`.
-    pub(super) fn savings(&self, since_ms: i64, power: &PowerSnapshot) -> Savings {
-        let gaps = self.covered_s < FULL_COVERAGE * self.sampled_s;
-        let saved = |watts: f64| watts * self.saved_detector_s;
+    pub(super) fn savings(&self, since_ms: i64) -> Savings {
+        let power = &self.power;
+        let saved = |watts: f64| watts * power.saved_detector_s;
         Savings {
             since_ms,
             frames: self.frames,
             avoided_calls: self.skipped,
             degraded_frames: self.degraded,
-            energy: (self.covered_s > 0.0).then(|| EnergyUsed {
+            energy: power.energy("total").map(|(joules, covered_s)| EnergyUsed {
                 quality: match power.meter_quality {
-                    EnergyQuality::Measured if gaps => EnergyQuality::Partial,
+                    EnergyQuality::Measured if covered_s < FULL_COVERAGE * power.sampled_s => {
+                        EnergyQuality::Partial
+                    }
                     quality => quality,
                 },
-                joules: self.joules,
-                covered_s: self.covered_s,
+                joules,
+                covered_s,
                 saved_joules_estimated: power.detector_watts.map(saved),
             }),
         }

@@ -249,7 +249,7 @@ fn an_outage_of_the_detector_moves_no_knob() {
             ..Totals::default()
         };
         for _ in 0..seconds {
-            board.step_target(second, Duration::from_secs(1));
+            board.step_target(&second, Duration::from_secs(1));
         }
         board.cameras[0].threshold().unwrap()
     };

@@ -5,7 +5,7 @@ use crate::state::board::{Board, CameraBoard, CameraSnapshot};
 use crate::state::readiness::CAMERAS;
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::metrics::MetricsPage;
-use albireo_wire::AuditRate;
+use albireo_wire::{AuditRate, AuditReport};
 
 /// The families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
@@ -128,7 +128,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
         "albireo_camera_state",
         "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen), 0 for the others",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
-            let now = match snapshot.last_frame_age {
+            let now = match snapshot.last_frame_age() {
                 None => "never_seen",
                 Some(_) if silent(camera.1) => "stale",
                 Some(_) => "live",
@@ -141,7 +141,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
         "albireo_last_frame_age_seconds",
         "Time since the newest frame",
         cameras.iter().filter_map(|(camera, _, snapshot)| {
-            Some(([*camera], snapshot.last_frame_age?.as_secs_f64()))
+            Some(([*camera], snapshot.last_frame_age()?.as_secs_f64()))
         }),
     );
     page.counters(
@@ -173,14 +173,14 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
 /// What the audit has found: sums that add up over cameras and nodes, and each camera's rates.
 fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     let audited = || {
-        let on = cameras.iter().filter(|(_, board, _)| board.is_audited);
-        on.map(|(camera, _, snapshot)| (*camera, &snapshot.audit.sums, snapshot))
+        let on = cameras.iter();
+        on.filter_map(|(camera, _, snapshot)| Some((*camera, snapshot.audit.as_ref()?)))
     };
     page.counters(
         "albireo_audit_frames_total",
         "Skipped frames that were drawn, by what became of them: compared, or missed because the detector had no time",
-        audited().flat_map(|(camera, sums, _)| {
-            [("compared", sums.frames), ("missed", sums.missed)]
+        audited().flat_map(|(camera, audit)| {
+            [("compared", audit.sums.frames), ("missed", audit.sums.missed)]
                 .map(|(result, count)| ([camera, ("result", result)], count as f64))
         }),
     );
@@ -188,7 +188,7 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
         "albireo_audit_boxes_total",
         "Boxes of audited frames by side (detected: the detector's; shown: what had been published) and by result: paired \
          with one of the other side, or unpaired. Against the detector, not the truth",
-        audited().flat_map(|(camera, sums, _)| {
+        audited().flat_map(|(camera, AuditReport { sums, .. })| {
             let results = [
                 ("detected", "paired", sums.paired),
                 ("detected", "unpaired", sums.detected.saturating_sub(sums.paired)),
@@ -210,23 +210,23 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
         "albireo_audit_recall",
         "Share of the detector's boxes on audited frames that had been shown, since the start, with the ends of its \
          interval at 95 %, missed frames included",
-        audited().flat_map(|(camera, sums, _)| ends(camera, sums.recall())),
+        audited().flat_map(|(camera, audit)| ends(camera, audit.sums.recall())),
     );
     page.gauges(
         "albireo_audit_precision",
         "Share of the shown boxes on audited frames that the detector confirms, since the start, with the ends of its \
          interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
-        audited().flat_map(|(camera, sums, _)| ends(camera, sums.precision())),
+        audited().flat_map(|(camera, audit)| ends(camera, audit.sums.precision())),
     );
     page.counters(
         "albireo_audit_detector_seconds_total",
         "Time the detector worked for the audit",
-        audited().map(|(camera, _, shown)| ([camera], shown.audit.detector_us as f64 / 1e6)),
+        audited().map(|(camera, audit)| ([camera], audit.detector_us as f64 / 1e6)),
     );
     page.counters(
         "albireo_audit_energy_joules_total",
         "Estimate of what the audit added in the clips that ended: its detector time times the watts that a running \
          detector adds; a part of camera_energy_joules",
-        audited().map(|(camera, _, shown)| ([camera], shown.audit_joules)),
+        audited().map(|(camera, audit)| ([camera], audit.joules.unwrap_or_default())),
     );
 }
