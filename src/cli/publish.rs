@@ -105,7 +105,6 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
         limits: FrameLimits::default(),
     };
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
-    let source = Arc::new(source);
     let Some(session) = connected(&arguments.target, &shutdown).await else {
         return Ok(());
     };

@@ -10,7 +10,6 @@ use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
 use albireo_vision::screen::ScreenHandle;
 use std::error::Error;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Sender, channel};
 use tokio_util::sync::CancellationToken;
@@ -138,7 +137,6 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();
-    let source = Arc::new(source);
     let running = source.run(FirstPicture(sender), stop.clone());
     let waiting = async {
         let first = tokio::time::timeout(patience, found.recv()).await;

@@ -2,15 +2,14 @@
 
 mod camera;
 
-use crate::api::keys::NodeKeyValues;
+use crate::api::keys::{KeyValue, NodeKeyValues};
 use crate::api::name::NodeName;
 use crate::config::NodeConfig;
 use crate::delivery::outbox::retry_disk;
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
 use crate::error::NodeError;
 use crate::state::board::{Board, provider};
-use crate::state::counters::Counters;
-use crate::state::readiness;
+use crate::state::{counters, readiness};
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_service::readiness::Fault;
 use albireo_service::session;
@@ -18,7 +17,7 @@ use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::ScreenHandle;
-use camera::{Cameras, Shared, Subscriptions};
+use camera::{Cameras, Subscriptions};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -177,44 +176,40 @@ impl PreparedNode {
         });
         tasks.until_shutdown("power sampler", sampler);
         let give_up = CancellationToken::new();
-        let mut cameras = Cameras {
-            shared: Arc::new(Shared {
-                config: config.clone(),
-                power: power.clone(),
-                pixels: PixelWork::new(
-                    detector.preparation().clone(),
-                    config.frame,
-                    config.detector.batch_size,
-                ),
-                detector: detector.clone(),
-                screen: screen.clone(),
-                policies,
-                give_up: give_up.clone(),
-            }),
-            session: &session,
-            board: &board,
-            tasks: &mut tasks,
-            subscriptions: Subscriptions::default(),
+        let cameras = Arc::new(Cameras {
+            config: config.clone(),
+            session: session.clone(),
+            board: Arc::clone(&board),
+            power: power.clone(),
+            pixels: PixelWork::new(
+                detector.preparation().clone(),
+                config.frame,
+                config.detector.batch_size,
+            ),
+            detector: detector.clone(),
+            screen: screen.clone(),
+            policies,
+            give_up: give_up.clone(),
             shutdown: shutdown.clone(),
-        };
+        });
+        let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in config.cameras.iter().zip(&board.cameras).enumerate() {
-            cameras
-                .add(CameraSlot(slot), camera, board)
-                .await
-                .map_err(NodeError::of(format!("camera `{}`", camera.name)))?;
+            let added = cameras.add(CameraSlot(slot), camera, board, &mut tasks);
+            let added = added.await;
+            let named = NodeError::of(format!("camera `{}`", camera.name));
+            subscriptions.extend(added.map_err(named)?);
         }
-        let subscriptions = cameras.subscriptions;
-        let counters = Counters::declare(&session, Arc::clone(&board), power).await?;
-        tasks.essential("counters", counters.run(shutdown.clone()));
+        let outlets = counters::declare(&session, &board).await?;
+        let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
+        tasks.essential("counters", counting);
         let mut values = NodeKeyValues::new();
-        for camera in &board.cameras {
-            (values.add_threshold(&session, Arc::clone(camera)).await)
-                .map_err(NodeError::refused("a threshold cannot be served"))?;
+        let thresholds = (board.cameras.iter())
+            .map(|camera| (camera.keys.threshold(), KeyValue::Threshold(camera.clone())));
+        let target = (keys.target(), KeyValue::Target(Arc::clone(&board)));
+        for (key, value) in thresholds.chain([target]) {
+            let refused = NodeError::refused(format!("`{key}` cannot be served"));
+            (values.add(&session, key, value).await).map_err(refused)?;
         }
-        (values
-            .add_target(&session, keys.target(), Arc::clone(&board))
-            .await)
-            .map_err(NodeError::refused("the target cannot be served"))?;
         tasks.essential("requests", values.run(shutdown.clone()));
         let disk = retry_disk(board.outbox.clone(), board.settings.clone());
         tasks.until_shutdown("disk", disk);

@@ -31,6 +31,7 @@ use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use tokio::sync::{Mutex, Semaphore};
 use tokio_util::sync::CancellationToken;
@@ -85,6 +86,16 @@ fn query<T>(
         Ok(Query(query)) => Ok(query),
         Err(rejection) => Err(bad_request(rejection.body_text()).allowing(allowed.iter().copied())),
     }
+}
+
+/// The `value` that is asked for as `name`, if it is in `range`.
+fn within(name: &str, value: usize, range: RangeInclusive<usize>) -> Result<usize, Problem> {
+    if range.contains(&value) {
+        return Ok(value);
+    }
+    let (first, last) = range.into_inner();
+    let detail = format!("`{name}` must be from {first} to {last}, not {value}");
+    Err(bad_request(detail))
 }
 
 fn bad_request(detail: String) -> Problem {

@@ -3,7 +3,6 @@
 use crate::rate_limit::SharedLimit;
 use crate::state::board::{Board, CameraBoard, set_thresholds};
 use albireo_wire::{MessageError, SettingSource, TargetMessage, ThresholdMessage, VERSION};
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::io::Read;
@@ -21,20 +20,55 @@ const MAX_MESSAGE_BYTES: usize = 4096;
 /// Requests that may wait for the file to be written; a person or a hub sends a few a second at most.
 const WAITING: usize = 64;
 
-/// What a key holds. With a payload it is changed to what that says, which may write a file; then what is in force, as
-/// JSON, or why not, as text for the sender.
-type Value = dyn Fn(Option<&[u8]>) -> Result<Vec<u8>, String> + Send + Sync;
+/// What a key holds.
+pub(crate) enum KeyValue {
+    /// The threshold of a camera.
+    Threshold(Arc<CameraBoard>),
+    /// The target of the node.
+    Target(Arc<Board>),
+}
+
+impl KeyValue {
+    /// Changes it to what `payload` says. Writes a file.
+    fn change(&self, payload: &[u8]) -> Result<(), String> {
+        match self {
+            Self::Threshold(camera) => {
+                let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
+                let message: ThresholdMessage = read(payload, example)?;
+                check_version(message.v)?;
+                let camera = std::slice::from_ref(camera);
+                set_thresholds(camera, message.threshold, SettingSource::Local)
+                    .map_err(|error| error.to_string())
+            }
+            Self::Target(board) => {
+                let message: TargetMessage = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
+                check_version(message.v)?;
+                (board.set_target(message.target, SettingSource::Local))
+                    .map_err(|error| error.to_string())
+            }
+        }
+    }
+
+    /// What is in force, as JSON.
+    fn in_force(&self) -> Result<Vec<u8>, String> {
+        let json = match self {
+            Self::Threshold(camera) => serde_json::to_vec(&ThresholdMessage {
+                v: VERSION,
+                threshold: (camera.threshold_in_force())
+                    .ok_or("the policy in use has no threshold")?,
+            }),
+            Self::Target(board) => serde_json::to_vec(&board.target.report()),
+        };
+        json.map_err(|error| error.to_string())
+    }
+}
 
 /// What came over Zenoh: a put, or a query.
 struct Request {
-    key: Arc<Key>,
+    key: Arc<str>,
+    value: Arc<KeyValue>,
     payload: Option<Vec<u8>>,
     query: Option<Query>,
-}
-
-struct Key {
-    key: String,
-    value: Box<Value>,
 }
 
 /// The keys of a node: requests come in until it is dropped, and are answered while [`run`](Self::run) runs, one after
@@ -57,77 +91,34 @@ impl NodeKeyValues {
         }
     }
 
-    /// Declares the key of a camera's threshold.
+    /// Declares a key. Zenoh's own threads only hand requests on: a change writes a file, which may take a moment on a slow
+    /// card.
     ///
     /// # Errors
     /// When Zenoh refuses the declaration.
-    pub(crate) async fn add_threshold(
-        &mut self,
-        session: &Session,
-        camera: Arc<CameraBoard>,
-    ) -> zenoh::Result<()> {
-        let key = camera.keys.threshold();
-        let value = move |payload: Option<&[u8]>| {
-            if let Some(payload) = payload {
-                let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
-                let message: ThresholdMessage = read(payload, example)?;
-                check_version(message.v)?;
-                let camera = std::slice::from_ref(&camera);
-                set_thresholds(camera, message.threshold, SettingSource::Local)
-                    .map_err(|error| error.to_string())?;
-            }
-            let threshold = camera.threshold_in_force();
-            write(&ThresholdMessage {
-                v: VERSION,
-                threshold: threshold.ok_or("the policy in use has no threshold")?,
-            })
-        };
-        self.add(session, key, Box::new(value)).await
-    }
-
-    /// Declares the key of a node's target.
-    ///
-    /// # Errors
-    /// When Zenoh refuses the declaration.
-    pub(crate) async fn add_target(
+    pub(crate) async fn add(
         &mut self,
         session: &Session,
         key: String,
-        board: Arc<Board>,
-    ) -> zenoh::Result<()> {
-        let value = move |payload: Option<&[u8]>| {
-            if let Some(payload) = payload {
-                let message: TargetMessage = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
-                check_version(message.v)?;
-                (board.set_target(message.target, SettingSource::Local))
-                    .map_err(|error| error.to_string())?;
-            }
-            write(&board.target.report())
-        };
-        self.add(session, key, Box::new(value)).await
-    }
-
-    /// Zenoh's own threads only hand requests on: a change writes a file, which may take a moment on a slow card.
-    async fn add(
-        &mut self,
-        session: &Session,
-        key: String,
-        value: Box<Value>,
+        value: KeyValue,
     ) -> zenoh::Result<()> {
         let (requests, too_many) = (self.requests.clone(), SharedLimit::new());
-        let served = Arc::new(Key { key, value });
-        let key = served.key.clone();
+        let (served, value) = (Arc::<str>::from(&*key), Arc::new(value));
         let take = Arc::new(move |payload: Option<Vec<u8>>, query: Option<Query>| {
             let request = Request {
                 key: Arc::clone(&served),
+                value: Arc::clone(&value),
                 payload,
                 query,
             };
             // A query that does not fit goes unanswered, as if the key were not served.
             if requests.try_send(request).is_err() {
-                let key = &served.key;
                 too_many.log(|held_back| {
-                    tracing::warn!(key, held_back, "request dropped: too many at once");
+                    tracing::warn!(
+                        key = &*served,
+                        held_back,
+                        "request dropped: too many at once"
+                    );
                 });
             }
         });
@@ -160,14 +151,22 @@ impl NodeKeyValues {
 }
 
 fn serve(request: Request, refused: &SharedLimit) {
-    let Key { key, value } = &*request.key;
-    let result = match &request.payload {
+    let Request {
+        key,
+        value,
+        payload,
+        query,
+    } = request;
+    let key = &*key;
+    let changed = match &payload {
         Some(payload) if payload.len() > MAX_MESSAGE_BYTES => Err(format!(
             "a message has at most {MAX_MESSAGE_BYTES} bytes; this one has more"
         )),
-        payload => value(payload.as_deref()),
+        Some(payload) => value.change(payload),
+        None => Ok(()),
     };
-    let sent = match (request.query, result) {
+    let result = changed.and_then(|()| value.in_force());
+    let sent = match (query, result) {
         (None, Ok(_)) => return,
         (None, Err(reason)) => {
             return refused.log(|held_back| {
@@ -210,8 +209,4 @@ fn check_version(found: u32) -> Result<(), String> {
         VERSION => Ok(()),
         found => Err(MessageError::Version { found }.to_string()),
     }
-}
-
-fn write(message: &impl Serialize) -> Result<Vec<u8>, String> {
-    serde_json::to_vec(message).map_err(|error| error.to_string())
 }

@@ -144,7 +144,7 @@ mod tests {
     use std::path::PathBuf;
 
     #[test]
-    fn everything_that_is_missing_is_told_at_once() {
+    fn everything_that_is_missing_is_sent_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let taken = folder.path().join("taken");
         std::fs::write(&taken, "short").unwrap();

@@ -317,7 +317,7 @@ fn a_wrong_policy_hides_no_wrong_number_and_the_likely_name_is_offered() {
 }
 
 #[test]
-fn everything_wrong_is_told_at_once() {
+fn everything_wrong_is_sent_at_once() {
     let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_payload_bytes = 0");
     assert_eq!(found.len(), 3, "{found:?}");
 }

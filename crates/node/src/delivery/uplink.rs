@@ -28,12 +28,12 @@ use query::ask;
 #[cfg(test)]
 pub(super) use query::read_reply;
 pub(super) use schedule::{Failure, Schedule};
-pub(super) use status::StatusTeller;
+pub(super) use status::StatusSender;
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, oneshot};
+use tokio::sync::Notify;
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
@@ -80,16 +80,14 @@ impl Uplink {
     pub(crate) fn start(setup: UplinkSetup) -> (Self, impl Future<Output = ()>) {
         let stop = CancellationToken::new();
         let worker = Worker::new(setup, stop.clone());
-        let (running, ended) = oneshot::channel::<()>();
+        let ended = CancellationToken::new();
+        let running = ended.clone().drop_guard();
         let run = async move {
             let _running = running;
             worker.run().await;
         };
         let task = tokio::spawn(run.instrument(tracing::info_span!("uplink")));
-        let ended = async move {
-            let _ = ended.await;
-        };
-        (Self { stop, task }, ended)
+        (Self { stop, task }, ended.cancelled_owned())
     }
 
     /// Lets the task try once more, and waits until it has ended.
@@ -104,7 +102,7 @@ impl Uplink {
 struct Worker {
     setup: Arc<UplinkSetup>,
     stop: CancellationToken,
-    teller: StatusTeller,
+    status_sender: StatusSender,
     watched: Watched,
     schedule: Schedule,
     /// Pauses between sessions that could not be opened or failed.
@@ -133,7 +131,7 @@ impl Worker {
         let config = &setup.config.outbox;
         let run = (random >> 32) as u32;
         Self {
-            teller: StatusTeller::new(setup.config.node.labels.clone(), run, Now::system()),
+            status_sender: StatusSender::new(setup.config.node.labels.clone(), run, Now::system()),
             watched: Watched::new(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
@@ -289,7 +287,7 @@ impl Worker {
         }
         let Ok(Some(desired)) = ended else { return };
         if desired.send_full_status {
-            self.teller.full_is_due();
+            self.status_sender.full_is_due();
         }
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
@@ -298,13 +296,13 @@ impl Worker {
         let setup = Arc::clone(&self.setup);
         let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
         if taken.await.unwrap_or(false) {
-            self.teller.full_is_due();
+            self.status_sender.full_is_due();
         }
     }
 
     async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
         let setup = &self.setup;
-        match (self.teller).due(Now::system(), &setup.board, &setup.desired) {
+        match (self.status_sender).due(Now::system(), &setup.board, &setup.desired) {
             Some(payload) => status.put(payload).await,
             None => Ok(()),
         }

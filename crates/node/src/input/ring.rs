@@ -45,21 +45,15 @@ struct State<T> {
 impl<T> Ring<T> {
     /// The ring of a camera, open and empty: for `frames` that may wait, of at most `max_payload` bytes each.
     pub(crate) fn new(delivery: Delivery, frames: usize, max_payload: usize) -> Self {
-        match delivery {
-            Delivery::Newest => Self::holding(frames, usize::MAX, true),
+        let (most_items, most_bytes) = match delivery {
+            Delivery::Newest => (frames, usize::MAX),
             // A few of the largest that are accepted, or many of the usual ones.
-            Delivery::Every => {
-                let most_bytes = max_payload.saturating_mul(4);
-                Self::holding(frames.max(EVERY_FRAMES), most_bytes, false)
-            }
-        }
-    }
-
-    fn holding(most_items: usize, most_bytes: usize, newest_wins: bool) -> Self {
+            Delivery::Every => (frames.max(EVERY_FRAMES), max_payload.saturating_mul(4)),
+        };
         Self {
             most_items,
             most_bytes,
-            newest_wins,
+            newest_wins: delivery == Delivery::Newest,
             state: Mutex::new(State {
                 items: VecDeque::new(),
                 closed: false,
@@ -146,7 +140,9 @@ mod tests {
 
     /// In these tests numbers stand for frames, of as many bytes.
     fn ring(items: usize, newest_wins: bool) -> Ring<u32> {
-        Ring::holding(items, 1000, newest_wins)
+        let mut ring = Ring::new(Delivery::Newest, items, 0);
+        (ring.most_bytes, ring.newest_wins) = (1000, newest_wins);
+        ring
     }
 
     impl Ring<u32> {

@@ -36,9 +36,11 @@ const CACHED_REPORTS: usize = 64;
 /// The Zenoh subscribers and queryables that receive frames: dropped, they are undeclared.
 pub(super) type Subscriptions = Vec<Box<dyn Any + Send + Sync>>;
 
-/// What all cameras share.
-pub(super) struct Shared {
+/// Adds cameras to a node that starts, and makes their loops: what they share.
+pub(super) struct Cameras {
     pub(super) config: NodeConfig,
+    pub(super) session: Session,
+    pub(super) board: Arc<Board>,
     pub(super) power: PowerHandle,
     pub(super) pixels: PixelWork,
     pub(super) detector: DetectorHandle,
@@ -46,29 +48,20 @@ pub(super) struct Shared {
     pub(super) policies: PolicyMaker,
     /// Once cancelled, no camera waits for the detector any more.
     pub(super) give_up: CancellationToken,
-}
-
-/// Adds cameras to a node that starts.
-pub(super) struct Cameras<'a> {
-    pub(super) shared: Arc<Shared>,
-    pub(super) session: &'a Session,
-    pub(super) board: &'a Arc<Board>,
-    pub(super) tasks: &'a mut Supervisor,
-    pub(super) subscriptions: Subscriptions,
     pub(super) shutdown: CancellationToken,
 }
 
-impl Cameras<'_> {
+impl Cameras {
     pub(super) async fn add(
-        &mut self,
+        self: &Arc<Self>,
         slot: CameraSlot,
         config: &CameraConfig,
         board: &Arc<CameraBoard>,
-    ) -> Result<(), NodeError> {
+        tasks: &mut Supervisor,
+    ) -> Result<Subscriptions, NodeError> {
         let keys = &board.keys;
         let name = &config.name;
-        let shared = Arc::clone(&self.shared);
-        let receiver = FrameReceiver::new(Arc::clone(board), config, shared.config.frame);
+        let receiver = FrameReceiver::new(Arc::clone(board), config, self.config.frame);
         let receiver = Arc::new(receiver);
         let (closed, clips) = mpsc::unbounded_channel();
 
@@ -77,13 +70,13 @@ impl Cameras<'_> {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
             Delivery::Every => (CongestionControl::Block, publishing::EVERY),
         };
-        let outlet = |key: String| Outlet::declare(self.session, key, sent, board);
+        let outlet = |key: String| Outlet::declare(&self.session, key, sent, board);
         let detections = outlet(keys.detections()).await?;
-        let late = match shared.config.answer_time(config) {
+        let late = match self.config.answer_time(config) {
             AnswerTime::WhenKnown => None,
             AnswerTime::AtOnce => Some(outlet(keys.late()).await?),
         };
-        let settled = match shared.config.settle.enabled {
+        let settled = match self.config.settle.enabled {
             true => Some(outlet(keys.settled()).await?),
             false => None,
         };
@@ -98,41 +91,51 @@ impl Cameras<'_> {
             .await
             .map_err(NodeError::refused("clip reports cannot be published"))?;
 
-        let audit = Arc::new(CameraAudit::new(shared.config.audit, Arc::clone(board)));
-        self.add_auditor(name, &audit);
-        let report = shared.config.report.confidence;
+        let audit = Arc::new(CameraAudit::new(self.config.audit, Arc::clone(board)));
+        if audit.share().is_some() {
+            let auditor = Auditor {
+                audit: Arc::clone(&audit),
+                detector: self.detector.clone(),
+                screen: self.screen.as_ref().map(ScreenHandle::input_format),
+                pixels: self.pixels.clone(),
+                energy: self.power.camera(name),
+            };
+            tasks.until_shutdown(format!("audit {name}"), auditor.run());
+        }
+        let report = self.config.report.confidence;
         let parts = Arc::new(CameraParts {
             board: Arc::clone(board),
             receiver: Arc::clone(&receiver),
             detections,
             late,
             settled: settled.map(Arc::new),
-            min_confidence: MinConfidence::new(report, shared.config.detector.confidence),
-            class_names: shared.detector.class_names().into(),
+            min_confidence: MinConfidence::new(report, self.config.detector.confidence),
+            class_names: self.detector.class_names().into(),
             closed,
             audit,
             reset_at_clip: config.reset_at_clip,
         });
-        let stop = self.shutdown.clone();
-        self.tasks
-            .restarting(format!("camera {name}"), HealthState::NotReady, move || {
-                let camera = shared.camera(slot, Arc::clone(&parts));
-                let stop = stop.clone();
-                async move {
-                    camera?.run(stop).await;
-                    Ok::<(), NodeError>(())
-                }
-            });
+        let cameras = Arc::clone(self);
+        tasks.restarting(format!("camera {name}"), HealthState::NotReady, move || {
+            let camera = cameras.camera(slot, Arc::clone(&parts));
+            let stop = cameras.shutdown.clone();
+            async move {
+                camera?.run(stop).await;
+                Ok::<(), NodeError>(())
+            }
+        });
         let reporter = Reporter {
-            board: Arc::clone(self.board),
+            board: Arc::clone(&self.board),
             camera: config.name.clone(),
-            detector: self.shared.detector.clone(),
+            detector: self.detector.clone(),
             listeners: reports,
         };
-        (self.tasks).essential(format!("reporter {name}"), reporter.run(clips));
+        tasks.essential(format!("reporter {name}"), reporter.run(clips));
 
-        if let Some(settings) = config.source_settings(self.shared.config.frame) {
-            return self.add_source(name, receiver, settings).await;
+        let mut subscriptions = Subscriptions::new();
+        if let Some(settings) = config.source_settings(self.config.frame) {
+            self.add_source(name, receiver, settings, tasks).await?;
+            return Ok(subscriptions);
         }
         let key = &board.key;
         let refused = || NodeError::refused(format!("frames on `{key}` cannot be received"));
@@ -145,7 +148,7 @@ impl Cameras<'_> {
                 .callback(move |query| every_frame.take_query(query))
                 .await
                 .map_err(refused())?;
-            self.subscriptions.push(Box::new(queryable));
+            subscriptions.push(Box::new(queryable));
         }
         let publishers = Arc::clone(&receiver);
         let tokens = self
@@ -165,32 +168,17 @@ impl Cameras<'_> {
             .callback(move |sample| receiver.take(&sample))
             .await
             .map_err(refused())?;
-        self.subscriptions.push(Box::new((tokens, frames)));
-        Ok(())
-    }
-
-    /// Runs the detector on some of the camera's skipped frames, after their answers.
-    fn add_auditor(&mut self, name: &str, audit: &Arc<CameraAudit>) {
-        if audit.share().is_none() {
-            return;
-        }
-        let shared = &self.shared;
-        let auditor = Auditor {
-            audit: Arc::clone(audit),
-            detector: shared.detector.clone(),
-            screen: shared.screen.as_ref().map(ScreenHandle::input_format),
-            pixels: shared.pixels.clone(),
-            energy: shared.power.camera(name),
-        };
-        (self.tasks).until_shutdown(format!("audit {name}"), auditor.run());
+        subscriptions.push(Box::new((tokens, frames)));
+        Ok(subscriptions)
     }
 
     /// Feeds the camera from a source that the node keeps open.
     async fn add_source(
-        &mut self,
+        &self,
         name: &str,
         receiver: Arc<FrameReceiver>,
         settings: SourceSettings,
+        tasks: &mut Supervisor,
     ) -> Result<(), NodeError> {
         // It asks the programs for their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
@@ -200,16 +188,13 @@ impl Cameras<'_> {
             receiver,
             part: readiness.part_of(readiness::CAMERAS, name.to_owned()),
         };
-        let (source, stop) = (Arc::new(source), self.shutdown.clone());
-        self.tasks
-            .restarting(format!("source {name}"), HealthState::Degraded, move || {
-                Arc::clone(&source).run(feed.clone(), stop.clone())
-            });
+        let stop = self.shutdown.clone();
+        tasks.restarting(format!("source {name}"), HealthState::Degraded, move || {
+            source.clone().run(feed.clone(), stop.clone())
+        });
         Ok(())
     }
-}
 
-impl Shared {
     /// A camera's loop, at its start and whenever it has failed: it begins a new clip, and takes over the threshold in force
     /// with its first frame.
     fn camera(&self, slot: CameraSlot, parts: Arc<CameraParts>) -> Result<Camera, NodeError> {

@@ -51,7 +51,6 @@ pub struct SkipWatch {
     frames: u64,
     followed: u64,
     skipped: bool,
-    given: bool,
     taus: Vec<f64>,
 }
 
@@ -68,6 +67,7 @@ impl SkipWatch {
         if message.degraded || self.skipped {
             return false;
         }
+        let before = self.is_clear();
         self.skipped = message.state.is_skipped();
         self.frames += 1;
         if message.tau_max.is_some() || !message.boxes.is_empty() {
@@ -78,8 +78,7 @@ impl SkipWatch {
         {
             self.taus.push(tau);
         }
-        let clear = self.is_clear();
-        clear && !std::mem::replace(&mut self.given, clear)
+        self.is_clear() && !before
     }
 
     fn is_clear(&self) -> bool {

@@ -306,10 +306,7 @@ impl Board {
 
     /// Power over the last hour, oldest first.
     pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
-        let now = Clock {
-            now_ms: unix_milliseconds(),
-            age: self.uptime(),
-        };
+        let now = Clock::now(self.started);
         self.power.lock().slots(&now)
     }
 

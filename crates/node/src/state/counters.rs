@@ -19,63 +19,48 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Messages between two times that the place of the target's knob is kept for a restart.
 const KEEP_EVERY: u32 = 60;
 
-/// Publishes the counters of a node's cameras.
-pub(crate) struct Counters {
-    board: Arc<Board>,
-    power: PowerHandle,
-    /// Of the cameras, in their order.
-    outlets: Vec<Outlet>,
+/// Declares the counters key of every camera on the board, in their order.
+///
+/// # Errors
+/// When Zenoh refuses a declaration.
+pub(crate) async fn declare(session: &Session, board: &Board) -> Result<Vec<Outlet>, NodeError> {
+    let mut outlets = Vec::new();
+    let sent = (CongestionControl::Drop, publishing::COUNTERS);
+    for camera in &board.cameras {
+        let key = camera.keys.counters();
+        outlets.push(Outlet::declare(session, key, sent, camera).await?);
+    }
+    Ok(outlets)
 }
 
-impl Counters {
-    /// Declares the counters key of every camera on the board.
-    ///
-    /// # Errors
-    /// When Zenoh refuses a declaration.
-    pub(crate) async fn declare(
-        session: &Session,
-        board: Arc<Board>,
-        power: PowerHandle,
-    ) -> Result<Self, NodeError> {
-        let mut outlets = Vec::new();
-        let sent = (CongestionControl::Drop, publishing::COUNTERS);
-        for camera in &board.cameras {
-            let key = camera.keys.counters();
-            outlets.push(Outlet::declare(session, key, sent, camera).await?);
+/// Updates the board, puts counters on the cameras' `outlets`, and steps the target, until `shutdown`.
+pub(crate) async fn run(
+    board: Arc<Board>,
+    meter: PowerHandle,
+    outlets: Vec<Outlet>,
+    shutdown: CancellationToken,
+) {
+    let mut ticks = tokio::time::interval(PERIOD);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let (mut before, mut then) = (board.totals(meter.snapshot()), Instant::now());
+    let mut second = 0_u32;
+    while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
+        let (totals, now) = (board.totals(meter.snapshot()), Instant::now());
+        board.set_power(totals.power.clone());
+        let messages = board.publish_counters(unix_nanoseconds());
+        for (outlet, message) in outlets.iter().zip(messages) {
+            outlet.put(&*message);
         }
-        Ok(Self {
-            board,
-            power,
-            outlets,
-        })
-    }
-
-    /// Publishes until `shutdown`.
-    pub(crate) async fn run(self, shutdown: CancellationToken) {
-        let mut ticks = tokio::time::interval(PERIOD);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        let (mut before, mut then) = (self.board.totals(self.power.snapshot()), Instant::now());
-        let mut second = 0_u32;
-        while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
-            let (power, now) = (self.power.snapshot(), Instant::now());
-            let totals = self.board.totals(power.clone());
-            self.board.set_power(power);
-            let messages = self.board.publish_counters(unix_nanoseconds());
-            for (outlet, message) in self.outlets.iter().zip(messages) {
-                outlet.put(&*message);
-            }
-            let since = totals.clone().since(&before);
-            self.board.step_target(&since, now - then);
-            (before, then) = (totals, now);
-            second = second.wrapping_add(1);
-            if second.is_multiple_of(KEEP_EVERY) {
-                // Not waited for: the disk may stall.
-                let board = Arc::clone(&self.board);
-                spawn_blocking(move || board.target.keep_place());
-            }
+        board.step_target(&totals.clone().since(&before), now - then);
+        (before, then) = (totals, now);
+        second = second.wrapping_add(1);
+        if second.is_multiple_of(KEEP_EVERY) {
+            // Not waited for: the disk may stall.
+            let board = Arc::clone(&board);
+            spawn_blocking(move || board.target.keep_place());
         }
-        // The figures at the end are the last ones anybody sees.
-        self.board.set_power(self.power.snapshot());
-        let _ = spawn_blocking(move || self.board.target.keep_place()).await;
     }
+    // The figures at the end are the last ones anybody sees.
+    board.set_power(meter.snapshot());
+    let _ = spawn_blocking(move || board.target.keep_place()).await;
 }

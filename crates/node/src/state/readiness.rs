@@ -47,7 +47,7 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// How long lost clip reports are reported.
-const LOSS_IS_TOLD: Duration = Duration::from_secs(600);
+const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 /// All parts, as metrics list them.
 pub(crate) const PARTS: [&str; 9] = [
@@ -106,11 +106,11 @@ pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
 pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
     let lost = counts
         .last_loss
-        .is_some_and(|at| at.elapsed() < LOSS_IS_TOLD);
+        .is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
     if lost {
         Some(Fault::degraded(format!(
             "clip reports were lost in the last {} minutes",
-            LOSS_IS_TOLD.as_secs() / 60
+            LOSS_SHOWN_FOR.as_secs() / 60
         )))
     } else if has_directory && !counts.durable {
         Some(Fault::degraded(

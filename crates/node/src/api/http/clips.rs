@@ -1,6 +1,6 @@
 //! Lists recent clip reports.
 
-use super::{RouteState, bad_request, query};
+use super::{RouteState, query, within};
 use crate::state::board::RECENT_CLIPS;
 use albireo_service::http::Problem;
 use albireo_wire::ClipReport;
@@ -58,11 +58,7 @@ pub(super) async fn list(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<Clips>, Problem> {
     let selection = query(selection, &["camera", "limit", "before", "after"])?;
-    let limit = selection.limit.unwrap_or(50);
-    if !(1..=RECENT_CLIPS).contains(&limit) {
-        let detail = format!("`limit` must be from 1 to {RECENT_CLIPS}, not {limit}");
-        return Err(bad_request(detail));
-    }
+    let limit = within("limit", selection.limit.unwrap_or(50), 1..=RECENT_CLIPS)?;
     if let Some(camera) = &selection.camera {
         shared.camera(camera)?;
     }

@@ -1,6 +1,6 @@
 //! Shows the recent past of a node to a page that has just been opened.
 
-use super::{RouteState, bad_request, query};
+use super::{RouteState, bad_request, query, within};
 use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
@@ -96,10 +96,7 @@ pub(super) async fn camera(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<CameraHistory>, Problem> {
     let most = query(selection, &["frames"])?.frames.unwrap_or(3000);
-    if most > FRAMES {
-        let detail = format!("`frames` must be from 0 to {FRAMES}, not {most}");
-        return Err(bad_request(detail));
-    }
+    let most = within("frames", most, 0..=FRAMES)?;
     let camera = shared.camera(&camera)?;
     let (frames, slots, clock) = camera.past(most);
     Ok(Json(CameraHistory {

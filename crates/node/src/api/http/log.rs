@@ -1,6 +1,6 @@
 //! Shows the last lines of the log.
 
-use super::{bad_request, query};
+use super::{query, within};
 use albireo_service::http::Problem;
 use albireo_service::logging::{self, LogLine};
 use axum::Json;
@@ -46,11 +46,7 @@ pub(super) async fn tail(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<Log>, Problem> {
     let selection = query(selection, &["after", "limit"])?;
-    let limit = selection.limit.unwrap_or(200);
-    if !(1..=MOST).contains(&limit) {
-        let detail = format!("`limit` must be from 1 to {MOST}, not {limit}");
-        return Err(bad_request(detail));
-    }
+    let limit = within("limit", selection.limit.unwrap_or(200), 1..=MOST)?;
     Ok(Json(Log {
         lines: logging::lines_after(selection.after, limit),
     }))

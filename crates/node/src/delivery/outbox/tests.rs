@@ -521,7 +521,7 @@ fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() 
 }
 
 #[test]
-fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
+fn a_file_that_has_become_read_only_is_read_and_reopened() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);

@@ -19,7 +19,7 @@ const EVERY: Duration = Duration::from_secs(30);
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
 /// Decides when which status is due.
-pub(in crate::delivery) struct StatusTeller {
+pub(in crate::delivery) struct StatusSender {
     labels: BTreeMap<String, String>,
     run: u32,
     started_ns: u64,
@@ -27,11 +27,11 @@ pub(in crate::delivery) struct StatusTeller {
     /// The full status sent last; none where the next is to be a full one.
     last: Option<NodeStatus>,
     /// The revision that was reported last: a heartbeat says that it is in force.
-    told_revision: Option<u64>,
-    told_at: Option<Instant>,
+    sent_revision: Option<u64>,
+    sent_at: Option<Instant>,
 }
 
-impl StatusTeller {
+impl StatusSender {
     /// `run` is a random number.
     pub(in crate::delivery) fn new(labels: BTreeMap<String, String>, run: u32, now: Now) -> Self {
         Self {
@@ -40,8 +40,8 @@ impl StatusTeller {
             started_ns: nanoseconds(now),
             seq: 0,
             last: None,
-            told_revision: None,
-            told_at: None,
+            sent_revision: None,
+            sent_at: None,
         }
     }
 
@@ -58,7 +58,7 @@ impl StatusTeller {
         board: &Board,
         desired: &DesiredKeeper,
     ) -> Option<Vec<u8>> {
-        let since = self.told_at.map(|at| now.at.saturating_duration_since(at));
+        let since = self.sent_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
             return None;
         }
@@ -69,11 +69,11 @@ impl StatusTeller {
         }
         let revision = desired.kept().in_force;
         let waiting = status.outbox.waiting;
-        let short = !changed && self.told_revision == Some(revision);
+        let short = !changed && self.sent_revision == Some(revision);
         let (run, seq) = (self.run, self.seq);
         self.seq += 1;
-        self.told_revision = Some(revision);
-        self.told_at = Some(now.at);
+        self.sent_revision = Some(revision);
+        self.sent_at = Some(now.at);
         if short {
             return Heartbeat { run, seq, waiting }.to_payload().ok();
         }

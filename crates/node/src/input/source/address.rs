@@ -151,8 +151,8 @@ impl SourceAddress {
         resolved.map(drop).map_err(SourceError)
     }
 
-    /// Fills in the variables: percent-encoded where user and password stand, and as they are elsewhere. What is wrong is
-    /// said without the address.
+    /// Fills in the variables: percent-encoded in user and password, and as they are elsewhere. An error does not show
+    /// the address.
     pub(super) fn resolved(&self) -> Result<Resolved, SourceError> {
         (self.resolve(&environment)).map_err(|reason| SourceError(format!("the source {reason}")))
     }

@@ -8,8 +8,6 @@ use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_
 use bytes::Bytes;
 use std::io::BufReader;
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::task::JoinError;
@@ -54,15 +52,15 @@ pub trait SourceSink: Send + 'static {
 }
 
 /// A source that is kept open.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LiveSource {
     settings: SourceSettings,
     /// The ffmpeg that opens it; GStreamer does without one.
     ffmpeg: Option<Version>,
     /// Whether it is believed to send motion JPEG, which need not be decoded: ffmpeg must be set so before it opens the source.
-    motion_jpeg: AtomicBool,
+    motion_jpeg: bool,
     /// Whether what ffmpeg took for motion JPEG was something else.
-    not_jpeg: AtomicBool,
+    not_jpeg: bool,
 }
 
 /// How one opening ended.
@@ -114,10 +112,10 @@ impl LiveSource {
         let source = Self {
             settings,
             ffmpeg: found.as_deref().map(version),
-            motion_jpeg: AtomicBool::new(motion_jpeg),
-            not_jpeg: AtomicBool::new(false),
+            motion_jpeg,
+            not_jpeg: false,
         };
-        let program = source.program(motion_jpeg)?;
+        let program = source.program()?;
         if program.input.is_none() && !program.secrets.is_empty() {
             tracing::warn!(
                 source = name,
@@ -134,9 +132,9 @@ impl LiveSource {
         self.settings.address.to_string()
     }
 
-    fn program(&self, untouched: bool) -> Result<PictureProgram, SourceError> {
+    fn program(&self) -> Result<PictureProgram, SourceError> {
         match self.ffmpeg {
-            Some(version) => ffmpeg(&self.settings, untouched, version),
+            Some(version) => ffmpeg(&self.settings, self.motion_jpeg, version),
             None => gstreamer(&self.settings),
         }
     }
@@ -146,20 +144,20 @@ impl LiveSource {
     /// # Errors
     /// When the thread that reads fails.
     pub async fn run<S: SourceSink>(
-        self: Arc<Self>,
+        mut self,
         mut sink: S,
         shutdown: CancellationToken,
     ) -> Result<(), JoinError> {
         let mut pause = FIRST_PAUSE;
         loop {
             let begun = Instant::now();
-            let (source, stop) = (Arc::clone(&self), shutdown.clone());
+            let stop = shutdown.clone();
             let reading = tokio::task::spawn_blocking(move || {
-                let end = source.read(&mut sink, stop);
-                (sink, end)
+                let end = self.read(&mut sink, stop);
+                (self, sink, end)
             });
             let end;
-            (sink, end) = reading.await?;
+            (self, sink, end) = reading.await?;
             if shutdown.is_cancelled() {
                 return Ok(());
             }
@@ -211,9 +209,8 @@ impl LiveSource {
     }
 
     /// Opens it once and reads to its end.
-    fn read(&self, sink: &mut dyn SourceSink, stop: CancellationToken) -> End {
-        let untouched = self.motion_jpeg.load(Ordering::Relaxed);
-        let program = match self.program(untouched) {
+    fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> End {
+        let program = match self.program() {
             Ok(program) => program,
             Err(error) => return End::Nothing(error.to_string()),
         };
@@ -224,7 +221,7 @@ impl LiveSource {
         };
         let mut output = BufReader::with_capacity(BUFFER, running);
         let mut pictures = 0;
-        let cut = self.pictures(&mut output, untouched, ppm, sink, &mut pictures);
+        let cut = self.pictures(&mut output, ppm, sink, &mut pictures);
         let running = output.get_mut();
         let reason = match cut {
             Ok(Some(switch)) => return switch,
@@ -237,12 +234,12 @@ impl LiveSource {
         if pictures > 0 {
             return End::Failed(reason);
         }
-        if self.switches(running.codec(), untouched) {
-            return self.switch(untouched);
+        if self.switches(running.codec()) {
+            return self.switch();
         }
         if self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some() {
             // A device that has no motion JPEG refuses to be opened for it.
-            self.motion_jpeg.store(!untouched, Ordering::Relaxed);
+            self.motion_jpeg = !self.motion_jpeg;
         }
         End::Nothing(reason)
     }
@@ -252,38 +249,37 @@ impl LiveSource {
     /// # Errors
     /// Why the output cannot be read further.
     fn pictures(
-        &self,
+        &mut self,
         output: &mut BufReader<RunningProgram>,
-        untouched: bool,
         ppm: bool,
         sink: &mut dyn SourceSink,
         pictures: &mut u64,
     ) -> Result<Option<End>, String> {
         let begun = Instant::now();
-        let limits = &self.settings.limits;
+        let limits = self.settings.limits;
         // ffmpeg keeps the limit itself where it decodes.
-        let limit = (self.settings.max_rate).filter(|_| untouched || self.ffmpeg.is_none());
+        let limit = (self.settings.max_rate).filter(|_| self.motion_jpeg || self.ffmpeg.is_none());
         let mut last_slot = None;
         let mut bad_parts = 0;
         loop {
             let picture = if ppm {
-                read_ppm(output, limits).map_err(|error| error.to_string())?
+                read_ppm(output, &limits).map_err(|error| error.to_string())?
             } else {
                 let part = read_part(output, limits.max_payload_bytes as u64);
                 let part = part.map_err(|error| error.to_string())?;
-                part.map(|part| picture_of_file(Bytes::from(part), limits))
+                part.map(|part| picture_of_file(Bytes::from(part), &limits))
             };
             let Some(picture) = picture else {
                 return Ok(None);
             };
-            if *pictures == 0 && self.switches(output.get_ref().codec(), untouched) {
-                return Ok(Some(self.switch(untouched)));
+            if *pictures == 0 && self.switches(output.get_ref().codec()) {
+                return Ok(Some(self.switch()));
             }
-            if untouched && *pictures == 0 && picture.is_err() {
+            if self.motion_jpeg && *pictures == 0 && picture.is_err() {
                 bad_parts += 1;
                 if bad_parts == FIRST_PARTS {
-                    self.not_jpeg.store(true, Ordering::Relaxed);
-                    return Ok(Some(self.switch(untouched)));
+                    self.not_jpeg = true;
+                    return Ok(Some(self.switch()));
                 }
             }
             // The first picture of each slot of time: on average exactly the limit, whatever the camera's rate.
@@ -310,16 +306,16 @@ impl LiveSource {
     }
 
     /// Whether what ffmpeg says of the source calls for the other way of reading it.
-    fn switches(&self, codec: Option<&str>, untouched: bool) -> bool {
+    fn switches(&self, codec: Option<&str>) -> bool {
         let is_jpeg = codec.map(|codec| codec == "mjpeg");
         self.ffmpeg.is_some()
             && self.settings.address.kind() != SourceKind::File
-            && is_jpeg.is_some_and(|is_jpeg| is_jpeg != untouched)
-            && (untouched || !self.not_jpeg.load(Ordering::Relaxed))
+            && is_jpeg.is_some_and(|is_jpeg| is_jpeg != self.motion_jpeg)
+            && (self.motion_jpeg || !self.not_jpeg)
     }
 
-    fn switch(&self, untouched: bool) -> End {
-        self.motion_jpeg.store(!untouched, Ordering::Relaxed);
+    fn switch(&mut self) -> End {
+        self.motion_jpeg = !self.motion_jpeg;
         End::Switch
     }
 }

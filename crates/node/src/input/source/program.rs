@@ -211,7 +211,7 @@ impl Read for RunningProgram {
                 tokio::select! {
                     biased;
                     () = stop.cancelled() => {
-                        return Err(io::Error::new(ErrorKind::ConnectionAborted, "told to stop"));
+                        return Err(io::Error::new(ErrorKind::ConnectionAborted, "it is stopped"));
                     }
                     () = sleep_until(*deadline) => {
                         let seconds = silence.as_secs_f64();
@@ -497,7 +497,7 @@ mod tests {
         let mut running = start("sleep 1000");
         running.stop.cancel();
         let error = running.read_to_end(&mut Vec::new()).unwrap_err();
-        assert_eq!(error.to_string(), "told to stop");
+        assert_eq!(error.to_string(), "it is stopped");
     }
 
     #[test]

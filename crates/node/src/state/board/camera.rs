@@ -11,7 +11,6 @@ use crate::state::target::NodeTarget;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Knob, Policy, Profile, short};
-use albireo_service::clock::unix_milliseconds;
 use albireo_service::metrics::LatencyHistogram;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
@@ -293,7 +292,7 @@ impl CameraBoard {
         let before = counts.shown.latest.replace(Arc::clone(&detections));
         drop(counts);
         if before.is_none() {
-            self.tell_first_frame(&detections);
+            self.log_first_frame(&detections);
         }
         self.send_event(News::Frame, detections);
     }
@@ -317,7 +316,7 @@ impl CameraBoard {
         counts.watch.advice(self.knob.as_ref()?)
     }
 
-    fn tell_first_frame(&self, first: &DetectionsMessage) {
+    fn log_first_frame(&self, first: &DetectionsMessage) {
         let picture = PictureSize::new(first.width, first.height);
         let published = self.published_threshold(picture);
         tracing::info!(
@@ -370,10 +369,7 @@ impl CameraBoard {
     /// The last `frames` frames, oldest first, the pieces of the last hour, and the time now.
     pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<CameraSlot>, Clock) {
         let history = self.history.lock();
-        let now = Clock {
-            now_ms: unix_milliseconds(),
-            age: self.shared.started.elapsed(),
-        };
+        let now = Clock::now(self.shared.started);
         (history.frames(frames), history.slots(&now), now)
     }
 

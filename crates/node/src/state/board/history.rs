@@ -8,10 +8,12 @@ pub(crate) use skipping::SkipEstimate;
 use super::PowerSnapshot;
 use crate::camera::clip::percentile;
 use albireo_core::policy::{CallCause, FrameState};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DetectionsMessage, EnergyQuality};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
+use tokio::time::Instant;
 use utoipa::ToSchema;
 
 /// Frames that are remembered one by one: four and a half minutes at 30 frames per second.
@@ -80,6 +82,14 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
+    /// Now, of a node that was started then.
+    pub(super) fn now(started: Instant) -> Self {
+        Self {
+            now_ms: unix_milliseconds(),
+            age: started.elapsed(),
+        }
+    }
+
     /// How long ago something happened, from its time after the node's start.
     pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
         milliseconds(self.age).saturating_sub(at_ms)
@@ -256,7 +266,7 @@ pub(super) struct PowerPast {
 }
 
 impl PowerPast {
-    /// Takes the figures as they stand `at` that time after the node's start.
+    /// Takes the figures `at` that time after the node's start.
     pub(super) fn add(&mut self, power: PowerSnapshot, at: Duration) {
         if self.hour.is_over(at) {
             let ended = self.ended();

@@ -2,7 +2,7 @@
 
 use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;
-use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusTeller, read_reply};
+use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusSender, read_reply};
 use crate::state::board::tests::{config, thresholds};
 use crate::state::board::{Board, set_by_hand};
 use albireo_service::clock::Now;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 struct Started {
     board: Arc<Board>,
     keeper: DesiredKeeper,
-    statuses: StatusTeller,
+    statuses: StatusSender,
     schedule: Schedule,
     /// The question under way.
     asked: Option<u64>,
@@ -71,7 +71,7 @@ impl Node {
         self.started = Some(Started {
             keeper: DesiredKeeper::open(&board.settings),
             board,
-            statuses: StatusTeller::new(BTreeMap::new(), random as u32, now),
+            statuses: StatusSender::new(BTreeMap::new(), random as u32, now),
             schedule,
             asked: None,
         });
