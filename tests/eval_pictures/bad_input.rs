@@ -4,7 +4,8 @@ use super::{by_hand, detector, fixture_detector, write_jpeg, write_pictures};
 use crate::support::{assert_says, run};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
-use albireo_eval::footage::{FootageError, FrameSource};
+use albireo_eval::error::EvalError;
+use albireo_eval::footage::FrameSource;
 use albireo_eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
 use albireo_vision::picture::EncodedPicture;
 use albireo_vision::screen::ScreenConfig;
@@ -92,10 +93,10 @@ impl FrameSource for Nothing {
     fn frames(&self) -> Option<u64> {
         None
     }
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         Ok(None)
     }
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         Ok(())
     }
 }

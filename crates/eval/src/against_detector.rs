@@ -2,9 +2,10 @@
 //! node estimates from a sample.
 
 use crate::data::Clip;
+use crate::error::EvalError;
 use crate::replay::drive;
 use crate::run::Settings;
-use crate::source::{ClipEvidence, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, StoredEvidence};
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 
@@ -13,12 +14,12 @@ use albireo_core::policy::Policy;
 /// reference, and on a degraded one.
 ///
 /// # Errors
-/// [`SourceError`] when the clip does not have what the policy asks for.
+/// [`EvalError`] when the clip does not have what the policy asks for.
 pub fn against_detector(
     policy: &mut dyn Policy,
     clip: &Clip,
     settings: &Settings,
-) -> Result<Vec<Option<Box<AuditSums>>>, SourceError> {
+) -> Result<Vec<Option<Box<AuditSums>>>, EvalError> {
     let mut source = StoredEvidence::new(clip, settings)?;
     let mut detected = source.all_detections().to_vec().into_iter();
     let mut compared = Vec::with_capacity(source.frames());

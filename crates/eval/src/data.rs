@@ -15,7 +15,7 @@ pub mod recorded;
 mod rows;
 
 use crate::average_precision::{ScoredBox, TruthBox};
-use crate::files::FileError;
+use crate::error::EvalError;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -278,15 +278,15 @@ impl Clips {
     /// Leaves out the clips without stored detections, with a note for each.
     ///
     /// # Errors
-    /// [`FileError::Content`] about `path` when none is left.
-    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, FileError> {
+    /// When none is left.
+    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, EvalError> {
         let (with, without): (Vec<Clip>, Vec<Clip>) = self
             .clips
             .into_iter()
             .partition(|clip| clip.detections.is_some());
         self.clips = with;
         if self.clips.is_empty() {
-            return Err(FileError::content(
+            return Err(EvalError::content(
                 path,
                 "there is ground truth but no stored detections: give some with --detections, or \
                  evaluate the pictures with a real detector",
@@ -302,10 +302,10 @@ impl Clips {
     }
 
     /// Fails unless there is a clip to evaluate.
-    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, FileError> {
+    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, EvalError> {
         if self.clips.is_empty() {
             let said = self.report.lines().join("; ");
-            return Err(FileError::content(
+            return Err(EvalError::content(
                 path,
                 format!("no clip to evaluate was found here. {said}"),
             ));

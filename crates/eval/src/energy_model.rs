@@ -4,7 +4,8 @@
 //! detector sees, each frame it is skipped by prediction, and each call of the empty-scene screen, as
 //! fitted on published per-clip results. Everything it gives is marked `projected`.
 
-use crate::files::{FileError, read_text};
+use crate::error::EvalError;
+use crate::files::read_text;
 use crate::result::{ClipResult, Energy, FrameTime, Provenance, Spread};
 use albireo_core::policy::FrameState;
 use serde::{Deserialize, Serialize};
@@ -42,7 +43,7 @@ impl Costs {
 /// How far a fitted model misses on clips that were left out of the fit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LeftOutError {
+pub struct FitError {
     /// Into how many parts the clips were split; each was left out once.
     pub folds: usize,
     /// Mean absolute error of a clip's energy, percent.
@@ -75,17 +76,17 @@ pub struct EnergyModel {
     pub idle_power_w: Option<f64>,
     /// How good the fit is, if the model was fitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub left_out: Option<LeftOutError>,
+    pub left_out: Option<FitError>,
 }
 
 impl EnergyModel {
     /// Reads a model.
     ///
     /// # Errors
-    /// [`FileError`] for a missing file, a key that does not exist, or a cost below zero.
-    pub fn load(path: &Path) -> Result<Self, FileError> {
+    /// [`EvalError`] for a missing file, a key that does not exist, or a cost below zero.
+    pub fn load(path: &Path) -> Result<Self, EvalError> {
         let text = read_text(path, "--energy-model names a file of config/energy")?;
-        Self::read(&text).map_err(|what| FileError::content(path, what))
+        Self::read(&text).map_err(|what| EvalError::content(path, what))
     }
 
     fn read(text: &str) -> Result<Self, String> {

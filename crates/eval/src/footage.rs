@@ -2,7 +2,6 @@
 //! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
 
 mod archive;
-mod error;
 mod folder;
 mod open;
 mod source;
@@ -10,7 +9,6 @@ mod thinned;
 mod video;
 
 pub use archive::PictureArchive;
-pub use error::FootageError;
 pub use folder::PictureFolder;
 pub use open::SourceName;
 pub use source::{FrameSource, Stopper};

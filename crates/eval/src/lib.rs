@@ -10,6 +10,7 @@ pub mod compare;
 pub mod conclusion;
 pub mod data;
 pub mod energy_model;
+pub mod error;
 pub mod files;
 pub mod footage;
 pub mod pictures;

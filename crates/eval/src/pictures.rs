@@ -8,9 +8,9 @@ mod observer;
 mod pass;
 mod truth;
 
-pub use observer::{ObserveError, Observer};
-pub use pass::{PassError, PassSettings, PicturedClip, StepTimes, collect, looks_at_pixels};
-pub use truth::{FrameTruth, GroundTruth, TruthError, TruthFormat, against_vanilla};
+pub use observer::Observer;
+pub use pass::{PassSettings, PicturedClip, StepTimes, collect, looks_at_pixels};
+pub use truth::{FrameTruth, GroundTruth, TruthFormat, against_vanilla};
 
 /// The pass keeps detections from this confidence on, so that a run may ask for any above it.
 pub const LOWEST_CONFIDENCE: f64 = 0.05;

@@ -1,8 +1,9 @@
 //! Replays one clip through one policy and records its answers.
 
 use crate::average_precision::ScoredBox;
+use crate::error::EvalError;
 use crate::scoring::{decayed_confidence, score_object, score_published, score_truncated};
-use crate::source::{ClipEvidence, SourceError};
+use crate::source::ClipEvidence;
 use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
@@ -60,7 +61,7 @@ pub struct Replay {
 /// judged under the paper's scoring; `decay_u` is the threshold that the published scoring decays confidences with.
 ///
 /// # Errors
-/// [`SourceError`] when the source cannot give what the policy asks for.
+/// [`EvalError`] when the source cannot give what the policy asks for.
 pub(crate) fn replay(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
@@ -68,7 +69,7 @@ pub(crate) fn replay(
     min_confidence: MinConfidence,
     decay_u: f64,
     keep_trace: bool,
-) -> Result<Replay, SourceError> {
+) -> Result<Replay, EvalError> {
     let rejected_before = policy.rejected_detections();
     let picture = source.picture();
     let frames = source.frames();
@@ -125,12 +126,12 @@ pub(crate) struct Played<'a> {
 /// Takes `policy` from its initial state through all frames of `source`, and shows each to `each`.
 ///
 /// # Errors
-/// [`SourceError`] when the source cannot give what the policy asks for.
+/// [`EvalError`] when the source cannot give what the policy asks for.
 pub(crate) fn drive(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     each: &mut dyn FnMut(&dyn Policy, &Played<'_>),
-) -> Result<(), SourceError> {
+) -> Result<(), EvalError> {
     policy.reset();
     let picture = source.picture();
     let mut outcome = Outcome::default();
@@ -176,9 +177,9 @@ impl<'a> ClipFrame<'a> {
 }
 
 impl EvidenceAtHand for ClipFrame<'_> {
-    type Error = SourceError;
+    type Error = EvalError;
 
-    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, SourceError> {
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, EvalError> {
         let start = Instant::now();
         let known = match need {
             Need::Nothing => None,
@@ -211,7 +212,7 @@ fn decide_frame(
     head: FrameHead,
     frame: usize,
     outcome: &mut Outcome,
-) -> Result<FrameRecord, SourceError> {
+) -> Result<FrameRecord, EvalError> {
     let mut source = ClipFrame::new(clip, frame);
     let start = Instant::now();
     decide(policy, head, &mut source, outcome)?;

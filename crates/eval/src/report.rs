@@ -7,7 +7,8 @@ mod summary_csv;
 mod worst;
 
 use crate::data::LoadReport;
-use crate::files::{self, FileError};
+use crate::error::EvalError;
+use crate::files;
 use crate::result::ClipResult;
 use crate::summary::PolicySummary;
 use serde::Serialize;
@@ -32,12 +33,12 @@ impl Report {
     /// Writes all files into `folder`, making it if need be.
     ///
     /// # Errors
-    /// [`FileError`] naming the file.
-    pub fn write(&self, folder: &Path) -> Result<(), FileError> {
+    /// [`EvalError`] naming the file.
+    pub fn write(&self, folder: &Path) -> Result<(), EvalError> {
         files::write_csv(&folder.join("summary.csv"), &summary_csv::rows(&self.clips))?;
         files::write_json(&folder.join("report.json"), self)?;
         let figures = plot::figures(self).map_err(|error| {
-            FileError::content(folder, format!("a figure cannot be drawn: {error}"))
+            EvalError::content(folder, format!("a figure cannot be drawn: {error}"))
         })?;
         for figure in &figures {
             files::write(&folder.join(format!("{}.svg", figure.name)), &figure.svg)?;

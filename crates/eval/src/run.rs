@@ -5,15 +5,15 @@ use crate::average_precision::{
 };
 use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
-use crate::files::FileError;
+use crate::error::EvalError;
 use crate::replay::{Scoring, replay};
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
-use crate::source::{Recording, ScreenRule, SourceError, StoredEvidence};
+use crate::source::{Recording, ScreenRule, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace;
 use crate::tracking::tracking;
 use crate::worst::worst_frames;
-use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy, PolicyConfigError};
+use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy};
 use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
@@ -71,60 +71,31 @@ impl Settings {
     }
 }
 
-/// Why a run stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum RunError {
-    /// The policy cannot be built.
-    #[error("policy {policy}: {source}")]
-    Policy {
-        /// Its label.
-        policy: String,
-        /// Which setting cannot be, and what can.
-        source: PolicyConfigError,
-    },
-    /// A clip's evidence does not suffice.
-    #[error("policy {policy}, clip {clip}: {source}")]
-    Source {
-        /// Label of the policy.
-        policy: String,
-        /// Name of the clip.
-        clip: String,
-        /// What the clip does not have.
-        source: SourceError,
-    },
-    /// A trace cannot be written.
-    #[error(transparent)]
-    Trace(#[from] FileError),
-    /// The threads cannot be started.
-    #[error("the threads of the evaluation cannot be started: {0}; try fewer with --threads")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
-}
-
 /// Runs `policies` over `recordings`. The results are in order of policies, then recordings. `done` is called after each of
 /// these steps, from any thread.
 ///
 /// # Errors
-/// The first [`RunError`] met; the other threads stop at their next step.
+/// The first [`EvalError`] met; the other threads stop at their next step.
 pub fn run<'a, R: Into<Recording<'a>>>(
     recordings: impl IntoIterator<Item = R>,
     policies: &[PolicySpec],
     settings: &Settings,
     done: &(dyn Fn() + Sync),
-) -> Result<Vec<ClipResult>, RunError> {
+) -> Result<Vec<ClipResult>, EvalError> {
     in_parallel(recordings, policies, settings, done, &run_policy)
 }
 
 /// Does `work` with every policy on every recording on as many threads as `settings` have.
 ///
 /// # Errors
-/// A [`RunError`] that was met; after one, no thread begins another step.
+/// A [`EvalError`] that was met; after one, no thread begins another step.
 pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
     recordings: impl IntoIterator<Item = R>,
     policies: &[PolicySpec],
     settings: &Settings,
     done: &(dyn Fn() + Sync),
-    work: &(dyn Fn(Recording<'a>, &PolicySpec, &Settings) -> Result<ClipResult, RunError> + Sync),
-) -> Result<Vec<ClipResult>, RunError> {
+    work: &(dyn Fn(Recording<'a>, &PolicySpec, &Settings) -> Result<ClipResult, EvalError> + Sync),
+) -> Result<Vec<ClipResult>, EvalError> {
     let recordings: Vec<Recording<'a>> = recordings.into_iter().map(Into::into).collect();
     let mut steps: Vec<(usize, usize)> = (0..policies.len())
         .flat_map(|policy| (0..recordings.len()).map(move |clip| (policy, clip)))
@@ -133,9 +104,14 @@ pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(recordings[clip].clip.frames));
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.threads)
-        .build()?;
+        .build()
+        .map_err(|error| {
+            EvalError::new(format!(
+                "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
+            ))
+        })?;
     // A bridge hands the steps out in their order.
-    let results: Result<Vec<_>, RunError> = pool.install(|| {
+    let results: Result<Vec<_>, EvalError> = pool.install(|| {
         let steps = steps.iter().par_bridge();
         steps
             .map(|&(policy, clip)| {
@@ -153,32 +129,26 @@ pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
 /// Builds a policy.
 ///
 /// # Errors
-/// [`RunError::Policy`] when that cannot be.
-pub(super) fn build(policy: &PolicySpec) -> Result<Box<dyn Policy>, RunError> {
-    policy.config.build().map_err(|source| RunError::Policy {
-        policy: policy.label.clone(),
-        source,
-    })
+/// When that cannot be.
+pub(super) fn build(policy: &PolicySpec) -> Result<Box<dyn Policy>, EvalError> {
+    let label = &policy.label;
+    (policy.config.build()).map_err(|error| EvalError::new(format!("policy {label}: {error}")))
 }
 
 /// The error of a clip whose evidence does not suffice for a policy.
-pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: SourceError) -> RunError {
-    RunError::Source {
-        policy: policy.label.clone(),
-        clip: clip.name.clone(),
-        source,
-    }
+pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: EvalError) -> EvalError {
+    source.of(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
 /// The figures of one policy over one recording.
 ///
 /// # Errors
-/// [`RunError`] when the policy cannot be built, asks for what the recording does not have, or the trace cannot be written.
+/// [`EvalError`] when the policy cannot be built, asks for what the recording does not have, or the trace cannot be written.
 fn run_policy(
     recording: Recording<'_>,
     policy: &PolicySpec,
     settings: &Settings,
-) -> Result<ClipResult, RunError> {
+) -> Result<ClipResult, EvalError> {
     let clip = recording.clip;
     let mut decider = build(policy)?;
     let scoring = scoring_of(decider.name(), settings.scoring);

@@ -2,6 +2,7 @@
 
 use crate::average_precision::ScoredBox;
 use crate::data::Clip;
+use crate::error::EvalError;
 use crate::pictures::PicturedClip;
 use crate::run::Settings;
 use albireo_core::detection::Detection;
@@ -24,49 +25,24 @@ pub(crate) trait ClipEvidence {
     /// What the detector finds in a frame, at or above the run's confidence, in the detector's order.
     ///
     /// # Errors
-    /// [`SourceError`] when the source has no detector.
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError>;
+    /// [`EvalError`] when the source has no detector.
+    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError>;
 
     /// Whether the empty-scene screen says that nothing is in view.
     ///
     /// # Errors
-    /// [`SourceError`] when the source has no screen.
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError>;
+    /// [`EvalError`] when the source has no screen.
+    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError>;
 
     /// The picture in grey, as small as `need` has it.
     ///
     /// # Errors
-    /// [`SourceError::NoPictures`] when the source has no such pictures.
+    /// When the source has no such pictures.
     fn grey_picture(
         &mut self,
         frame: usize,
         need: Need,
-    ) -> Result<Option<GreyPicture<'_>>, SourceError>;
-}
-
-/// Evidence that a source cannot give.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SourceError {
-    /// The policy looks at pixels and there are none.
-    #[error(
-        "this policy looks at pixels, and stored detections have none: evaluate it on a video or a folder \
-         of pictures"
-    )]
-    NoPictures,
-    /// The screen's verdicts are asked for and there are none.
-    #[error(
-        "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store \
-         them with `albireo eval video … --screen-model FILE --save-detections DIR`"
-    )]
-    NoScreenVerdicts,
-    /// Ground truth without anything to compare with it.
-    #[error(
-        "the clip has no stored detections: give some, or evaluate its pictures with a real detector"
-    )]
-    NoDetections,
-    /// The source failed for a reason of its own.
-    #[error("{0}")]
-    Failed(String),
+    ) -> Result<Option<GreyPicture<'_>>, EvalError>;
 }
 
 /// What replaces the empty-scene screen when there are no pictures.
@@ -146,15 +122,18 @@ impl<'a> StoredEvidence<'a> {
     /// The recording's detections as `settings` want them, and their screen.
     ///
     /// # Errors
-    /// [`SourceError::NoDetections`] if the clip has none stored, [`SourceError::NoScreenVerdicts`] if they are
-    /// asked for and the clip has none.
+    /// When the clip has no detections stored, or none of the verdicts of a screen that are asked for.
     pub(crate) fn new(
         recording: impl Into<Recording<'a>>,
         settings: &Settings,
-    ) -> Result<Self, SourceError> {
+    ) -> Result<Self, EvalError> {
         let recording = recording.into();
         let clip = recording.clip;
-        let stored = clip.detections.as_ref().ok_or(SourceError::NoDetections)?;
+        let stored = clip.detections.as_ref().ok_or_else(|| {
+            EvalError::new(
+                "the clip has no stored detections: give some, or evaluate its pictures with a real detector",
+            )
+        })?;
         let normalised = |frame: &Vec<ScoredBox>| {
             let sure = frame
                 .iter()
@@ -166,7 +145,12 @@ impl<'a> StoredEvidence<'a> {
             ScreenRule::Detections => Screen::Detections,
             ScreenRule::Recorded => {
                 let verdicts = clip.screen.as_deref();
-                let verdicts = verdicts.ok_or(SourceError::NoScreenVerdicts)?;
+                let verdicts = verdicts.ok_or_else(|| {
+                    EvalError::new(
+                        "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store them \
+                         with `albireo eval video … --screen-model FILE --save-detections DIR`",
+                    )
+                })?;
                 Screen::Recorded(verdicts, EmptyRun::new(settings.longest_empty_run))
             }
         };
@@ -208,7 +192,7 @@ impl ClipEvidence for StoredEvidence<'_> {
         self.detections.len()
     }
 
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
+    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError> {
         self.turn_to(frame);
         let found = of_frame(&self.detections, frame);
         if let Screen::Recorded(_, run) = &mut self.screen {
@@ -217,7 +201,7 @@ impl ClipEvidence for StoredEvidence<'_> {
         Ok(Some(found))
     }
 
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
+    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError> {
         self.turn_to(frame);
         Ok(match &mut self.screen {
             Screen::Nonempty => Some(false),
@@ -233,16 +217,19 @@ impl ClipEvidence for StoredEvidence<'_> {
         &mut self,
         frame: usize,
         need: Need,
-    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        let pictured = self.recording.pictured.ok_or(SourceError::NoPictures)?;
-        let kept = match need {
+    ) -> Result<Option<GreyPicture<'_>>, EvalError> {
+        let kept = self.recording.pictured.and_then(|pictured| match need {
             Need::SmallGreyPicture { width } if pictured.small_width == Some(width) => {
                 pictured.small.get(frame)
             }
             Need::GreyPicture => pictured.grey.get(frame),
             _ => None,
-        };
-        let picture = kept.ok_or(SourceError::NoPictures)?;
+        });
+        let picture = kept.ok_or_else(|| {
+            EvalError::new(
+                "this policy looks at pixels, and stored detections have none: evaluate it on a video or a folder of pictures",
+            )
+        })?;
         Ok(Some(GreyPicture {
             size: picture.size,
             pixels: &picture.pixels,

@@ -1,6 +1,7 @@
 //! Which policies a run compares: `NAME[:ARGUMENT]` from the command line, sweeps, and the labels they
 //! carry in traces, tables and plots.
 
+use crate::error::EvalError;
 use crate::scoring::DEFAULT_DECAY_U;
 use crate::source::ScreenRule;
 use albireo_core::policy::{
@@ -47,37 +48,6 @@ pub struct PolicySpec {
     pub decay_u: f64,
 }
 
-/// A policy that cannot be made as asked.
-#[derive(Debug, thiserror::Error)]
-pub enum SpecError {
-    /// The policy room refuses it.
-    #[error("--policy {asked}: {source}")]
-    Config {
-        /// What was asked for.
-        asked: String,
-        /// Why not.
-        source: PolicyConfigError,
-    },
-    /// The sweep cannot be read.
-    #[error("--sweep {asked}: {reason}")]
-    Sweep {
-        /// What was asked for.
-        asked: String,
-        /// What was expected.
-        reason: String,
-    },
-    /// Values of a setting that no policy takes.
-    #[error(
-        "no policy of this run has a setting `{0}` left to try values of: add one that has, such as --policy albireo"
-    )]
-    NotSwept(String),
-    /// There is nothing to compare with.
-    #[error(
-        "only `{0}` was asked for: name a second policy, such as --policy vanilla --policy albireo"
-    )]
-    Alone(String),
-}
-
 /// Values of one setting to try one after the other: `u=3e-4,5e-4`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
@@ -88,13 +58,10 @@ pub struct Sweep {
 }
 
 impl std::str::FromStr for Sweep {
-    type Err = SpecError;
+    type Err = EvalError;
 
-    fn from_str(text: &str) -> Result<Self, SpecError> {
-        let wrong = |reason: String| SpecError::Sweep {
-            asked: text.to_owned(),
-            reason,
-        };
+    fn from_str(text: &str) -> Result<Self, EvalError> {
+        let wrong = |reason: String| EvalError::new(format!("--sweep {text}: {reason}"));
         let (name, values) = text.split_once('=').ok_or_else(|| {
             wrong("write NAME=VALUE,VALUE,…, for instance u=3e-4,5e-4".to_owned())
         })?;
@@ -130,13 +97,13 @@ pub struct Common {
 /// The policies to run: `asked` in order, swept, without repetitions, and the baseline first.
 ///
 /// # Errors
-/// [`SpecError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
+/// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
 /// that applies to none of them.
 pub fn resolve(
     asked: &[String],
     sweeps: &[Sweep],
     common: &Common,
-) -> Result<Vec<PolicySpec>, SpecError> {
+) -> Result<Vec<PolicySpec>, EvalError> {
     let asked = asked.iter().flat_map(|asked| match asked.as_str() {
         "all" => ALL
             .iter()
@@ -175,13 +142,13 @@ type Built = (PolicyConfig, Box<dyn Policy>);
 /// swept is there once for each value, unless it has an argument: that is the value wanted.
 ///
 /// # Errors
-/// [`SpecError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
+/// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
 /// that applies to none of them.
 pub(crate) fn swept(
     asked: &[&str],
     sweeps: &[Sweep],
     base: &PolicyConfig,
-) -> Result<Vec<Built>, SpecError> {
+) -> Result<Vec<Built>, EvalError> {
     let mut found = Vec::new();
     let mut applied = vec![false; sweeps.len()];
     for asked in asked {
@@ -201,17 +168,17 @@ pub(crate) fn swept(
         }
     }
     match applied.iter().position(|applied| !applied) {
-        Some(unused) => Err(SpecError::NotSwept(sweeps[unused].name.clone())),
+        Some(unused) => Err(EvalError::new(format!(
+            "no policy of this run has a setting `{}` left to try values of: add one that has, such as --policy albireo",
+            sweeps[unused].name
+        ))),
         None => Ok(found),
     }
 }
 
 /// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
-fn build(asked: &str, base: &PolicyConfig) -> Result<Built, SpecError> {
-    let refused = |source| SpecError::Config {
-        asked: asked.to_owned(),
-        source,
-    };
+fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
+    let refused = |error: PolicyConfigError| EvalError::new(error).of(format!("--policy {asked}"));
     let mut config = base.clone();
     config.select(asked).map_err(refused)?;
     let policy = config.build().map_err(refused)?;
@@ -274,7 +241,7 @@ mod tests {
         pixels: false,
     };
 
-    fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, SpecError> {
+    fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {
         let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
         let sweeps = sweeps
             .iter()

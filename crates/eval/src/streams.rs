@@ -9,11 +9,12 @@ mod run_times;
 pub use run_times::RunTimes;
 
 use crate::data::Clip;
+use crate::error::EvalError;
 use crate::replay::{ClipFrame, drive};
 use crate::result::ClipResult;
-use crate::run::{RunError, Settings, build, in_parallel, judge, no_evidence};
+use crate::run::{Settings, build, in_parallel, judge, no_evidence};
 use crate::scoring::score_published;
-use crate::source::{ClipEvidence, Recording, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, Recording, StoredEvidence};
 use crate::spec::{BASELINE, PolicySpec};
 use crate::summary::{Difference, PolicySummary, summarise};
 use crate::table::short;
@@ -62,13 +63,13 @@ struct Published {
 /// Runs `policies` over `recordings` and judges `stream`.
 ///
 /// # Errors
-/// [`RunError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
+/// [`EvalError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
 pub fn run<'a, R: Into<Recording<'a>>>(
     recordings: impl IntoIterator<Item = R>,
     policies: &[PolicySpec],
     settings: &Settings,
     stream: Stream,
-) -> Result<StreamResults, RunError> {
+) -> Result<StreamResults, EvalError> {
     let results = in_parallel(
         recordings,
         policies,
@@ -104,15 +105,14 @@ fn publish(
     mut policy: Box<dyn Policy>,
     source: &mut dyn ClipEvidence,
     stream: &Stream,
-) -> Result<Published, SourceError> {
+) -> Result<Published, EvalError> {
     let Stream::AtArrival { detector } = stream else {
         let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
         return settled(&mut *policy, source, interval);
     };
     let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
-    let rate = rate.ok_or_else(|| {
-        SourceError::Failed("frames have no times: the clip has no frame rate".to_owned())
-    })?;
+    let rate =
+        rate.ok_or_else(|| EvalError::new("frames have no times: the clip has no frame rate"))?;
     let timing = Timing {
         interval: 1.0 / rate,
         detector,
@@ -147,9 +147,8 @@ fn at_once(
     policy: Box<dyn Policy>,
     source: &mut dyn ClipEvidence,
     timing: Timing<'_>,
-) -> Result<Published, SourceError> {
-    let failed = |error: &dyn std::fmt::Display| SourceError::Failed(error.to_string());
-    let mut late = LatePolicy::new(policy).map_err(|error| failed(&error))?;
+) -> Result<Published, EvalError> {
+    let mut late = LatePolicy::new(policy).map_err(EvalError::new)?;
     let mut published = Published::default();
     let (mut outcome, mut unused) = (Outcome::default(), Outcome::default());
     // The frame that waits, what for, and when that comes.
@@ -162,7 +161,7 @@ fn at_once(
             let mut stored = ClipFrame::new(&mut *source, waiting_frame);
             let evidence = stored.evidence(need)?;
             let next = late.deliver(waiting_frame as u64, evidence, &mut unused);
-            let next = next.map_err(|error| failed(&error))?;
+            let next = next.map_err(EvalError::new)?;
             let took = timing.of(next, published.calls);
             published.calls += usize::from(next == Need::Detections);
             waits = (next != Need::Nothing).then_some((waiting_frame, next, at + took));
@@ -182,7 +181,7 @@ fn when_known(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     timing: Timing<'_>,
-) -> Result<Published, SourceError> {
+) -> Result<Published, EvalError> {
     let mut published = Published::default();
     let mut outcome = Outcome::default();
     let mut free = 0.0;
@@ -222,7 +221,7 @@ fn settled(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     interval: Duration,
-) -> Result<Published, SourceError> {
+) -> Result<Published, EvalError> {
     let mut published = Published::default();
     let mut settler = Settler::new(LONGEST_DELAY);
     let mut calls = 0;

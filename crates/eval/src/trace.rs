@@ -4,7 +4,7 @@
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
 //! can be compared line by line.
 
-use crate::files::FileError;
+use crate::error::EvalError;
 use albireo_core::policy::{FrameState, ObjectRecord};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, BufWriter, Write};
@@ -77,8 +77,8 @@ impl From<&ObjectRecord> for TraceObject {
 /// Writes `frames` to `path`, making its folder.
 ///
 /// # Errors
-/// [`FileError::Write`] when the folder or file cannot be written.
-pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), FileError> {
+/// [`EvalError::Write`] when the folder or file cannot be written.
+pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), EvalError> {
     let attempt = || -> std::io::Result<()> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
@@ -94,21 +94,21 @@ pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), FileError> {
         }
         out.into_inner()?.finish()?.sync_data()
     };
-    attempt().map_err(|source| FileError::write(path, source))
+    attempt().map_err(|source| EvalError::write(path, source))
 }
 
 /// Reads a trace.
 ///
 /// # Errors
-/// [`FileError`] naming the file, and the line if one is broken.
-pub fn read(path: &Path) -> Result<Vec<TraceFrame>, FileError> {
-    let failed = |error| FileError::read(path, error, "a trace is a gzipped file");
+/// [`EvalError`] naming the file, and the line if one is broken.
+pub fn read(path: &Path) -> Result<Vec<TraceFrame>, EvalError> {
+    let failed = |error| EvalError::read(path, error, "a trace is a gzipped file");
     let file = std::fs::File::open(path).map_err(failed)?;
     let reader = BufReader::new(flate2::read::GzDecoder::new(file));
     let mut frames = Vec::new();
     for (number, line) in (1..).zip(reader.lines()) {
         let frame = serde_json::from_str(&line.map_err(failed)?);
-        frames.push(frame.map_err(|error| FileError::line(path, number, error.to_string()))?);
+        frames.push(frame.map_err(|error| EvalError::line(path, number, error))?);
     }
     Ok(frames)
 }

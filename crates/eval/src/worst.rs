@@ -2,7 +2,8 @@
 
 use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
 use crate::data::Clip;
-use crate::footage::{FootageError, FrameSource};
+use crate::error::EvalError;
+use crate::footage::FrameSource;
 use crate::replay::Replay;
 use crate::result::ClipResult;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -51,11 +52,11 @@ pub struct WorstFrame {
 /// last of them.
 ///
 /// # Errors
-/// [`FootageError`] when the source cannot be played again; the frames keep their boxes then.
+/// [`EvalError`] when the source cannot be played again; the frames keep their boxes then.
 pub fn attach_pictures(
     source: &mut dyn FrameSource,
     results: &mut [ClipResult],
-) -> Result<(), FootageError> {
+) -> Result<(), EvalError> {
     let mut wanted: Vec<&mut WorstFrame> = (results.iter_mut())
         .filter(|result| !result.worst.is_empty())
         .take(SHOWN_POLICIES)

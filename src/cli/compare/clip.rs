@@ -1,7 +1,8 @@
 //! A clip in memory: read and encoded once, so that no run pays for it.
 
 use albireo_core::geometry::PictureSize;
-use albireo_eval::footage::{FootageError, FrameSource};
+use albireo_eval::error::EvalError;
+use albireo_eval::footage::FrameSource;
 use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
 use std::sync::Arc;
@@ -84,13 +85,13 @@ impl FrameSource for LoadedClip {
         Some(self.len() as u64)
     }
 
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let picture = self.pictures.get(self.next).cloned();
         self.next += 1;
         Ok(picture)
     }
 
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.next = 0;
         Ok(())
     }

@@ -2,9 +2,10 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::{AdviceError, Screen, Trial, try_out};
+use super::trial::{Screen, Trial, refused, try_out};
 use crate::average_precision::ScoredBox;
 use crate::data::Clip;
+use crate::error::EvalError;
 use crate::run::Settings;
 use albireo_core::policy::{ExpectedLoss, Knob, PolicyConfig, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
@@ -74,23 +75,28 @@ impl Advice {
 /// Finds the value of the threshold of `policy` that meets `target` on `clips`.
 ///
 /// # Errors
-/// [`AdviceError`] when the policy cannot be built or has no threshold, or there is nothing to learn from.
+/// [`EvalError`] when the policy cannot be built or has no threshold, or there is nothing to learn from.
 pub fn advise(
     clips: &[Clip],
     target: Target,
     policy: &str,
     settings: &Settings,
-) -> Result<Advice, AdviceError> {
+) -> Result<Advice, EvalError> {
     let detections = clips.iter().flat_map(|clip| &clip.detections).flatten();
     let sure = |found: &&ScoredBox| found.confidence >= settings.confidence;
     let boxes = detections.flatten().filter(sure).count();
     if boxes == 0 {
-        return Err(AdviceError::Nothing);
+        return Err(EvalError::new(
+            "the recording has no frame, or the detector found nothing in it at this --confidence",
+        ));
     }
     let mut config = PolicyConfig::default();
-    config.select(policy)?;
-    let knob = config.build()?.knob().ok_or_else(|| AdviceError::NoKnob {
-        policy: policy.to_owned(),
+    config.select(policy).map_err(refused)?;
+    let knob = config.build().map_err(refused)?.knob();
+    let knob = knob.ok_or_else(|| {
+        refused(format!(
+            "{policy}: it has no threshold to meet a target with"
+        ))
     })?;
     let mut screens = vec![Screen::None];
     if clips.iter().all(|clip| clip.screen.is_some()) {
@@ -174,7 +180,7 @@ impl Search<'_> {
         }
     }
 
-    fn propose(&self) -> Result<Proposal, AdviceError> {
+    fn propose(&self) -> Result<Proposal, EvalError> {
         let trials = (values(&self.knob).into_par_iter())
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;

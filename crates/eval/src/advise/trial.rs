@@ -4,10 +4,11 @@ use super::estimate::Estimate;
 use super::target::Target;
 use crate::against_detector::against_detector;
 use crate::data::Clip;
+use crate::error::EvalError;
 use crate::run::Settings;
-use crate::source::{ScreenRule, SourceError};
+use crate::source::ScreenRule;
 use albireo_core::audit::AuditSums;
-use albireo_core::policy::{PolicyConfig, PolicyConfigError};
+use albireo_core::policy::PolicyConfig;
 use serde::Serialize;
 
 /// Blocks that a recording is cut into, if it is long enough.
@@ -15,31 +16,6 @@ const BLOCKS: usize = 40;
 
 /// Frames of a block at least: one that ends with an object's visit says nothing of the next.
 const LEAST_FRAMES: usize = 20;
-
-/// Why there is no advice.
-#[derive(Debug, thiserror::Error)]
-pub enum AdviceError {
-    /// The policy cannot be built.
-    #[error("--policy: {0}")]
-    Policy(#[from] PolicyConfigError),
-    /// The policy has no threshold.
-    #[error("--policy {policy}: it has no threshold to meet a target with")]
-    NoKnob {
-        /// What was asked for.
-        policy: String,
-    },
-    /// A clip's evidence does not suffice.
-    #[error("{clip}: {source}")]
-    Source {
-        /// The clip.
-        clip: String,
-        /// What it does not have.
-        source: SourceError,
-    },
-    /// There is nothing to learn from.
-    #[error("the recording has no frame, or the detector found nothing in it at this --confidence")]
-    Nothing,
-}
 
 /// Which empty-scene screen a candidate has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -136,6 +112,11 @@ impl Trial {
     }
 }
 
+/// The policy cannot be used for `reason`.
+pub(super) fn refused(reason: impl std::fmt::Display) -> EvalError {
+    EvalError::new(reason).of("--policy")
+}
+
 /// Replays the policy of `config`, whose threshold is at `value`, over all clips.
 pub(super) fn try_out(
     clips: &[Clip],
@@ -143,10 +124,10 @@ pub(super) fn try_out(
     value: f64,
     screen: Screen,
     settings: &Settings,
-) -> Result<Trial, AdviceError> {
+) -> Result<Trial, EvalError> {
     let mut turned = config.clone();
-    turned.set_argument(&format!("{value:e}"))?;
-    let mut policy = turned.build()?;
+    (turned.set_argument(&format!("{value:e}"))).map_err(refused)?;
+    let mut policy = turned.build().map_err(refused)?;
     let settings = Settings {
         screen: match screen {
             Screen::None => ScreenRule::Nonempty,
@@ -158,12 +139,8 @@ pub(super) fn try_out(
     let length = (frames / BLOCKS).max(LEAST_FRAMES);
     let mut blocks = Vec::new();
     for clip in clips {
-        let compared = against_detector(policy.as_mut(), clip, &settings).map_err(|source| {
-            AdviceError::Source {
-                clip: clip.name.clone(),
-                source,
-            }
-        })?;
+        let compared = against_detector(policy.as_mut(), clip, &settings)
+            .map_err(|error| error.of(&clip.name))?;
         // The rest of a clip, too short for a block of its own, belongs to its last one.
         let count = (compared.len() / length).max(1);
         let mut own = vec![Block::default(); count];

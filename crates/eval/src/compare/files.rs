@@ -3,20 +3,21 @@
 use super::run::{Comparison, Run};
 use super::summary::{Figure, Summary};
 use super::verdict::verdicts;
-use crate::files::{self, FileError};
+use crate::error::EvalError;
+use crate::files;
 use std::path::Path;
 
 /// Writes everything into `folder`, which is made if it is not there: `compare.json` with every run's clip
 /// report and the summary, `runs.csv` with a row per run, and `compare.txt` with what was printed.
 ///
 /// # Errors
-/// [`FileError`] with the first file that cannot be written.
+/// [`EvalError`] with the first file that cannot be written.
 pub fn write(
     folder: &Path,
     comparison: &Comparison,
     summary: &Summary,
     text: &str,
-) -> Result<(), FileError> {
+) -> Result<(), EvalError> {
     let verdicts = verdicts(comparison, summary);
     let json = serde_json::json!({
         "v": 1, "comparison": comparison, "summary": summary, "verdicts": verdicts

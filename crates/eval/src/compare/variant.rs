@@ -1,6 +1,7 @@
 //! The variants of a comparison: policies with the values of their knobs.
 
-use crate::spec::{SpecError, Sweep, swept};
+use crate::error::EvalError;
+use crate::spec::{Sweep, swept};
 use albireo_core::policy::{Albireo, Policy, PolicyConfig};
 use std::collections::BTreeSet;
 
@@ -18,13 +19,13 @@ pub struct Variant {
 /// as in `base`.
 ///
 /// # Errors
-/// [`SpecError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
+/// [`EvalError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
 /// fewer than two variants.
 pub fn variants(
     asked: &[String],
     thresholds: &[f64],
     base: &PolicyConfig,
-) -> Result<Vec<Variant>, SpecError> {
+) -> Result<Vec<Variant>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
     let sweep = (!thresholds.is_empty()).then(|| Sweep {
         name: Albireo::KNOB.name.to_owned(),
@@ -40,7 +41,10 @@ pub fn variants(
     let mut labels = BTreeSet::new();
     found.retain(|variant| labels.insert(variant.label.clone()));
     match found.as_slice() {
-        [alone] => Err(SpecError::Alone(alone.label.clone())),
+        [alone] => Err(EvalError::new(format!(
+            "only `{}` was asked for: name a second policy, such as --policy vanilla --policy albireo",
+            alone.label
+        ))),
         _ => Ok(found),
     }
 }

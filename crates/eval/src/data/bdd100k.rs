@@ -9,7 +9,8 @@ use super::classes::from_name;
 use super::rows::MOST_FRAMES;
 use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension};
 use crate::average_precision::ScoredBox;
-use crate::files::{FileError, read_text};
+use crate::error::EvalError;
+use crate::files::read_text;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, btree_map};
@@ -76,8 +77,8 @@ type Videos<T> = BTreeMap<String, BTreeMap<usize, Vec<T>>>;
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
 /// # Errors
-/// [`FileError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
-pub fn read(source: &Source<'_>) -> Result<Clips, FileError> {
+/// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
+pub fn read(source: &Source<'_>) -> Result<Clips, EvalError> {
     let mut clips = Clips::default();
     let (picture, report) = (source.picture, &mut clips.report);
     let mut truths = source
@@ -129,7 +130,7 @@ fn read_videos<T: From<ScoredBox>>(
     picture: PictureSize,
     scored: bool,
     report: &mut LoadReport,
-) -> Result<Videos<T>, FileError> {
+) -> Result<Videos<T>, EvalError> {
     let mut videos = Videos::new();
     for file in json_files(path)? {
         let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
@@ -140,7 +141,7 @@ fn read_videos<T: From<ScoredBox>>(
         };
         let frames: Vec<Frame> = frames.map_err(|error| {
             let what = format!("it is no list of frames in the Scalabel form: {error}");
-            FileError::line(&file, error.line() as u64, what)
+            EvalError::line(&file, error.line() as u64, what)
         })?;
         let stem = file
             .file_stem()
@@ -158,14 +159,14 @@ fn read_videos<T: From<ScoredBox>>(
                     "frame {} comes twice: its video already has the index {index}",
                     frame.name
                 );
-                return Err(FileError::content(&file, what));
+                return Err(EvalError::content(&file, what));
             };
             if index >= MOST_FRAMES {
                 let what = format!(
                     "frame {} has the index {index}, which is no frame of a clip",
                     frame.name
                 );
-                return Err(FileError::content(&file, what));
+                return Err(EvalError::content(&file, what));
             }
             place.insert(boxes(&file, &frame, picture, scored, report)?);
         }
@@ -174,12 +175,12 @@ fn read_videos<T: From<ScoredBox>>(
 }
 
 /// The file itself, or the JSON files of a folder, sorted.
-fn json_files(path: &Path) -> Result<Vec<PathBuf>, FileError> {
+fn json_files(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     entries(path, |path| has_extension(path, &["json"]))
-        .map_err(|error| FileError::read(path, error, "is the folder readable?"))
+        .map_err(|error| EvalError::read(path, error, "is the folder readable?"))
 }
 
 /// The boxes of a frame that are kept.
@@ -189,7 +190,7 @@ fn boxes<T: From<ScoredBox>>(
     picture: PictureSize,
     scored: bool,
     report: &mut LoadReport,
-) -> Result<Vec<T>, FileError> {
+) -> Result<Vec<T>, EvalError> {
     let mut boxes = Vec::new();
     for (number, label) in frame.labels.iter().flatten().enumerate() {
         let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
@@ -201,7 +202,7 @@ fn boxes<T: From<ScoredBox>>(
                     "frame {}, label {number} has no `score`: is this ground truth?",
                     frame.name
                 );
-                return Err(FileError::content(file, what));
+                return Err(EvalError::content(file, what));
             }
             score => score.unwrap_or(1.0),
         };

@@ -7,7 +7,7 @@
 use super::classes::from_name;
 use super::{Clip, Clips, LabelledBox, LeftOut};
 use crate::average_precision::{ScoredBox, TruthBox};
-use crate::files::FileError;
+use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -66,9 +66,9 @@ struct Video {
 /// Reads a data set and, if given, a list of results on its images.
 ///
 /// # Errors
-/// [`FileError`] for a missing or broken file, a box on an image that is not there, or pictures of
+/// [`EvalError`] for a missing or broken file, a box on an image that is not there, or pictures of
 /// different sizes within a clip.
-pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, FileError> {
+pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let names: HashMap<u64, &str> = set
         .categories
@@ -114,7 +114,7 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, FileError> 
             let (clip, frame) = place(path, &places, result, number)?;
             let clip = &mut drafts[clip];
             let confidence = result.score.ok_or_else(|| {
-                FileError::content(path, format!("result {number} has no `score`"))
+                EvalError::content(path, format!("result {number} has no `score`"))
             })?;
             let kept = report.keep::<ScoredBox>(&labelled(result, confidence), clip.picture, spot);
             if let Some(detections) = &mut clip.detections {
@@ -128,10 +128,10 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, FileError> 
     clips.nonempty(dataset)
 }
 
-fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, FileError> {
-    let file = std::fs::File::open(path).map_err(|error| FileError::read(path, error, help))?;
+fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {
+    let file = std::fs::File::open(path).map_err(|error| EvalError::read(path, error, help))?;
     serde_json::from_reader(std::io::BufReader::new(file))
-        .map_err(|error| FileError::json(path, &error))
+        .map_err(|error| EvalError::json(path, &error))
 }
 
 fn corners([x, y, width, height]: [f64; 4]) -> Corners {
@@ -151,9 +151,9 @@ fn place(
     places: &Places,
     annotation: &Annotation,
     number: usize,
-) -> Result<(usize, usize), FileError> {
+) -> Result<(usize, usize), EvalError> {
     places.get(&annotation.image_id).copied().ok_or_else(|| {
-        FileError::content(
+        EvalError::content(
             path,
             format!(
                 "entry {number} is on image {}, which is not listed",
@@ -169,7 +169,7 @@ fn frames(
     set: &Dataset,
     has_truth: bool,
     has_detections: bool,
-) -> Result<(Vec<Clip>, Places), FileError> {
+) -> Result<(Vec<Clip>, Places), EvalError> {
     let videos: HashMap<u64, String> = set
         .videos
         .iter()
@@ -203,7 +203,7 @@ fn frames(
         let picture = PictureSize::new(images[0].width, images[0].height);
         for (frame, image) in images.iter().enumerate() {
             if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
-                return Err(FileError::content(
+                return Err(EvalError::content(
                     path,
                     format!(
                         "image {} of clip `{name}` is {}x{}, the clip's first {picture}: a clip has \

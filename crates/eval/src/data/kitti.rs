@@ -8,7 +8,7 @@ use super::classes::from_kitti;
 use super::rows::{Row, Table};
 use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension, pictures_in};
 use crate::average_precision::TruthBox;
-use crate::files::FileError;
+use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
 use std::path::Path;
@@ -23,11 +23,11 @@ const GONE: &str = "it was there a moment ago";
 /// Reads all sequences of the folder that has `label_02`.
 ///
 /// # Errors
-/// [`FileError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, FileError> {
+/// [`EvalError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, EvalError> {
     let labels = folder.join("label_02");
     let files = entries(&labels, |path| has_extension(path, &["txt"])).map_err(|error| {
-        FileError::read(
+        EvalError::read(
             &labels,
             error,
             "give the folder that holds label_02 with one file per sequence",
@@ -42,7 +42,7 @@ pub fn read(folder: &Path) -> Result<Clips, FileError> {
     clips.nonempty(folder)
 }
 
-fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, FileError> {
+fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let pictures = pictures_in(&folder.join("image_02").join(name));
     let first = pictures
         .first()
@@ -56,7 +56,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         frames: (!pictures.is_empty()).then_some(pictures.len()),
     };
     let labels = table("label_02");
-    let is_region = |row: &Row<'_>| Ok::<_, FileError>(row.text(2, "type")? == "DontCare");
+    let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");
     let mut truth: Vec<Vec<TruthBox>> = labels.read(GONE, |row, boxes| {
         if !is_region(row)? {
             let labelled = LabelledBox {
@@ -96,7 +96,7 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     })
 }
 
-fn labelled<'r>(row: &'r Row<'_>, confidence: f64) -> Result<LabelledBox<'r>, FileError> {
+fn labelled<'r>(row: &'r Row<'_>, confidence: f64) -> Result<LabelledBox<'r>, EvalError> {
     let [x1, y1, x2, y2] = row.numbers(6, ["x1", "y1", "x2", "y2"])?;
     let class_name = row.text(2, "type")?;
     Ok(LabelledBox {

@@ -8,7 +8,8 @@
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{Row, Table};
 use super::{Clip, Clips, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
-use crate::files::{FileError, read_text};
+use crate::error::EvalError;
+use crate::files::read_text;
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
 use std::path::Path;
@@ -20,14 +21,14 @@ const GONE: &str = "it was there a moment ago";
 /// are there.
 ///
 /// # Errors
-/// [`FileError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, FileError> {
+/// [`EvalError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, EvalError> {
     let is_sequence = |folder: &Path| folder.join("seqinfo.ini").exists();
     let folders = if is_sequence(folder) {
         vec![folder.to_owned()]
     } else {
         entries(folder, is_sequence).map_err(|error| {
-            FileError::read(
+            EvalError::read(
                 folder,
                 error,
                 "give a sequence's folder or a folder of them",
@@ -42,7 +43,7 @@ pub fn read(folder: &Path) -> Result<Clips, FileError> {
     clips.nonempty(folder)
 }
 
-fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, FileError> {
+fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let info = Info::read(&folder.join("seqinfo.ini"))?;
     let (picture, frames) = (info.picture, info.frames);
     let table = |file: &str| Table {
@@ -77,7 +78,7 @@ struct Info {
 }
 
 impl Info {
-    fn read(path: &Path) -> Result<Self, FileError> {
+    fn read(path: &Path) -> Result<Self, EvalError> {
         let text = read_text(
             path,
             "a MOTChallenge sequence is described by its seqinfo.ini",
@@ -87,17 +88,17 @@ impl Info {
             .filter_map(|line| line.split_once('='))
             .map(|(key, value)| (key.trim(), value.trim()))
             .collect();
-        let number = |key: &str| -> Result<u32, FileError> {
+        let number = |key: &str| -> Result<u32, EvalError> {
             let value = values
                 .get(key)
-                .ok_or_else(|| FileError::content(path, format!("the key `{key}` is missing")))?;
+                .ok_or_else(|| EvalError::content(path, format!("the key `{key}` is missing")))?;
             value.parse().map_err(|_| {
-                FileError::content(path, format!("`{key}` is `{value}`, not a whole number"))
+                EvalError::content(path, format!("`{key}` is `{value}`, not a whole number"))
             })
         };
         let (width, height) = (number("imWidth")?, number("imHeight")?);
         if width == 0 || height == 0 {
-            return Err(FileError::content(path, "the pictures have no size"));
+            return Err(EvalError::content(path, "the pictures have no size"));
         }
         let folder_name = path.parent().and_then(Path::file_name).map_or_else(
             || "sequence".to_owned(),
@@ -119,7 +120,7 @@ impl Info {
 }
 
 /// The box in columns 3 to 6, from pixels counted from 1 to pixels counted from 0.
-fn corners(row: &Row<'_>) -> Result<Corners, FileError> {
+fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     let [left, top, width, height] = row.numbers(2, ["left", "top", "width", "height"])?;
     Ok(Corners {
         x1: left - 1.0,
@@ -129,7 +130,7 @@ fn corners(row: &Row<'_>) -> Result<Corners, FileError> {
     })
 }
 
-fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, FileError> {
+fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {
     let is_judged = row.number::<f64>(6, "whether it is judged")? != 0.0;
     let (class, class_name) = if row.len() <= 9 {
         let number = row.integer(7, "class")?;
@@ -146,7 +147,7 @@ fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, FileError> {
     })
 }
 
-fn labelled_detection<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, FileError> {
+fn labelled_detection<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {
     Ok(LabelledBox {
         corners: corners(row)?,
         class: Ok(PERSON),

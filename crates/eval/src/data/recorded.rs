@@ -13,7 +13,8 @@
 
 use super::rows::{Row, Table};
 use super::{Clip, Clips, LabelledBox, LoadReport};
-use crate::files::{self, FileError, read_text};
+use crate::error::EvalError;
+use crate::files::{self, read_text};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::{Deserialize, Serialize};
@@ -46,21 +47,21 @@ struct Entry {
 /// Reads the folder.
 ///
 /// # Errors
-/// [`FileError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, FileError> {
+/// [`EvalError`] for a missing or broken file, with the line where there is one.
+pub fn read(folder: &Path) -> Result<Clips, EvalError> {
     let path = folder.join("sequences.json");
     let text = read_text(
         &path,
         "a folder of recorded detections has a sequences.json that lists its sequences",
     )?;
     let index: Index =
-        serde_json::from_str(&text).map_err(|error| FileError::json(&path, &error))?;
+        serde_json::from_str(&text).map_err(|error| EvalError::json(&path, &error))?;
     let mut clips = Clips::default();
     let mut names = std::collections::BTreeSet::new();
     for entry in index.sequences {
         check(&entry, &path)?;
         if !names.insert(entry.name.clone()) {
-            return Err(FileError::content(
+            return Err(EvalError::content(
                 &path,
                 format!("the sequence `{}` is listed twice", entry.name),
             ));
@@ -71,7 +72,7 @@ pub fn read(folder: &Path) -> Result<Clips, FileError> {
     clips.nonempty(folder)
 }
 
-fn check(entry: &Entry, path: &Path) -> Result<(), FileError> {
+fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {
     let name = &entry.name;
     let is_plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\']);
     let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
@@ -85,10 +86,10 @@ fn check(entry: &Entry, path: &Path) -> Result<(), FileError> {
     } else {
         return Ok(());
     };
-    Err(FileError::content(path, what))
+    Err(EvalError::content(path, what))
 }
 
-fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, FileError> {
+fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let picture = PictureSize::new(entry.width, entry.height);
     let table = |kind: &str, header: &'static str| Table {
         path: place(folder, kind, &entry.name),
@@ -143,7 +144,7 @@ fn place(folder: &Path, kind: &str, name: &str) -> PathBuf {
     folder.join(kind).join(format!("{name}.csv"))
 }
 
-fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), FileError> {
+fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), EvalError> {
     if !frame.is_empty() {
         return Err(row.broken("its frame comes twice"));
     }
@@ -155,7 +156,7 @@ fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), FileError>
     Ok(())
 }
 
-fn corners(row: &Row<'_>) -> Result<Corners, FileError> {
+fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     let [x1, y1, x2, y2] = row.numbers(1, ["x1", "y1", "x2", "y2"])?;
     Ok(Corners { x1, y1, x2, y2 })
 }
@@ -166,7 +167,7 @@ fn labelled(
     class: usize,
     confidence: f64,
     object: Option<u64>,
-) -> Result<LabelledBox<'static>, FileError> {
+) -> Result<LabelledBox<'static>, EvalError> {
     Ok(LabelledBox {
         corners: corners(row)?,
         class: Ok(ClassId(row.number(class, "class")?)),
@@ -180,8 +181,8 @@ fn labelled(
 /// the same doubles back. Files that are there are replaced.
 ///
 /// # Errors
-/// [`FileError::Write`] when a file cannot be written.
-pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), FileError> {
+/// When a file cannot be written.
+pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
     let mut index = Index {
         sequences: Vec::new(),
     };
@@ -242,11 +243,11 @@ fn cells(b: Corners) -> String {
 }
 
 /// Writes a file, or removes that of an earlier run, which would be taken for this clip's.
-fn put(path: &Path, text: Option<String>) -> Result<(), FileError> {
+fn put(path: &Path, text: Option<String>) -> Result<(), EvalError> {
     let Some(text) = text else {
         return match std::fs::remove_file(path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(FileError::write(path, error))
+                Err(EvalError::write(path, error))
             }
             _ => Ok(()),
         };

@@ -2,7 +2,8 @@
 
 use super::{LabelledBox, LoadReport};
 use crate::average_precision::ScoredBox;
-use crate::files::{FileError, read_text};
+use crate::error::EvalError;
+use crate::files::read_text;
 use albireo_core::geometry::PictureSize;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -24,7 +25,7 @@ impl Row<'_> {
     }
 
     /// The field at `index` as text.
-    pub(super) fn text(&self, index: usize, name: &str) -> Result<&str, FileError> {
+    pub(super) fn text(&self, index: usize, name: &str) -> Result<&str, EvalError> {
         let field = self.fields.get(index).map(|field| field.trim());
         field.ok_or_else(|| {
             self.broken(format!(
@@ -36,7 +37,7 @@ impl Row<'_> {
     }
 
     /// The field at `index` as a number.
-    pub(super) fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, FileError> {
+    pub(super) fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, EvalError> {
         let text = self.text(index, name)?;
         text.parse().map_err(|_| {
             self.broken(format!(
@@ -46,7 +47,7 @@ impl Row<'_> {
     }
 
     /// Four numbers in a row, the first of them at `index`.
-    pub(super) fn numbers(&self, index: usize, names: [&str; 4]) -> Result<[f64; 4], FileError> {
+    pub(super) fn numbers(&self, index: usize, names: [&str; 4]) -> Result<[f64; 4], EvalError> {
         let mut numbers = [0.0; 4];
         for (at, (number, name)) in numbers.iter_mut().zip(names).enumerate() {
             *number = self.number(index + at, name)?;
@@ -55,7 +56,7 @@ impl Row<'_> {
     }
 
     /// A whole number, also where the file writes it with a decimal point.
-    pub(super) fn integer(&self, index: usize, name: &str) -> Result<i64, FileError> {
+    pub(super) fn integer(&self, index: usize, name: &str) -> Result<i64, EvalError> {
         let text = self.text(index, name)?;
         if let Ok(value) = text.parse() {
             return Ok(value);
@@ -67,13 +68,13 @@ impl Row<'_> {
     }
 
     /// The number of an object, if it has one.
-    pub(super) fn object(&self, index: usize, name: &str) -> Result<Option<u64>, FileError> {
+    pub(super) fn object(&self, index: usize, name: &str) -> Result<Option<u64>, EvalError> {
         Ok(u64::try_from(self.integer(index, name)?).ok())
     }
 
     /// An error about this row.
-    pub(super) fn broken(&self, what: impl Into<String>) -> FileError {
-        FileError::line(self.path, self.line, what)
+    pub(super) fn broken(&self, what: impl std::fmt::Display) -> EvalError {
+        EvalError::line(self.path, self.line, what)
     }
 
     /// `file:line`.
@@ -101,8 +102,8 @@ impl Table<'_> {
     pub(super) fn read<T: Clone>(
         &self,
         help: &str,
-        mut visit: impl FnMut(&Row<'_>, &mut Vec<T>) -> Result<(), FileError>,
-    ) -> Result<Vec<Vec<T>>, FileError> {
+        mut visit: impl FnMut(&Row<'_>, &mut Vec<T>) -> Result<(), EvalError>,
+    ) -> Result<Vec<Vec<T>>, EvalError> {
         let text = read_text(&self.path, help)?;
         let mut lists = vec![Vec::new(); self.frames.unwrap_or(0)];
         // Neither field quoting nor escapes occur in these layouts, and plain splitting keeps the line number.
@@ -111,7 +112,7 @@ impl Table<'_> {
             let first = lines.next().map_or("", |(_, first)| first.trim());
             if first.trim_start_matches('\u{feff}') != header {
                 let what = format!("the header is `{first}`, expected `{header}`");
-                return Err(FileError::line(&self.path, 1, what));
+                return Err(EvalError::line(&self.path, 1, what));
             }
         }
         let columns = self.header.map(|header| header.split(',').count());
@@ -143,8 +144,8 @@ impl Table<'_> {
         help: &str,
         picture: PictureSize,
         report: &mut LoadReport,
-        labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, FileError>,
-    ) -> Result<Vec<Vec<T>>, FileError> {
+        labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, EvalError>,
+    ) -> Result<Vec<Vec<T>>, EvalError> {
         self.read(help, |row, boxes| {
             boxes.extend(report.keep::<T>(&labelled(row)?, picture, || row.place()));
             Ok(())
@@ -152,7 +153,7 @@ impl Table<'_> {
     }
 
     /// The row's frame, from 0.
-    fn frame(&self, row: &Row<'_>) -> Result<usize, FileError> {
+    fn frame(&self, row: &Row<'_>) -> Result<usize, EvalError> {
         let number = row.integer(0, "frame")?;
         let frames = self.frames.unwrap_or(MOST_FRAMES);
         let frame = usize::try_from(number - self.first).ok();

@@ -1,7 +1,7 @@
 //! Reads pictures from a tar archive, each folder in it a clip.
 
-use super::error::FootageError;
 use super::source::{FrameSource, clip_name, plain_name};
+use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, is_picture_file, picture_of_file};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -32,11 +32,8 @@ impl PictureArchive {
     ///
     /// # Errors
     /// When the archive cannot be read or has no pictures.
-    pub fn open(path: &Path, rate: f64) -> Result<Self, FootageError> {
-        let unreadable = |source| FootageError::Archive {
-            path: path.to_path_buf(),
-            source,
-        };
+    pub fn open(path: &Path, rate: f64) -> Result<Self, EvalError> {
+        let unreadable = |error: std::io::Error| EvalError::content(path, error);
         let file = File::open(path).map_err(unreadable)?;
         let name = clip_name(path);
         let mut pictures: Vec<Member> = Vec::new();
@@ -49,8 +46,8 @@ impl PictureArchive {
             }
             let length = usize::try_from(entry.size()).unwrap_or(usize::MAX);
             if length > FrameLimits::default().max_payload_bytes {
-                let reason = format!("{} is too large for a picture", inside.display());
-                return Err(unreadable(std::io::Error::other(reason)));
+                let what = format!("{} is too large for a picture", inside.display());
+                return Err(EvalError::content(path, what));
             }
             let folder = inside.parent().and_then(Path::file_name);
             let clip =
@@ -67,8 +64,8 @@ impl PictureArchive {
             });
         }
         if pictures.is_empty() {
-            let reason = "there are no JPEG or PNG files in it";
-            return Err(unreadable(std::io::Error::other(reason)));
+            let what = "there are no JPEG or PNG files in it";
+            return Err(EvalError::content(path, what));
         }
         Ok(Self {
             name,
@@ -110,26 +107,25 @@ impl FrameSource for PictureArchive {
         Some(self.pictures.len() as u64)
     }
 
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let Some(member) = self.pictures.get(self.at) else {
             return Ok(None);
         };
         self.at += 1;
         let mut bytes = vec![0; member.length];
         let read = self.file.read_exact_at(&mut bytes, member.offset);
-        read.map_err(|source| FootageError::Archive {
-            path: self.path.clone(),
-            source,
-        })?;
+        read.map_err(|error| EvalError::content(&self.path, error))?;
         picture_of_file(bytes.into(), &FrameLimits::default())
             .map(Some)
-            .map_err(|source| FootageError::Frame {
-                input: format!("{}, picture {}", self.path.display(), self.at),
-                source,
+            .map_err(|fault| {
+                let (path, number) = (self.path.display(), self.at);
+                EvalError::new(format!(
+                    "{path}, picture {number}: a frame cannot be sent: {fault}"
+                ))
             })
     }
 
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.at = 0;
         Ok(())
     }

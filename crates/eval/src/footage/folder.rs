@@ -1,7 +1,7 @@
 //! A folder of pictures as a source of frames.
 
-use super::error::FootageError;
 use super::source::{FrameSource, clip_name};
+use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, picture_files, read_picture_file};
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,7 @@ impl PictureFolder {
     ///
     /// # Errors
     /// When the folder cannot be read or has no pictures.
-    pub fn open(path: &Path, rate: f64) -> Result<Self, FootageError> {
+    pub fn open(path: &Path, rate: f64) -> Result<Self, EvalError> {
         Ok(Self {
             name: clip_name(path),
             files: picture_files(path)?,
@@ -45,7 +45,7 @@ impl FrameSource for PictureFolder {
         Some(self.files.len() as u64)
     }
 
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let Some(file) = self.files.get(self.at) else {
             return Ok(None);
         };
@@ -53,7 +53,7 @@ impl FrameSource for PictureFolder {
         Ok(Some(read_picture_file(file)?))
     }
 
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.at = 0;
         Ok(())
     }

@@ -1,10 +1,10 @@
 //! Opens footage by its name on the command line.
 
 use super::archive::PictureArchive;
-use super::error::FootageError;
 use super::folder::PictureFolder;
 use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
+use crate::error::EvalError;
 use albireo_vision::picture::is_picture_file;
 use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
@@ -48,7 +48,7 @@ impl SourceName {
         &self,
         rate: Option<f64>,
         encoding: VideoEncoding,
-    ) -> Result<Box<dyn FrameSource>, FootageError> {
+    ) -> Result<Box<dyn FrameSource>, EvalError> {
         let pictures_rate = rate.unwrap_or(PictureFolder::RATE);
         let path = self.existing()?;
         Ok(match self {
@@ -59,7 +59,7 @@ impl SourceName {
     }
 
     /// Where it lies, if it does; an address is left to [`Video::open`] to refuse.
-    fn existing(&self) -> Result<&Path, FootageError> {
+    fn existing(&self) -> Result<&Path, EvalError> {
         let path = match self {
             Self::Pictures(path) | Self::Archive(path) => path,
             Self::Video(input) => Path::new(input),
@@ -67,7 +67,7 @@ impl SourceName {
         if path.exists() || path.to_string_lossy().contains("://") {
             Ok(path)
         } else {
-            Err(FootageError::Missing(path.display().to_string()))
+            Err(EvalError::content(path, "no such file or folder"))
         }
     }
 
@@ -79,7 +79,7 @@ impl SourceName {
         &self,
         rate: Option<f64>,
         encoding: VideoEncoding,
-    ) -> Result<Vec<Box<dyn FrameSource>>, FootageError> {
+    ) -> Result<Vec<Box<dyn FrameSource>>, EvalError> {
         let Self::Archive(path) = self else {
             return Ok(vec![self.open(rate, encoding)?]);
         };
@@ -94,7 +94,7 @@ impl SourceName {
     ///
     /// # Errors
     /// When it does not exist or is an archive that cannot be read.
-    pub fn clip_names(&self) -> Result<Vec<String>, FootageError> {
+    pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
         match self {
             Self::Archive(_) => {

@@ -1,6 +1,6 @@
 //! The trait of everything that gives frames to replay.
 
-use super::error::FootageError;
+use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 use std::path::Path;
 
@@ -27,13 +27,13 @@ pub trait FrameSource: Send {
     ///
     /// # Errors
     /// When the source fails. It returns nothing more after that.
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError>;
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError>;
 
     /// Goes back to the first picture.
     ///
     /// # Errors
     /// When the source cannot be opened again.
-    fn rewind(&mut self) -> Result<(), FootageError>;
+    fn rewind(&mut self) -> Result<(), EvalError>;
 
     /// How to end a [`next`](Self::next) that waits for something outside, such as another program.
     fn stopper(&self) -> Option<Stopper> {

@@ -1,7 +1,7 @@
 //! Footage at a lower frame rate: some frames are taken, the others left out, as evenly as can be.
 
-use super::error::FootageError;
 use super::source::{FrameSource, Stopper};
+use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 
 /// Which frames are taken of footage that is thinned from one frame rate to another.
@@ -72,7 +72,7 @@ impl FrameSource for Thinned<'_> {
         self.source.clip()
     }
 
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         loop {
             let Some(picture) = self.source.next()? else {
                 return Ok(None);
@@ -85,7 +85,7 @@ impl FrameSource for Thinned<'_> {
         }
     }
 
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.passed = 0;
         self.source.rewind()
     }

@@ -1,11 +1,12 @@
 //! A video file as a source of frames, decoded by the `ffmpeg` program.
 
-use super::error::FootageError;
 use super::source::{FrameSource, Stopper, clip_name};
+use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
+use std::fmt::Display;
 use std::io::{BufReader, ErrorKind, Read};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -133,9 +134,13 @@ impl Video {
         wanted_rate: Option<f64>,
         encoding: VideoEncoding,
         programs: Ffmpeg,
-    ) -> Result<Self, FootageError> {
+    ) -> Result<Self, EvalError> {
         if file.contains("://") {
-            return Err(FootageError::Address);
+            // It may hold a password and is not repeated.
+            return Err(EvalError::new(
+                "a live camera is not footage: a node opens it as the `source` of a [[camera]], or `albireo publish` sends \
+                 it to one",
+            ));
         }
         // A name that begins with a dash is no option.
         let file = match file.strip_prefix('-') {
@@ -158,7 +163,7 @@ impl Video {
     }
 
     /// The output is over: an error if `ffmpeg` failed.
-    fn ended(&mut self) -> Result<(), FootageError> {
+    fn ended(&mut self) -> Result<(), EvalError> {
         let Some(pass) = self.pass.take() else {
             return Ok(());
         };
@@ -176,10 +181,7 @@ impl Video {
             Some(Err(error)) => error.to_string(),
             _ => return Ok(()),
         };
-        Err(FootageError::Failed {
-            input: self.file.clone(),
-            reason,
-        })
+        Err(unreadable(&self.file, reason))
     }
 }
 
@@ -188,40 +190,42 @@ fn probe(
     file: &str,
     fallback: Option<f64>,
     programs: &Ffmpeg,
-) -> Result<(f64, Option<u64>), FootageError> {
+) -> Result<(f64, Option<u64>), EvalError> {
     let mut command = Command::new(&programs.ffprobe);
     let probed = (command.args(PROBE).arg(file).stdin(Stdio::null()).output())
         .map_err(|error| not_started(&programs.ffprobe, error))?;
     if !probed.status.success() {
-        return Err(FootageError::Failed {
-            input: file.to_owned(),
-            reason: String::from_utf8_lossy(&probed.stderr).trim().to_owned(),
-        });
+        let said = String::from_utf8_lossy(&probed.stderr);
+        return Err(unreadable(file, said.trim()));
     }
-    let probed: Probed =
-        serde_json::from_slice(&probed.stdout).map_err(|source| FootageError::Probe {
-            input: file.to_owned(),
-            source,
-        })?;
+    let wrong = |what: String| EvalError::new(format!("{file}: {what}"));
+    let probed: Probed = serde_json::from_slice(&probed.stdout)
+        .map_err(|error| wrong(format!("ffprobe's answer is not understood: {error}")))?;
     let Some(stream) = probed.streams.first() else {
-        return Err(FootageError::NoVideo(file.to_owned()));
+        return Err(wrong("there is no video in it".to_owned()));
     };
     let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
         .into_iter()
         .flatten()
         .find_map(|text| rate(text))
         .or(fallback)
-        .ok_or_else(|| FootageError::NoRate(file.to_owned()))?;
+        .ok_or_else(|| wrong("ffprobe reports no frame rate; give one with --rate".to_owned()))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
     Ok((rate, frames))
 }
 
-fn not_started(program: &Path, error: std::io::Error) -> FootageError {
-    let program = program.display().to_string();
-    match error.kind() {
-        ErrorKind::NotFound => FootageError::NotInstalled { program },
-        _ => FootageError::NotStarted { program, error },
-    }
+fn not_started(program: &Path, error: std::io::Error) -> EvalError {
+    let program = program.display();
+    EvalError::new(match error.kind() {
+        ErrorKind::NotFound => format!(
+            "no `{program}` was found; install it with `apt-get install ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`"
+        ),
+        _ => format!("`{program}` cannot be started: {error}"),
+    })
+}
+
+fn unreadable(file: &str, reason: impl Display) -> EvalError {
+    EvalError::new(format!("{file}: ffmpeg cannot read it: {reason}"))
 }
 
 /// Reads what a program says to its end, so that it never waits for a reader, and keeps the beginning.
@@ -249,7 +253,7 @@ impl FrameSource for Video {
         self.frames
     }
 
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         let Some(pass) = &mut self.pass else {
             return Ok(None);
         };
@@ -260,26 +264,25 @@ impl FrameSource for Video {
         match picture {
             Ok(Some(picture)) => picture_of_file(Bytes::from(picture), &FrameLimits::default())
                 .map(Some)
-                .map_err(|source| FootageError::Frame {
-                    input: self.file.clone(),
-                    source,
+                .map_err(|fault| {
+                    EvalError::new(format!("{}: a frame cannot be sent: {fault}", self.file))
                 }),
             Ok(None) => self.ended().map(|()| None),
-            Err(source) => {
+            Err(cut) => {
                 if self.process.lock().stopped {
                     return Ok(None);
                 }
                 // A failed ffmpeg explains a cut stream better than the cut does.
                 self.ended()?;
-                Err(FootageError::Cut {
-                    input: self.file.clone(),
-                    source,
-                })
+                Err(EvalError::new(format!(
+                    "{}: ffmpeg's output is cut: {cut}",
+                    self.file
+                )))
             }
         }
     }
 
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.pass = None;
         let mut process = self.process.lock();
         process.end();

@@ -3,14 +3,14 @@
 
 use super::pass::StepTimes;
 use crate::data::classes::from_name;
+use crate::error::EvalError;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::policy::Need;
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, InferenceError, StartError,
+    CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, StartError,
 };
 use albireo_vision::picture::{
-    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
-    decode_small_grey,
+    EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half, decode_small_grey,
 };
 use albireo_vision::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
@@ -18,32 +18,6 @@ use std::time::Instant;
 use tokio::runtime::Runtime;
 
 const CAMERA: CameraSlot = CameraSlot(0);
-
-/// Why pictures cannot be looked at, or one of them could not.
-#[derive(Debug, thiserror::Error)]
-pub enum ObserveError {
-    /// The detector or the screen cannot be started.
-    #[error(transparent)]
-    Start(#[from] StartError),
-    /// The threads that wait for them cannot be started.
-    #[error("the asynchronous runtime cannot be started: {0}")]
-    Runtime(std::io::Error),
-    /// Nothing the detector finds could be judged.
-    #[error(
-        "none of the model's classes is evaluated ({classes}): give their names with --class-names; person, \
-         bicycle, car, motorcycle, bus and truck are"
-    )]
-    NoClass {
-        /// The first of its class names.
-        classes: String,
-    },
-    /// The picture is broken.
-    #[error(transparent)]
-    Picture(#[from] FrameFault),
-    /// The detector failed.
-    #[error("the detector failed: {0}")]
-    Detector(#[from] InferenceError),
-}
 
 /// What was seen in one picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,26 +48,33 @@ impl Observer {
     /// Loads the models and warms them up.
     ///
     /// # Errors
-    /// [`ObserveError`] when one does not load or fit, or the detector has no class that is evaluated.
-    pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, ObserveError> {
+    /// [`EvalError`] when one does not load or fit, or the detector has no class that is evaluated.
+    pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, EvalError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()
-            .map_err(ObserveError::Runtime)?;
+            .map_err(|error| {
+                EvalError::new(format!(
+                    "the asynchronous runtime cannot be started: {error}"
+                ))
+            })?;
         let library = detector.onnxruntime.as_deref();
-        let (detector, screen) = runtime.block_on(async {
+        let started = runtime.block_on(async {
             let detector = DetectorHandle::start(detector).await?;
             let screen = ScreenHandle::start(screen, library).await?;
-            Ok::<_, StartError>((detector, screen))
-        })?;
+            Ok((detector, screen))
+        });
+        let (detector, screen) = started.map_err(|error: StartError| EvalError::new(error))?;
         let names = detector.class_names();
         let classes: Vec<_> = names.iter().map(|name| from_name(name).ok()).collect();
         if classes.iter().all(Option::is_none) {
             let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
-            return Err(ObserveError::NoClass {
-                classes: first.join(", "),
-            });
+            return Err(EvalError::new(format!(
+                "none of the model's classes is evaluated ({}): give their names with --class-names; person, bicycle, car, \
+                 motorcycle, bus and truck are",
+                first.join(", ")
+            )));
         }
         Ok(Self {
             detector,
@@ -118,8 +99,8 @@ impl Observer {
     /// Looks at one picture.
     ///
     /// # Errors
-    /// [`ObserveError`] when it cannot be decoded or the detector fails on it.
-    pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, ObserveError> {
+    /// [`EvalError`] when it cannot be decoded or the detector fails on it.
+    pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, EvalError> {
         let mut times = StepTimes::default();
         let start = Instant::now();
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
@@ -131,13 +112,15 @@ impl Observer {
             PixelLayout::Rgb8,
             Some(target),
             &mut picture,
-        )?;
+        )
+        .map_err(EvalError::new)?;
         times.decode = milliseconds(start);
         self.picture = Arc::new(picture);
 
         let start = Instant::now();
         let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
-        let found = self.runtime.block_on(run)?;
+        let found = (self.runtime.block_on(run))
+            .map_err(|error| EvalError::new(format!("the detector failed: {error}")))?;
         times.detector = milliseconds(start);
 
         let mut empty = None;
@@ -177,20 +160,21 @@ impl Observer {
     /// The picture in grey, as small as `need` has it, and the milliseconds that took.
     ///
     /// # Errors
-    /// [`ObserveError::Picture`] when it cannot be decoded or has no half.
+    /// When it cannot be decoded or has no half.
     pub(crate) fn grey(
         &self,
         encoded: &EncodedPicture,
         need: Need,
-    ) -> Result<(Picture, f64), ObserveError> {
+    ) -> Result<(Picture, f64), EvalError> {
         let start = Instant::now();
         let mut grey = Picture::default();
-        match need {
+        let decoded = match need {
             Need::SmallGreyPicture { width } => {
-                decode_small_grey(encoded, &self.limits, width, &mut grey)?;
+                decode_small_grey(encoded, &self.limits, width, &mut grey)
             }
-            _ => decode_grey_half(encoded, &self.limits, &mut grey)?,
-        }
+            _ => decode_grey_half(encoded, &self.limits, &mut grey),
+        };
+        decoded.map_err(EvalError::new)?;
         grey.pixels.shrink_to_fit();
         Ok((grey, milliseconds(start)))
     }

@@ -1,11 +1,12 @@
 //! The one pass over a clip's pictures: what detector and screen say of every frame, and how long it took.
 
-use super::observer::{Observation, ObserveError, Observer};
+use super::observer::{Observation, Observer};
 use crate::average_precision::ScoredBox;
 use crate::data::{Clip, LoadReport};
-use crate::footage::{FootageError, FrameSource};
+use crate::error::EvalError;
+use crate::footage::FrameSource;
 use crate::replay::FrameRecord;
-use crate::run::{RunError, build};
+use crate::run::build;
 use crate::spec::PolicySpec;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Need;
@@ -85,8 +86,8 @@ impl PicturedClip {
 /// What the pass has to keep for `policies`.
 ///
 /// # Errors
-/// [`RunError::Policy`] when one cannot be built.
-pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PassSettings, RunError> {
+/// When one cannot be built.
+pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PassSettings, EvalError> {
     let mut settings = PassSettings::default();
     for policy in policies {
         match build(policy)?.pictures() {
@@ -98,49 +99,10 @@ pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PassSettings, RunError
     Ok(settings)
 }
 
-/// Why a clip cannot be evaluated.
-#[derive(Debug, thiserror::Error)]
-pub enum PassError {
-    /// The source of pictures failed.
-    #[error(transparent)]
-    Source(#[from] FootageError),
-    /// One picture could not be looked at.
-    #[error("{clip}, frame {frame}: {source}")]
-    Frame {
-        /// Name of the clip.
-        clip: String,
-        /// Number of the frame, from 0.
-        frame: usize,
-        /// Decoding, the detector or the screen, and what it said.
-        source: Box<ObserveError>,
-    },
-    /// The pictures are not all of one size.
-    #[error(
-        "{clip}, frame {frame}: the picture is {size}, those before it are {first}: a clip has pictures of one \
-         size"
-    )]
-    Size {
-        /// Name of the clip.
-        clip: String,
-        /// Number of the frame, from 0.
-        frame: usize,
-        /// Its size.
-        size: PictureSize,
-        /// The size of the first frame.
-        first: PictureSize,
-    },
-    /// There is not one picture.
-    #[error("{clip}: not a single frame came out of it")]
-    Empty {
-        /// Name of the clip.
-        clip: String,
-    },
-}
-
 /// Looks at every picture of `source`. What is left out goes to `report`; `seen` is called after each frame.
 ///
 /// # Errors
-/// [`PassError`] at the first frame that cannot be read or examined: frames would no longer be in step with
+/// [`EvalError`] at the first frame that cannot be read or examined: frames would no longer be in step with
 /// their ground truth.
 pub fn collect(
     source: &mut dyn FrameSource,
@@ -148,7 +110,7 @@ pub fn collect(
     settings: &PassSettings,
     report: &mut LoadReport,
     progress: &mut dyn FnMut(),
-) -> Result<PicturedClip, PassError> {
+) -> Result<PicturedClip, EvalError> {
     let name = source.name().to_owned();
     let mut size = None;
     let mut detections = Vec::new();
@@ -161,18 +123,12 @@ pub fn collect(
         let frame = times.len();
         let first = *size.get_or_insert(encoded.size);
         if encoded.size != first {
-            return Err(PassError::Size {
-                clip: name,
-                frame,
-                size: encoded.size,
-                first,
-            });
+            return Err(EvalError::new(format!(
+                "{name}, frame {frame}: the picture is {}, those before it are {first}: a clip has pictures of one size",
+                encoded.size
+            )));
         }
-        let failed = |source: ObserveError| PassError::Frame {
-            clip: name.clone(),
-            frame,
-            source: Box::new(source),
-        };
+        let failed = |error: EvalError| error.of(format!("{name}, frame {frame}"));
         let observed = observer.look(&encoded).map_err(failed)?;
         let mut step = observed.times;
         if settings.keep_grey {
@@ -192,7 +148,9 @@ pub fn collect(
         progress();
     }
     let Some(picture) = size else {
-        return Err(PassError::Empty { clip: name });
+        return Err(EvalError::new(format!(
+            "{name}: not a single frame came out of it"
+        )));
     };
     if observer.has_screen() {
         let silent = verdicts.iter().filter(|verdict| verdict.is_none()).count();

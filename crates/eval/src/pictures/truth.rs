@@ -2,7 +2,7 @@
 
 use crate::average_precision::{ScoredBox, TruthBox};
 use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
-use crate::files::FileError;
+use crate::error::EvalError;
 use albireo_core::geometry::Corners;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -35,54 +35,6 @@ pub struct GroundTruth {
     reported: BTreeSet<PathBuf>,
 }
 
-/// Ground truth that does not belong to the pictures.
-#[derive(Debug, thiserror::Error)]
-pub enum TruthError {
-    /// It cannot be read.
-    #[error(transparent)]
-    Data(#[from] FileError),
-    /// It is of another number of frames.
-    #[error(
-        "{clip}: its ground truth ({path}) is for {truth} frames, the clip has {frames}: are they the same \
-         recording, at the same frame rate?"
-    )]
-    Frames {
-        /// Name of the clip.
-        clip: String,
-        /// Where the ground truth is.
-        path: String,
-        /// Frames of the ground truth.
-        truth: usize,
-        /// Frames of the clip.
-        frames: usize,
-    },
-    /// It is for pictures of another size.
-    #[error(
-        "{clip}: its ground truth ({path}) is for pictures of {truth}, the clip's are {picture}"
-    )]
-    Size {
-        /// Name of the clip.
-        clip: String,
-        /// Where the ground truth is.
-        path: String,
-        /// Size the ground truth is for.
-        truth: albireo_core::geometry::PictureSize,
-        /// Size of the clip's pictures.
-        picture: albireo_core::geometry::PictureSize,
-    },
-    /// None of the clips is in it.
-    #[error(
-        "the ground truth is for the clips {truths}, and none of them is evaluated here ({clips}): a clip is \
-         named after its file"
-    )]
-    NoClip {
-        /// Names in the ground truth.
-        truths: String,
-        /// Names of the clips.
-        clips: String,
-    },
-}
-
 impl GroundTruth {
     /// Files or folders of one layout.
     pub fn new(paths: Vec<PathBuf>, format: TruthFormat) -> Self {
@@ -96,8 +48,8 @@ impl GroundTruth {
     /// Reads all files, to find out what is wrong before the pictures are looked at.
     ///
     /// # Errors
-    /// [`TruthError`] when one cannot be read, or none is for one of the clips `names`.
-    pub fn check(&self, names: &[String]) -> Result<(), TruthError> {
+    /// [`EvalError`] when one cannot be read, or none is for one of the clips `names`.
+    pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
         let mut truths = Vec::new();
         for path in &self.paths {
             let clips = self.read(path, bdd100k::BDD100K_SIZE)?;
@@ -108,23 +60,24 @@ impl GroundTruth {
             return Ok(());
         }
         truths.truncate(8);
-        Err(TruthError::NoClip {
-            truths: truths.join(", "),
-            clips: names.join(", "),
-        })
+        Err(EvalError::new(format!(
+            "the ground truth is for the clips {}, and none of them is evaluated here ({}): a clip is named after its file",
+            truths.join(", "),
+            names.join(", ")
+        )))
     }
 
     /// The ground truth of `clip`: that of its name, or the only one there is when it is the only clip
     /// (`alone`). `None` if there is none for it. What is left out goes to `report`.
     ///
     /// # Errors
-    /// [`TruthError`] when it cannot be read or is of other pictures.
+    /// [`EvalError`] when it cannot be read or is of other pictures.
     pub fn of(
         &mut self,
         clip: &Clip,
         alone: bool,
         report: &mut LoadReport,
-    ) -> Result<Option<FrameTruth>, TruthError> {
+    ) -> Result<Option<FrameTruth>, EvalError> {
         for path in &self.paths {
             let mut read = self.read(path, clip.picture)?;
             let place = read.clips.iter().position(|truth| truth.name == clip.name);
@@ -137,28 +90,26 @@ impl GroundTruth {
                 continue;
             };
             let first = self.reported.insert(path.clone());
-            let path = path.display().to_string();
+            let wrong = |what: String| {
+                let (clip, path) = (&clip.name, path.display());
+                EvalError::new(format!("{clip}: its ground truth ({path}) is for {what}"))
+            };
             // Only these say for how many frames they are; the others end with the last object.
             let counted = matches!(
                 self.format,
                 TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
             );
             if truth.len() > clip.frames || (counted && truth.len() < clip.frames) {
-                return Err(TruthError::Frames {
-                    clip: clip.name.clone(),
-                    path,
-                    truth: truth.len(),
-                    frames: clip.frames,
-                });
+                return Err(wrong(format!(
+                    "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
+                    truth.len(),
+                    clip.frames
+                )));
             }
             // KITTI's labels do not say their size; where it has no pictures either, the usual one is taken.
             if found.picture != clip.picture && self.format != TruthFormat::Kitti {
-                return Err(TruthError::Size {
-                    clip: clip.name.clone(),
-                    path,
-                    truth: found.picture,
-                    picture: clip.picture,
-                });
+                let (truth, clip) = (found.picture, clip.picture);
+                return Err(wrong(format!("pictures of {truth}, the clip's are {clip}")));
             }
             truth.resize(clip.frames, Vec::new());
             // The file's rows are counted once, however many clips are in it.
@@ -174,7 +125,7 @@ impl GroundTruth {
         &self,
         path: &std::path::Path,
         picture: albireo_core::geometry::PictureSize,
-    ) -> Result<Clips, FileError> {
+    ) -> Result<Clips, EvalError> {
         match self.format {
             TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
                 truth: Some(path),

@@ -81,17 +81,17 @@ impl ClipEvidence for Patchy {
     fn frames(&self) -> usize {
         2
     }
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
+    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError> {
         Ok((frame == 0).then_some(&self.found[..]))
     }
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
+    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError> {
         Ok((frame == 0).then_some(false))
     }
     fn grey_picture(
         &mut self,
         frame: usize,
         _: Need,
-    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
+    ) -> Result<Option<GreyPicture<'_>>, EvalError> {
         let size = PictureSize::new(2, 1);
         Ok((frame == 0).then_some(GreyPicture {
             size,
@@ -105,7 +105,7 @@ fn replayed(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
     scoring: Scoring,
-) -> Result<Replay, SourceError> {
+) -> Result<Replay, EvalError> {
     let floor = MinConfidence::new(None, 0.5);
     replay(policy, source, scoring, floor, 3e-4, true)
 }
@@ -193,7 +193,8 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
     };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
     let error = replayed(&mut policy, &mut source, Scoring::Paper);
-    assert_eq!(error, Err(SourceError::NoPictures));
+    let said = error.unwrap_err().to_string();
+    assert!(said.contains("evaluate it on a video"), "{said}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::*;
 use albireo_core::geometry::PictureSize;
-use albireo_eval::footage::FootageError;
+use albireo_eval::error::EvalError;
 use bytes::Bytes;
 use std::sync::Mutex;
 
@@ -27,7 +27,7 @@ impl FrameSource for Numbers {
     fn frames(&self) -> Option<u64> {
         Some(u64::from(self.length))
     }
-    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         if self.at == self.length {
             return Ok(None);
         }
@@ -38,7 +38,7 @@ impl FrameSource for Numbers {
             size: PictureSize::new(1, 1),
         }))
     }
-    fn rewind(&mut self) -> Result<(), FootageError> {
+    fn rewind(&mut self) -> Result<(), EvalError> {
         self.at = 0;
         Ok(())
     }
