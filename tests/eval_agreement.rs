@@ -3,13 +3,12 @@
 #![allow(clippy::expect_used)]
 
 use crate::support::shared;
-use albireo_core::policy::Profile;
+use albireo_core::policy::{PolicyConfig, Profile};
 use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::data::recorded;
-use albireo_eval::replay::Scoring;
 use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
-use albireo_eval::spec::{Common, resolve};
+use albireo_eval::spec::resolve;
 use std::collections::HashMap;
 
 /// `summary.csv` of the published code: figures by sequence, policy and column.
@@ -39,11 +38,9 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut compared = 0;
     for screen in [ScreenRule::Nonempty, ScreenRule::Detections] {
-        let common = Common {
+        let base = PolicyConfig {
             profile: Profile::Reference,
-            u: 3e-4,
-            screen: Some(screen),
-            pixels: false,
+            ..PolicyConfig::default()
         };
         let asked = [
             "albireo:3e-4",
@@ -59,9 +56,9 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             "ctd:0.90",
         ]
         .map(str::to_owned);
-        let policies = resolve(&asked, &[], &common).expect("known policies");
+        let policies = resolve(&asked, &[], &base, Some(screen), false).expect("known policies");
         let settings = Settings {
-            scoring: Scoring::Reference,
+            profile: Profile::Reference,
             confidence: 0.5,
             screen,
             classes: Classes::Pooled,

@@ -9,7 +9,7 @@ use crate::support::detectors::model;
 use crate::support::{assert_says, run, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_core::policy::Profile;
+use albireo_core::policy::PolicyConfig;
 use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
@@ -17,11 +17,10 @@ use albireo_eval::pictures::{
     LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
     looks_at_pixels,
 };
-use albireo_eval::replay::Scoring;
 use albireo_eval::result::{ClipResult, Provenance};
 use albireo_eval::run::{Settings, run as evaluate};
 use albireo_eval::source::ScreenRule;
-use albireo_eval::spec::{Common, PolicySpec, resolve};
+use albireo_eval::spec::{PolicySpec, resolve};
 use albireo_eval::trace;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{DetectorConfig, HeadName};
@@ -85,18 +84,11 @@ fn look(
 
 fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
     let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
-    let common = Common {
-        profile: Profile::Paper,
-        u: 3e-4,
-        screen: Some(screen),
-        pixels: true,
-    };
-    resolve(&asked, &[], &common).unwrap()
+    resolve(&asked, &[], &PolicyConfig::default(), Some(screen), true).unwrap()
 }
 
 fn settings(confidence: f64, screen: ScreenRule) -> Settings {
     Settings {
-        scoring: Scoring::Paper,
         confidence,
         screen,
         threads: 2,

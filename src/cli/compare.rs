@@ -5,11 +5,11 @@ mod play;
 
 use super::progress;
 use albireo_eval::compare::{
-    Boxes, ClassNumbers, Comparison, Playing, Run, Turn, Variant, agreement, render, schedule,
-    summarise, variants, write,
+    Boxes, ClassNumbers, Comparison, Playing, Run, Turn, agreement, render, schedule, summarise,
+    variants, write,
 };
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
-use albireo_eval::spec::BASELINE;
+use albireo_eval::spec::{BASELINE, PolicySpec};
 use albireo_node::config::NodeConfig;
 use albireo_power::PowerConfig;
 use albireo_service::{logging, signals};
@@ -186,7 +186,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 /// The node's configuration and what is compared, checked before anything starts.
-fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
+fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>)> {
     let mut config = super::node::configuration(arguments.config.as_deref())?;
     if let Some(model) = &arguments.detector {
         config.detector.model.clone_from(model);
@@ -239,7 +239,7 @@ async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
 /// Plays every turn; on a signal, what is complete by then.
 async fn play_all(
     player: &Player,
-    variants: &[Variant],
+    variants: &[PolicySpec],
     turns: &[Turn],
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Vec<(Turn, Played)>> {
@@ -283,7 +283,7 @@ async fn play_all(
 /// Judges every run's boxes against those of the policy that looks at every frame.
 fn judge(
     player: &Player,
-    variants: &[Variant],
+    variants: &[PolicySpec],
     done: Vec<(Turn, Played)>,
 ) -> anyhow::Result<Comparison> {
     let vanilla = variants

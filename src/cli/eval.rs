@@ -5,21 +5,21 @@ mod video;
 
 use super::progress;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::Profile;
+use albireo_core::policy::{PolicyConfig, Profile};
 use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::conclusion::conclusion;
 use albireo_eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::files;
-use albireo_eval::replay::Scoring;
 use albireo_eval::report::Report;
 use albireo_eval::run::{Settings, run as run_policies};
 use albireo_eval::source::ScreenRule;
-use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
+use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_eval::streams::{self, RunTimes, Stream, StreamResults};
 use albireo_eval::text::wrapped;
 use albireo_eval::{summary, table};
 use anyhow::Context;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
@@ -97,12 +97,20 @@ const JUDGED: &str = "How it is judged";
 const WRITTEN: &str = "What is written";
 const LOOKED: &str = "What looks at the pictures";
 
+/// The names of the profiles.
+fn profile_parser() -> impl TypedValueParser<Value = Profile> {
+    PossibleValuesParser::new(["reference", "paper"]).map(|name| match name.as_str() {
+        "reference" => Profile::Reference,
+        _ => Profile::Paper,
+    })
+}
+
 /// What every comparison of policies takes.
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
     /// Whose definitions hold where the published code and the paper's text differ.
-    #[arg(long, value_enum, default_value_t = Scoring::Paper)]
-    profile: Scoring,
+    #[arg(long, default_value = "paper", value_parser = profile_parser())]
+    profile: Profile,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
     /// several times. Vanilla always runs too.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
@@ -249,16 +257,13 @@ fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
 }
 
 fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
-    let common = Common {
-        profile: match arguments.profile {
-            Scoring::Reference => Profile::Reference,
-            Scoring::Paper => Profile::Paper,
-        },
+    let base = PolicyConfig {
+        profile: arguments.profile,
         u: arguments.u,
-        screen: Some(arguments.screen),
-        pixels,
+        ..PolicyConfig::default()
     };
-    Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
+    let (asked, sweeps, screen) = (&arguments.policy, &arguments.sweep, arguments.screen);
+    Ok(resolve(asked, sweeps, &base, Some(screen), pixels)?)
 }
 
 /// How the run judges. Makes the folders it will write to, so that a place where nothing can be written is
@@ -272,7 +277,7 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
         .map(EnergyModel::load)
         .transpose()?;
     Ok(Settings {
-        scoring: arguments.profile,
+        profile: arguments.profile,
         confidence: arguments.confidence,
         report_confidence: arguments.report_confidence,
         screen: arguments.screen,
@@ -296,13 +301,13 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
 fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
     let confidence = arguments.confidence;
     let profile = match arguments.profile {
-        Scoring::Reference => "reference (the published code)",
-        Scoring::Paper => "paper (the paper's text)",
+        Profile::Reference => "reference (the published code)",
+        Profile::Paper => "paper (the paper's text)",
     };
     let judged = match (arguments.profile, arguments.report_confidence) {
-        (Scoring::Reference, _) => "all".to_owned(),
-        (Scoring::Paper, Some(least)) => format!("of confidence {least} and above"),
-        (Scoring::Paper, None) => format!(
+        (Profile::Reference, _) => "all".to_owned(),
+        (Profile::Paper, Some(least)) => format!("of confidence {least} and above"),
+        (Profile::Paper, None) => format!(
             "as a node publishes them: detected ones of confidence {confidence} and above, others from {}",
             confidence / 2.0
         ),

@@ -4,13 +4,13 @@
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
 
-use albireo_core::policy::Profile;
+use albireo_core::policy::PolicyConfig;
 use albireo_eval::average_precision::Accuracy;
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::result::ClipResult;
 use albireo_eval::run::{self, Settings};
 use albireo_eval::source::ScreenRule;
-use albireo_eval::spec::{BASELINE, Common, resolve};
+use albireo_eval::spec::{BASELINE, resolve};
 use albireo_eval::statistics::mean;
 use albireo_eval::summary::Difference;
 use clap::Parser;
@@ -117,13 +117,9 @@ impl Recordings {
 
     /// Runs `NAME[:SETTING]` over `clips`.
     pub(crate) fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
-        let common = Common {
-            profile: Profile::Paper,
-            u: 3e-4,
-            screen: Some(ScreenRule::Nonempty),
-            pixels: false,
-        };
-        let spec = resolve(&[policy.to_owned()], &[], &common)?.pop();
+        let base = PolicyConfig::default();
+        let screen = Some(ScreenRule::Nonempty);
+        let spec = resolve(&[policy.to_owned()], &[], &base, screen, false)?.pop();
         let spec = spec.ok_or("there is no policy")?;
         let value = spec.config.build()?.knob_value().unwrap_or_default();
         let clips = run::run(clips, &[spec], &self.settings, &|| ())?;

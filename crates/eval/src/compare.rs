@@ -20,5 +20,5 @@ pub use run::{Advice, Comparison, Playing, Run};
 pub use schedule::{Turn, schedule};
 pub use summary::{Basis, Change, Figure, Mean, PolicySummary, Summary, summarise};
 pub use table::render;
-pub use variant::{Variant, variants};
+pub use variant::variants;
 pub use verdict::{Verdict, verdicts};

@@ -2,26 +2,17 @@
 
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
-use crate::scoring::{decayed_confidence, score_object, score_published, score_truncated};
+use crate::scoring::{
+    decay_threshold, decayed_confidence, score_object, score_published, score_truncated,
+};
 use crate::source::ClipEvidence;
 use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     Evidence, EvidenceAtHand, FrameHead, FrameState, MinConfidence, Need, ObjectRecord, Outcome,
-    Policy, decide,
+    Policy, Profile, decide,
 };
-use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
-
-/// Whose definitions hold where the published code and the paper's text differ.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Scoring {
-    /// The published evaluator's.
-    Reference,
-    /// The paper's: boxes and confidences as the policy reports them.
-    Paper,
-}
 
 /// What happened in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,25 +49,25 @@ pub struct Replay {
 }
 
 /// Takes `policy` from its initial state through all frames of `source`. `min_confidence` selects the boxes that are
-/// judged under the paper's scoring; `decay_u` is the threshold that the published scoring decays confidences with.
+/// judged under the profile `paper`.
 ///
 /// # Errors
 /// [`EvalError`] when the source cannot give what the policy asks for.
 pub(crate) fn replay(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
-    scoring: Scoring,
+    profile: Profile,
     min_confidence: MinConfidence,
-    decay_u: f64,
     keep_trace: bool,
 ) -> Result<Replay, EvalError> {
+    let decay_u = decay_threshold(policy);
     let rejected_before = policy.rejected_detections();
     let picture = source.picture();
     let frames = source.frames();
     let mut result = Replay {
         frames: Vec::with_capacity(frames),
         boxes: Vec::with_capacity(frames),
-        boxes_last_confidence: (scoring == Scoring::Reference).then(Vec::new),
+        boxes_last_confidence: (profile == Profile::Reference).then(Vec::new),
         trace: keep_trace.then(Vec::new),
         ..Replay::default()
     };

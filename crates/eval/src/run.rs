@@ -6,14 +6,14 @@ use crate::average_precision::{
 use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
 use crate::error::EvalError;
-use crate::replay::{Scoring, replay};
+use crate::replay::replay;
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
 use crate::source::{Recording, ScreenRule, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace;
 use crate::tracking::tracking;
 use crate::worst::worst_frames;
-use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy};
+use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy, Profile};
 use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
@@ -21,8 +21,8 @@ use std::path::PathBuf;
 /// How a run judges.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Which boxes count, and how.
-    pub scoring: Scoring,
+    /// Whose definitions hold where the published code and the paper's text differ: which boxes count, and how.
+    pub profile: Profile,
     /// Detections below this are not shown to the policies.
     pub confidence: f64,
     /// The node's `report.confidence`: what is below it is not judged. `None` for the node's default.
@@ -49,7 +49,7 @@ impl Default for Settings {
     /// The defaults of `albireo eval`.
     fn default() -> Self {
         Self {
-            scoring: Scoring::Paper,
+            profile: Profile::Paper,
             confidence: 0.5,
             report_confidence: None,
             screen: ScreenRule::Nonempty,
@@ -151,15 +151,14 @@ fn run_policy(
 ) -> Result<ClipResult, EvalError> {
     let clip = recording.clip;
     let mut decider = build(policy)?;
-    let scoring = scoring_of(decider.name(), settings.scoring);
+    let profile = profile_of(decider.name(), settings.profile);
     let mut source = StoredEvidence::new(recording, settings)
         .map_err(|source| no_evidence(clip, policy, source))?;
     let replayed = replay(
         decider.as_mut(),
         &mut source,
-        scoring,
+        profile,
         settings.min_confidence(),
-        policy.decay_u,
         settings.traces.is_some(),
     )
     .map_err(|source| no_evidence(clip, policy, source))?;
@@ -172,9 +171,9 @@ fn run_policy(
     result.frame_rate = clip.frame_rate;
     if let Some(truth) = &clip.truth {
         // The published evaluator knows no ignored regions.
-        let boxes = match scoring {
-            Scoring::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
-            Scoring::Reference => replayed.boxes.clone(),
+        let boxes = match profile {
+            Profile::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
+            Profile::Reference => replayed.boxes.clone(),
         };
         let judge = |boxes: &[Vec<ScoredBox>]| {
             accuracy(boxes, truth, settings.classes, settings.interpolation)
@@ -225,14 +224,14 @@ fn run_policy(
     Ok(result)
 }
 
-/// How a policy is judged in a run of that `scoring`: one that is not of the paper has no published
+/// How a policy is judged in a run of that `profile`: one that is not of the paper has no published
 /// definition of its boxes and confidences, and counts as it reports.
-fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
+fn profile_of(policy: &str, profile: Profile) -> Profile {
     match policy {
         ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {
-            Scoring::Paper
+            Profile::Paper
         }
-        _ => scoring,
+        _ => profile,
     }
 }
 

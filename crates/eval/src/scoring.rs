@@ -9,16 +9,23 @@
 //! - `paper`: the boxes that a node publishes, as it publishes them; beside them all boxes of the policy.
 
 use crate::average_precision::ScoredBox;
+use crate::spec::takes_u;
 use crate::trace::TraceObject;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_core::policy::{MinConfidence, OutputBox};
+use albireo_core::policy::{MinConfidence, OutputBox, Policy};
 
 /// The published decay never takes more than nine tenths of a confidence.
 const DECAY_FLOOR: f64 = 0.1;
 
 /// The `u` that the published code decays with under policies that have none of their own.
-pub(crate) const DEFAULT_DECAY_U: f64 = 3e-4;
+const DEFAULT_DECAY_U: f64 = 3e-4;
+
+/// The threshold that the published code decays confidences with.
+pub(crate) fn decay_threshold(policy: &dyn Policy) -> f64 {
+    let u = policy.knob_value().filter(|_| takes_u(policy));
+    u.unwrap_or(DEFAULT_DECAY_U)
+}
 
 /// The confidence that the published code scores: it falls linearly with the uncertainty.
 pub fn decayed_confidence(last: f64, tau: f64, u: f64) -> f64 {

@@ -2,11 +2,11 @@
 //! carry in traces, tables and plots.
 
 use crate::error::EvalError;
-use crate::scoring::DEFAULT_DECAY_U;
 use crate::source::ScreenRule;
 use albireo_core::policy::{
-    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Profile, Statues, Vanilla,
+    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Statues, Vanilla,
 };
+use std::collections::BTreeSet;
 
 /// The label and name of the policy all others are compared with.
 pub const BASELINE: &str = "vanilla";
@@ -44,8 +44,6 @@ pub struct PolicySpec {
     pub label: String,
     /// How it is made.
     pub config: PolicyConfig,
-    /// Threshold of the published scoring's decay.
-    pub decay_u: f64,
 }
 
 /// Values of one setting to try one after the other: `u=3e-4,5e-4`.
@@ -81,20 +79,8 @@ impl std::str::FromStr for Sweep {
     }
 }
 
-/// What all policies of a run share.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Common {
-    /// Settings profile.
-    pub profile: Profile,
-    /// Threshold of the policies that have one.
-    pub u: f64,
-    /// What the empty-scene screen says; `None` when a real screen is asked.
-    pub screen: Option<ScreenRule>,
-    /// Whether there are pictures to look at.
-    pub pixels: bool,
-}
-
-/// The policies to run: `asked` in order, swept, without repetitions, and the baseline first.
+/// The policies to run: `asked` in order, swept, without repetitions, and the baseline first. `screen` is what the
+/// empty-scene screen says, `None` when a real one is asked; `pixels` says whether there are pictures to look at.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -102,44 +88,28 @@ pub struct Common {
 pub fn resolve(
     asked: &[String],
     sweeps: &[Sweep],
-    common: &Common,
+    base: &PolicyConfig,
+    screen: Option<ScreenRule>,
+    pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked = asked.iter().flat_map(|asked| match asked.as_str() {
         "all" => ALL
             .iter()
             // Statues looks at pixels.
-            .filter(|name| common.pixels || !name.starts_with(Statues::NAME))
+            .filter(|name| pixels || !name.starts_with(Statues::NAME))
             .copied()
             .collect(),
         asked => vec![asked],
     });
-    let base = PolicyConfig {
-        profile: common.profile,
-        u: common.u,
-        ..PolicyConfig::default()
-    };
     let asked: Vec<&str> = std::iter::once(BASELINE).chain(asked).collect();
-    let swept = swept(&asked, sweeps, &base)?.into_iter();
-    let mut specs: Vec<PolicySpec> = swept
-        .map(|(config, policy)| PolicySpec {
-            label: label(policy.as_ref(), common.screen),
-            decay_u: match takes_u(policy.as_ref()) {
-                true => config.u,
-                false => DEFAULT_DECAY_U,
-            },
-            config,
-        })
-        .collect();
-    let mut seen = std::collections::BTreeSet::new();
-    specs.retain(|spec| seen.insert(spec.label.clone()));
-    Ok(specs)
+    swept(&asked, sweeps, base, |policy| label(policy, screen))
 }
 
 /// A policy, and what it was made from.
 type Built = (PolicyConfig, Box<dyn Policy>);
 
-/// The policies `asked` for (`NAME[:ARGUMENT]` each) in order, with everything else as in `base`. One whose threshold is
-/// swept is there once for each value, unless it has an argument: that is the value wanted.
+/// The policies `asked` for (`NAME[:ARGUMENT]` each) in order, without repetitions, with everything else as in `base`. One
+/// whose threshold is swept is there once for each value, unless it has an argument: that is the value wanted.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -148,7 +118,8 @@ pub(crate) fn swept(
     asked: &[&str],
     sweeps: &[Sweep],
     base: &PolicyConfig,
-) -> Result<Vec<Built>, EvalError> {
+    label: impl Fn(&dyn Policy) -> String,
+) -> Result<Vec<PolicySpec>, EvalError> {
     let mut found = Vec::new();
     let mut applied = vec![false; sweeps.len()];
     for asked in asked {
@@ -172,7 +143,17 @@ pub(crate) fn swept(
             "no policy of this run has a setting `{}` left to try values of: add one that has, such as --policy albireo",
             sweeps[unused].name
         ))),
-        None => Ok(found),
+        None => {
+            let mut seen = BTreeSet::new();
+            let mut specs: Vec<PolicySpec> = (found.into_iter())
+                .map(|(config, policy)| PolicySpec {
+                    label: label(policy.as_ref()),
+                    config,
+                })
+                .collect();
+            specs.retain(|spec| seen.insert(spec.label.clone()));
+            Ok(specs)
+        }
     }
 }
 
@@ -186,7 +167,7 @@ fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
 }
 
 /// Whether its threshold is the paper's `u`.
-fn takes_u(policy: &dyn Policy) -> bool {
+pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
     policy
         .knob()
         .is_some_and(|knob| knob.name == Albireo::KNOB.name)
@@ -234,12 +215,14 @@ pub(crate) fn split_label(label: &str) -> (&str, String) {
 mod tests {
     use super::*;
 
-    const COMMON: Common = Common {
-        profile: Profile::Reference,
-        u: 3e-4,
-        screen: Some(ScreenRule::Nonempty),
-        pixels: false,
-    };
+    fn resolved(
+        asked: &[String],
+        sweeps: &[Sweep],
+        pixels: bool,
+    ) -> Result<Vec<PolicySpec>, EvalError> {
+        let base = PolicyConfig::default();
+        resolve(asked, sweeps, &base, Some(ScreenRule::Nonempty), pixels)
+    }
 
     fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {
         let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
@@ -247,7 +230,7 @@ mod tests {
             .iter()
             .map(|text| text.parse())
             .collect::<Result<Vec<_>, _>>()?;
-        let specs = resolve(&asked, &sweeps, &COMMON)?;
+        let specs = resolved(&asked, &sweeps, false)?;
         Ok(specs.into_iter().map(|spec| spec.label).collect())
     }
 
@@ -308,11 +291,7 @@ mod tests {
     fn all_is_every_policy_and_setting_that_the_data_allows() {
         let stored = labels(&["all"], &[]).expect("known policies");
         assert_eq!(stored.len(), 19);
-        let pixels = Common {
-            pixels: true,
-            ..COMMON
-        };
-        let all = resolve(&["all".to_owned()], &[], &pixels).expect("known policies");
+        let all = resolved(&["all".to_owned()], &[], true).expect("known policies");
         assert_eq!(all.len(), 23);
     }
 

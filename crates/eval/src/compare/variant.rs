@@ -1,18 +1,8 @@
 //! The variants of a comparison: policies with the values of their knobs.
 
 use crate::error::EvalError;
-use crate::spec::{Sweep, swept};
+use crate::spec::{PolicySpec, Sweep, swept};
 use albireo_core::policy::{Albireo, Policy, PolicyConfig};
-use std::collections::BTreeSet;
-
-/// One policy with its settings.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Variant {
-    /// Its name in the results, unique in a comparison: `vanilla`, `albireo u=5e-4`.
-    pub label: String,
-    /// How it is made.
-    pub config: PolicyConfig,
-}
 
 /// The variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
 /// `u` and without an argument of its own is there once for each value of `thresholds`; everything else is
@@ -25,21 +15,13 @@ pub fn variants(
     asked: &[String],
     thresholds: &[f64],
     base: &PolicyConfig,
-) -> Result<Vec<Variant>, EvalError> {
+) -> Result<Vec<PolicySpec>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
     let sweep = (!thresholds.is_empty()).then(|| Sweep {
         name: Albireo::KNOB.name.to_owned(),
         values: thresholds.to_vec(),
     });
-    let swept = swept(&asked, sweep.as_slice(), base)?.into_iter();
-    let mut found: Vec<Variant> = swept
-        .map(|(config, policy)| Variant {
-            label: label(policy.as_ref()),
-            config,
-        })
-        .collect();
-    let mut labels = BTreeSet::new();
-    found.retain(|variant| labels.insert(variant.label.clone()));
+    let found = swept(&asked, sweep.as_slice(), base, label)?;
     match found.as_slice() {
         [alone] => Err(EvalError::new(format!(
             "only `{}` was asked for: name a second policy, such as --policy vanilla --policy albireo",

@@ -104,10 +104,10 @@ impl ClipEvidence for Patchy {
 fn replayed(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
-    scoring: Scoring,
+    profile: Profile,
 ) -> Result<Replay, EvalError> {
     let floor = MinConfidence::new(None, 0.5);
-    replay(policy, source, scoring, floor, 3e-4, true)
+    replay(policy, source, profile, floor, true)
 }
 
 fn patchy() -> Patchy {
@@ -124,7 +124,7 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
         ..Curious::default()
     };
     let mut source = patchy();
-    let result = replayed(&mut policy, &mut source, Scoring::Paper).expect("it runs");
+    let result = replayed(&mut policy, &mut source, Profile::Paper).expect("it runs");
     assert_eq!(
         policy.told,
         [
@@ -151,21 +151,20 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
         let result = replayed(&mut Curious::default(), &mut source, scoring);
         result.expect("it runs").boxes[0][0].corners
     };
-    assert!((run(Scoring::Paper).x1 - 44.45).abs() < 1e-9);
-    assert_eq!(run(Scoring::Reference).x1, 44.0);
+    assert!((run(Profile::Paper).x1 - 44.45).abs() < 1e-9);
+    assert_eq!(run(Profile::Reference).x1, 44.0);
 }
 
 #[test]
 fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
     let mut source = patchy();
-    let mut counts = |scoring, least| {
+    let mut counts = |profile, least| {
         let floor = MinConfidence::new(least, 0.8);
         let result = replay(
             &mut Curious::default(),
             &mut source,
-            scoring,
+            profile,
             floor,
-            3e-4,
             false,
         );
         let result = result.expect("it runs");
@@ -175,10 +174,10 @@ fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
         )
     };
     // The detector found it with a confidence of 0.7.
-    assert_eq!(counts(Scoring::Paper, None), (0, Some(1)));
-    assert_eq!(counts(Scoring::Paper, Some(0.7)), (1, Some(1)));
+    assert_eq!(counts(Profile::Paper, None), (0, Some(1)));
+    assert_eq!(counts(Profile::Paper, Some(0.7)), (1, Some(1)));
     // The published evaluator judges every box.
-    assert_eq!(counts(Scoring::Reference, None), (1, None));
+    assert_eq!(counts(Profile::Reference, None), (1, None));
 }
 
 #[test]
@@ -192,7 +191,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         ..crate::data::Clip::new("clip".to_owned(), PICTURE, 1)
     };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
-    let error = replayed(&mut policy, &mut source, Scoring::Paper);
+    let error = replayed(&mut policy, &mut source, Profile::Paper);
     let said = error.unwrap_err().to_string();
     assert!(said.contains("evaluate it on a video"), "{said}");
 }
@@ -210,7 +209,7 @@ fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyCon
             found: found.clone(),
             grey: Vec::new(),
         };
-        let result = replayed(policy.as_mut(), &mut source, Scoring::Reference);
+        let result = replayed(policy.as_mut(), &mut source, Profile::Reference);
         let result = result.expect("it runs");
         (result.trace, result.boxes, result.boxes_last_confidence)
     };

@@ -1,9 +1,9 @@
 use super::*;
 use crate::average_precision::{ScoredBox, TruthBox};
-use crate::spec::{Common, resolve};
+use crate::spec::resolve;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
-use albireo_core::policy::Profile;
+use albireo_core::policy::PolicyConfig;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
@@ -43,14 +43,8 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
 }
 
 fn policies(asked: &[&str]) -> Vec<PolicySpec> {
-    let common = Common {
-        profile: Profile::Paper,
-        u: 3e-4,
-        screen: None,
-        pixels: false,
-    };
     let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
-    resolve(&asked, &[], &common).unwrap()
+    resolve(&asked, &[], &PolicyConfig::default(), None, false).unwrap()
 }
 
 fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
