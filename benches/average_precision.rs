@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --bench average_precision`
 
-use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
+use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use std::hint::black_box;
 
@@ -11,7 +11,7 @@ const BOXES: [usize; 3] = [10_000, 100_000, 1_000_000];
 const BOXES_A_FRAME: [usize; 2] = [10, 100];
 const ROUNDS: usize = 7;
 
-fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>) {
+fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>) {
     let mut scene = Scene::new(a_frame);
     let truth = scene.film(count / a_frame, 0);
     let mut scores = Scene::new(0);
@@ -37,9 +37,10 @@ fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox
     let truth = truth
         .iter()
         .map(|frame| {
-            let boxes = frame.iter().map(|detection| TruthBox {
+            let boxes = frame.iter().map(|detection| ScoredBox {
                 corners: detection.bounding_box.pixel_corners(PICTURE),
                 class: detection.class,
+                confidence: 1.0,
                 object: None,
             });
             boxes.collect()

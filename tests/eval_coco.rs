@@ -6,9 +6,7 @@
 use crate::support::{answer_of, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
-use albireo_eval::average_precision::{
-    Accuracy, Classes, Interpolation, ScoredBox, TruthBox, accuracy,
-};
+use albireo_eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
 use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
@@ -16,7 +14,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// A name, predictions and ground truth.
-type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>);
+type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 
 /// What pycocotools says about these boxes, one answer a case.
 fn coco(cases: &[Case]) -> Value {
@@ -54,7 +52,7 @@ fn assert_agreement(cases: &[Case]) {
     }
 }
 
-fn compare(what: &str, predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>], theirs: &Value) {
+fn compare(what: &str, predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>], theirs: &Value) {
     for (name, classes, interpolation) in [
         (
             "pooled_all_points",
@@ -94,9 +92,10 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
                 x2: x + w,
                 y2: y + h,
             };
-            there.push(TruthBox {
+            there.push(ScoredBox {
                 corners,
                 class,
+                confidence: 1.0,
                 object: None,
             });
             // Most are found, roughly, some twice, some under a wrong name.

@@ -4,7 +4,7 @@
 use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::support::{answer_of, shared};
 use albireo_core::policy::{Outcome, PolicyConfig};
-use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox, TruthBox};
+use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::tracking::tracking;
 use serde_json::{Value, json};
@@ -42,7 +42,7 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
 }
 
 /// A clip in the form the script takes.
-fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Value {
+fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
     let tracks = tracks.iter().map(|frame| {
         let counted = frame
             .iter()

@@ -173,9 +173,9 @@ impl Recordings {
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
             let difference = Difference::of(&ours.minus(other, figure));
-            match difference.and_then(|found| found.t) {
-                Some(t) => {
-                    let [mean, lower, upper] = [t.mean, t.lower, t.upper].map(|s| 100.0 * s);
+            match difference.and_then(|found| Some((found.mean, found.interval?))) {
+                Some((mean, [lower, upper])) => {
+                    let [mean, lower, upper] = [mean, lower, upper].map(|s| 100.0 * s);
                     print!(" {mean:+.1} [{lower:+.1}, {upper:+.1}] |");
                 }
                 None => print!(" |"),

@@ -5,7 +5,7 @@ use crate::data::Clip;
 use crate::error::EvalError;
 use crate::replay::drive;
 use crate::run::Settings;
-use crate::source::{ClipEvidence, StoredEvidence};
+use crate::source::StoredEvidence;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 

@@ -28,7 +28,7 @@ pub const SHOWN_CONFIDENCE: f64 = 0.3;
 /// The place of 0.75 in [`IOU_THRESHOLDS`].
 const AT_75: usize = 5;
 
-/// A box with a confidence: one to be judged, or a stored detection.
+/// A box with a confidence: one to be judged, a stored detection, or ground truth, whose confidence is 1 and does not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredBox {
     /// Where, in pixels.
@@ -48,27 +48,6 @@ impl ScoredBox {
             bounding_box: self.corners.normalise(picture),
             class: self.class,
             confidence: self.confidence,
-        }
-    }
-}
-
-/// A box that is known to be there.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TruthBox {
-    /// Where, in pixels.
-    pub corners: Corners,
-    /// The class it is of; compared only where classes are judged apart.
-    pub class: ClassId,
-    /// Which object, the same number in every frame that shows it.
-    pub object: Option<u64>,
-}
-
-impl From<ScoredBox> for TruthBox {
-    fn from(found: ScoredBox) -> Self {
-        Self {
-            corners: found.corners,
-            class: found.class,
-            object: found.object,
         }
     }
 }
@@ -122,7 +101,7 @@ pub struct Accuracy {
 /// `None` when there is no ground-truth box at all: average precision is undefined then.
 pub fn accuracy(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<TruthBox>],
+    truth: &[Vec<ScoredBox>],
     classes: Classes,
     interpolation: Interpolation,
 ) -> Option<Accuracy> {
@@ -151,7 +130,7 @@ pub fn accuracy(
 /// overlap no ground truth by IoU 0.5: what the ground truth leaves out there cannot be judged, as KITTI's evaluation has it.
 pub(crate) fn outside_ignored(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<TruthBox>],
+    truth: &[Vec<ScoredBox>],
     ignored: &[Vec<Corners>],
 ) -> Vec<Vec<ScoredBox>> {
     let mut judged = predictions.to_vec();
@@ -160,7 +139,7 @@ pub(crate) fn outside_ignored(
         boxes.retain(|found| {
             let inside =
                 |region: &Corners| 2.0 * overlap(found.corners, *region) >= area_of(found.corners);
-            let is_object = |truth: &TruthBox| {
+            let is_object = |truth: &ScoredBox| {
                 found.corners.intersection_over_union(truth.corners) >= IOU_THRESHOLDS[0]
             };
             !regions.iter().any(inside) || truth.iter().any(is_object)
@@ -183,7 +162,7 @@ fn overlap(a: Corners, b: Corners) -> f64 {
 /// The accuracy of every class that has ground truth, each judged by itself.
 pub(crate) fn accuracy_by_class(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<TruthBox>],
+    truth: &[Vec<ScoredBox>],
     interpolation: Interpolation,
 ) -> BTreeMap<ClassId, Accuracy> {
     let mut classes: Vec<ClassId> = truth.iter().flatten().map(|truth| truth.class).collect();
@@ -215,7 +194,7 @@ struct Matching {
 impl Matching {
     fn new(
         predictions: &[Vec<ScoredBox>],
-        truth: &[Vec<TruthBox>],
+        truth: &[Vec<ScoredBox>],
         class: Option<ClassId>,
     ) -> Self {
         let wanted = |candidate: ClassId| class.is_none_or(|class| class == candidate);

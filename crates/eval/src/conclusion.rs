@@ -63,7 +63,7 @@ fn accuracy(summary: &PolicySummary) -> f64 {
 
 /// The lower end of the 95 % interval of the change of AP@50.
 fn lower_end(summary: &PolicySummary) -> Option<f64> {
-    Some(summary.ap50_change?.t?.lower)
+    Some(summary.ap50_change?.interval?[0])
 }
 
 /// `albireo-u5e-4: 39.8 % of the detector calls skipped, AP@50 −0.4 points [−2.0, +1.1] over 17 clips, energy −34 % (projected).`
@@ -75,11 +75,9 @@ fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
     );
     if let Some(ap50) = summary.ap50_change {
         text.push_str(&format!(", AP@50 {:+.1} points", ap50.mean * 100.0));
-        if let Some(t) = ap50.t {
+        if let Some([from, to]) = ap50.interval.map(|ends| ends.map(|end| end * 100.0)) {
             text.push_str(&format!(
-                " [{:+.1}, {:+.1}] over {} clips",
-                t.lower * 100.0,
-                t.upper * 100.0,
+                " [{from:+.1}, {to:+.1}] over {} clips",
                 ap50.clips
             ));
         }

@@ -14,7 +14,7 @@ pub mod mot_challenge;
 pub mod recorded;
 mod rows;
 
-use crate::average_precision::{ScoredBox, TruthBox};
+use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -43,7 +43,7 @@ pub struct Clip {
     /// nothing if it could not say.
     pub screen: Option<Vec<Option<bool>>>,
     /// Ground truth, one entry per frame; `None` if there is none.
-    pub truth: Option<Vec<Vec<TruthBox>>>,
+    pub truth: Option<Vec<Vec<ScoredBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
     /// Regions whose objects the ground truth leaves out, one entry per frame; empty where the data set marks none.
@@ -141,12 +141,12 @@ impl LoadReport {
     }
 
     /// The box, if it is kept; one that is not is counted under its reason.
-    pub(crate) fn keep<T: From<ScoredBox>>(
+    pub(crate) fn keep(
         &mut self,
         labelled: &LabelledBox<'_>,
         picture: PictureSize,
         place: impl FnOnce() -> String,
-    ) -> Option<T> {
+    ) -> Option<ScoredBox> {
         let confidence = labelled.confidence;
         let reason = match labelled.class {
             Err(LeftOut::IgnoredRegion) => Some(LeftOut::IgnoredRegion),
@@ -159,12 +159,12 @@ impl LoadReport {
         };
         match (reason, labelled.class) {
             (None, Ok(class)) => {
-                return Some(T::from(ScoredBox {
+                return Some(ScoredBox {
                     corners: labelled.corners,
                     class,
                     confidence,
                     object: labelled.object,
-                }));
+                });
             }
             (None, Err(_)) => self.leave_out_class(&labelled.class_name, place),
             (Some(reason), _) => self.leave_out(reason, place),

@@ -5,7 +5,7 @@ use crate::error::EvalError;
 use crate::scoring::{
     decay_threshold, decayed_confidence, score_object, score_published, score_truncated,
 };
-use crate::source::ClipEvidence;
+use crate::source::StoredEvidence;
 use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
@@ -55,7 +55,7 @@ pub struct Replay {
 /// [`EvalError`] when the source cannot give what the policy asks for.
 pub(crate) fn replay(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     profile: Profile,
     min_confidence: MinConfidence,
     keep_trace: bool,
@@ -120,7 +120,7 @@ pub(crate) struct Played<'a> {
 /// [`EvalError`] when the source cannot give what the policy asks for.
 pub(crate) fn drive(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     each: &mut dyn FnMut(&dyn Policy, &Played<'_>),
 ) -> Result<(), EvalError> {
     policy.reset();
@@ -144,18 +144,18 @@ pub(crate) fn drive(
 }
 
 /// One frame of a clip as evidence; notes what was asked for, and times it.
-pub(crate) struct ClipFrame<'a> {
-    clip: &'a mut dyn ClipEvidence,
+pub(crate) struct ClipFrame<'a, 'c> {
+    clip: &'a mut StoredEvidence<'c>,
     frame: usize,
-    /// Whether the detector answered.
+    /// Whether the detector was asked.
     pub detector: bool,
     screen: bool,
     examined: bool,
     waited: Duration,
 }
 
-impl<'a> ClipFrame<'a> {
-    pub(crate) fn new(clip: &'a mut dyn ClipEvidence, frame: usize) -> Self {
+impl<'a, 'c> ClipFrame<'a, 'c> {
+    pub(crate) fn new(clip: &'a mut StoredEvidence<'c>, frame: usize) -> Self {
         Self {
             clip,
             frame,
@@ -167,39 +167,27 @@ impl<'a> ClipFrame<'a> {
     }
 }
 
-impl EvidenceAtHand for ClipFrame<'_> {
+impl EvidenceAtHand for ClipFrame<'_, '_> {
     type Error = EvalError;
 
     fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, EvalError> {
         let start = Instant::now();
-        let known = match need {
-            Need::Nothing => None,
-            Need::Screen => {
-                self.screen = true;
-                self.clip
-                    .screen_says_empty(self.frame)?
-                    .map(|empty| Evidence::Screen { empty })
-            }
-            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
-                let grey = self.clip.grey_picture(self.frame, need)?;
-                self.examined |= grey.is_some();
-                grey.map(Evidence::GreyPicture)
-            }
-            Need::Detections => {
-                let found = self.clip.detections(self.frame)?;
-                self.detector |= found.is_some();
-                found.map(Evidence::Detections)
-            }
-        };
+        match need {
+            Need::Nothing => {}
+            Need::Screen => self.screen = true,
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => self.examined = true,
+            Need::Detections => self.detector = true,
+        }
+        let evidence = self.clip.evidence(self.frame, need);
         self.waited += start.elapsed();
-        Ok(known.unwrap_or(Evidence::Unavailable))
+        evidence
     }
 }
 
 /// One frame; times the policy and the evidence apart.
 fn decide_frame(
     policy: &mut dyn Policy,
-    clip: &mut dyn ClipEvidence,
+    clip: &mut StoredEvidence<'_>,
     head: FrameHead,
     frame: usize,
     outcome: &mut Outcome,

@@ -7,43 +7,9 @@ use crate::pictures::PicturedClip;
 use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{GreyPicture, Need};
+use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_vision::screen::EmptyRun;
 use serde::{Deserialize, Serialize};
-
-/// Evidence about the frames of one clip. Only what the policy needs is asked for, in order of frames.
-///
-/// Every question answers `Ok(None)` when the evidence of this one frame is missing (the policy learns that),
-/// and an error when the clip cannot be evaluated at all.
-pub(crate) trait ClipEvidence {
-    /// Size of the clip's pictures.
-    fn picture(&self) -> PictureSize;
-
-    /// Number of frames.
-    fn frames(&self) -> usize;
-
-    /// What the detector finds in a frame, at or above the run's confidence, in the detector's order.
-    ///
-    /// # Errors
-    /// [`EvalError`] when the source has no detector.
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError>;
-
-    /// Whether the empty-scene screen says that nothing is in view.
-    ///
-    /// # Errors
-    /// [`EvalError`] when the source has no screen.
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError>;
-
-    /// The picture in grey, as small as `need` has it.
-    ///
-    /// # Errors
-    /// When the source has no such pictures.
-    fn grey_picture(
-        &mut self,
-        frame: usize,
-        need: Need,
-    ) -> Result<Option<GreyPicture<'_>>, EvalError>;
-}
 
 /// What replaces the empty-scene screen when there are no pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
@@ -162,62 +128,56 @@ impl<'a> StoredEvidence<'a> {
         })
     }
 
+    /// Size of the clip's pictures.
+    pub(crate) fn picture(&self) -> PictureSize {
+        self.recording.clip.picture
+    }
+
+    /// Number of frames.
+    pub(crate) fn frames(&self) -> usize {
+        self.detections.len()
+    }
+
     /// What the detector finds in every frame, at or above the run's confidence.
     pub(crate) fn all_detections(&self) -> &[Vec<Detection>] {
         &self.detections
     }
 
-    /// Questions come in order of frames, several of one frame perhaps.
-    fn turn_to(&mut self, frame: usize) {
-        if self.frame == frame {
-            return;
-        }
-        self.frame = frame;
-        if let Screen::Recorded(_, run) = &mut self.screen {
+    /// What a policy needs to know of a frame. Questions come in order of frames, several of one frame perhaps.
+    ///
+    /// # Errors
+    /// When the recording does not have such pictures.
+    pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
+        if let Screen::Recorded(_, run) = &mut self.screen
+            && self.frame != frame
+        {
             run.next_frame();
         }
-    }
-}
-
-fn of_frame(detections: &[Vec<Detection>], frame: usize) -> &[Detection] {
-    detections.get(frame).map_or(&[], Vec::as_slice)
-}
-
-impl ClipEvidence for StoredEvidence<'_> {
-    fn picture(&self) -> PictureSize {
-        self.recording.clip.picture
-    }
-
-    fn frames(&self) -> usize {
-        self.detections.len()
-    }
-
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError> {
-        self.turn_to(frame);
-        let found = of_frame(&self.detections, frame);
-        if let Screen::Recorded(_, run) = &mut self.screen {
-            run.detector_ran();
-        }
-        Ok(Some(found))
-    }
-
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError> {
-        self.turn_to(frame);
-        Ok(match &mut self.screen {
-            Screen::Nonempty => Some(false),
-            Screen::Detections => Some(of_frame(&self.detections, frame).is_empty()),
-            Screen::Recorded(verdicts, run) => {
-                let verdict = verdicts.get(frame).copied().flatten();
-                verdict.map(|empty| run.limit(empty))
+        self.frame = frame;
+        let found = self.detections.get(frame).map_or(&[][..], Vec::as_slice);
+        let verdict = |empty| Evidence::Screen { empty };
+        Ok(match (need, &mut self.screen) {
+            (Need::Nothing, _) => Evidence::Unavailable,
+            (Need::Screen, Screen::Nonempty) => verdict(false),
+            (Need::Screen, Screen::Detections) => verdict(found.is_empty()),
+            (Need::Screen, Screen::Recorded(verdicts, run)) => {
+                let empty = verdicts.get(frame).copied().flatten();
+                empty.map_or(Evidence::Unavailable, |empty| verdict(run.limit(empty)))
+            }
+            (Need::Detections, screen) => {
+                if let Screen::Recorded(_, run) = screen {
+                    run.detector_ran();
+                }
+                Evidence::Detections(found)
+            }
+            (Need::GreyPicture | Need::SmallGreyPicture { .. }, _) => {
+                Evidence::GreyPicture(self.grey_picture(frame, need)?)
             }
         })
     }
 
-    fn grey_picture(
-        &mut self,
-        frame: usize,
-        need: Need,
-    ) -> Result<Option<GreyPicture<'_>>, EvalError> {
+    /// The picture in grey, as small as `need` has it.
+    fn grey_picture(&self, frame: usize, need: Need) -> Result<GreyPicture<'_>, EvalError> {
         let kept = self.recording.pictured.and_then(|pictured| match need {
             Need::SmallGreyPicture { width } if pictured.small_width == Some(width) => {
                 pictured.small.get(frame)
@@ -230,9 +190,9 @@ impl ClipEvidence for StoredEvidence<'_> {
                 "this policy looks at pixels, and stored detections have none: evaluate it on a video or a folder of pictures",
             )
         })?;
-        Ok(Some(GreyPicture {
+        Ok(GreyPicture {
             size: picture.size,
             pixels: &picture.pixels,
-        }))
+        })
     }
 }

@@ -14,7 +14,7 @@ use crate::replay::{ClipFrame, drive};
 use crate::result::ClipResult;
 use crate::run::{Settings, build, in_parallel, judge, no_evidence};
 use crate::scoring::score_published;
-use crate::source::{ClipEvidence, Recording, StoredEvidence};
+use crate::source::{Recording, StoredEvidence};
 use crate::spec::{BASELINE, PolicySpec};
 use crate::summary::{Difference, PolicySummary, summarise};
 use crate::table::short;
@@ -103,7 +103,7 @@ pub fn run<'a, R: Into<Recording<'a>>>(
 fn publish(
     clip: &Clip,
     mut policy: Box<dyn Policy>,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     stream: &Stream,
 ) -> Result<Published, EvalError> {
     let Stream::AtArrival { detector } = stream else {
@@ -145,7 +145,7 @@ impl Timing<'_> {
 /// Frames are answered at once; the detector works on one of them at a time.
 fn at_once(
     policy: Box<dyn Policy>,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     timing: Timing<'_>,
 ) -> Result<Published, EvalError> {
     let mut late = LatePolicy::new(policy).map_err(EvalError::new)?;
@@ -158,7 +158,7 @@ fn at_once(
         while let Some((waiting_frame, need, at)) = waits
             && at <= now + SAME_TIME
         {
-            let mut stored = ClipFrame::new(&mut *source, waiting_frame);
+            let mut stored = ClipFrame::new(source, waiting_frame);
             let evidence = stored.evidence(need)?;
             let next = late.deliver(waiting_frame as u64, evidence, &mut unused);
             let next = next.map_err(EvalError::new)?;
@@ -179,7 +179,7 @@ fn at_once(
 /// Frames wait for the detector; those that come meanwhile are lost but for the newest.
 fn when_known(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     timing: Timing<'_>,
 ) -> Result<Published, EvalError> {
     let mut published = Published::default();
@@ -196,7 +196,7 @@ fn when_known(
         let start = f64::max(free, frame as f64 * timing.interval);
         let step = (frame + 1 - next) as u32;
         let head = head(frame, step, source.picture());
-        let mut stored = ClipFrame::new(&mut *source, frame);
+        let mut stored = ClipFrame::new(source, frame);
         decide(policy, head, &mut stored, &mut outcome)?;
         free = start;
         if stored.detector {
@@ -219,7 +219,7 @@ fn when_known(
 /// Frames wait for the detector, which takes no time, and are settled.
 fn settled(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
+    source: &mut StoredEvidence<'_>,
     interval: Duration,
 ) -> Result<Published, EvalError> {
     let mut published = Published::default();
@@ -316,10 +316,10 @@ impl StreamResults {
 
 /// `+24.1 [18.2, 30.1]`, in points.
 fn points(difference: Option<Difference>) -> String {
-    let text = difference.map(|difference| match difference.t {
+    let text = difference.map(|difference| match difference.interval {
         None => format!("{:+.1}", 100.0 * difference.mean),
-        Some(t) => {
-            let [mean, lower, upper] = [difference.mean, t.lower, t.upper].map(|s| 100.0 * s);
+        Some([lower, upper]) => {
+            let [mean, lower, upper] = [difference.mean, lower, upper].map(|s| 100.0 * s);
             format!("{mean:+.1} [{lower:.1}, {upper:.1}]")
         }
     });

@@ -3,7 +3,7 @@
 use crate::average_precision::Accuracy;
 use crate::result::{ClipResult, Provenance};
 use crate::spec::BASELINE;
-use crate::statistics::{PairedT, mean, paired_t};
+use crate::statistics::{half_interval, mean};
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
@@ -14,17 +14,18 @@ pub struct Difference {
     pub clips: usize,
     /// Mean difference.
     pub mean: f64,
-    /// Paired t-test; `None` where it is undefined.
-    pub t: Option<PairedT>,
+    /// Its 95 % interval (paired t), from and to; `None` where it is undefined.
+    pub interval: Option<[f64; 2]>,
 }
 
 impl Difference {
     /// The differences in `values`; `None` without any.
     pub fn of(values: &[f64]) -> Option<Self> {
+        let mean = mean(values.iter().copied())?;
         Some(Self {
             clips: values.len(),
-            mean: mean(values.iter().copied())?,
-            t: paired_t(values),
+            mean,
+            interval: half_interval(values).map(|half| [mean - half, mean + half]),
         })
     }
 }

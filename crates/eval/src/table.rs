@@ -52,8 +52,8 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         or_dash(difference.map(|found| format!("{:+.1}", found.mean * 100.0)))
     };
     let interval = |difference: Option<Difference>| {
-        let t = difference.and_then(|found| found.t);
-        or_dash(t.map(|t| format!("[{:+.1}, {:+.1}]", t.lower * 100.0, t.upper * 100.0)))
+        let interval = difference.and_then(|found| found.interval);
+        or_dash(interval.map(|[from, to]| format!("[{:+.1}, {:+.1}]", from * 100.0, to * 100.0)))
     };
     let mut columns = vec![
         column(["", "policy"], 0, &|s| {

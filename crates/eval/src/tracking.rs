@@ -3,7 +3,7 @@
 //! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] do not count: unlike average precision,
 //! neither figure knows confidences.
 
-use crate::average_precision::{SHOWN_CONFIDENCE, ScoredBox, TruthBox};
+use crate::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_core::geometry::Corners;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
@@ -59,7 +59,7 @@ impl Overlaps {
 /// Judges the tracks of `predictions` against `truth`, both one entry per frame.
 ///
 /// `None` without ground truth, and when a box that counts does not say which object it shows.
-pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Option<Tracking> {
+pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Option<Tracking> {
     let (mut objects, mut tracks) = (Appearances::default(), Appearances::default());
     let mut frames = Vec::new();
     for index in 0..predictions.len().max(truth.len()) {
@@ -187,12 +187,8 @@ mod tests {
         }
     }
 
-    fn known(object: Option<u64>) -> Vec<TruthBox> {
-        vec![TruthBox {
-            corners: corners(0.0),
-            class: ClassId(0),
-            object,
-        }]
+    fn known(object: Option<u64>) -> Vec<ScoredBox> {
+        vec![found(0.0, object, 1.0)]
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The frames on which a policy lost the most against the detector: what a person wants to see first.
 
-use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
+use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use crate::data::Clip;
 use crate::error::EvalError;
 use crate::footage::FrameSource;
@@ -128,7 +128,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
 }
 
 /// Objects of `truth` that `found` has.
-fn hits(found: &[ScoredBox], truth: &[TruthBox]) -> usize {
+fn hits(found: &[ScoredBox], truth: &[ScoredBox]) -> usize {
     let judged = accuracy(
         &[found.to_vec()],
         &[truth.to_vec()],

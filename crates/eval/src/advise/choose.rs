@@ -2,11 +2,12 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::{Screen, Trial, refused, try_out};
+use super::trial::{Trial, refused, try_out};
 use crate::average_precision::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
 use crate::run::Settings;
+use crate::source::ScreenRule;
 use albireo_core::policy::{ExpectedLoss, Knob, PolicyConfig, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
@@ -23,8 +24,8 @@ pub struct Proposal {
     pub knob: &'static str,
     /// The threshold's value.
     pub value: f64,
-    /// The screen beside it.
-    pub screen: Screen,
+    /// What the empty-scene screen says: never "empty", or what a model said.
+    pub screen: ScreenRule,
     /// Whether the target is met; if not, this is the nearest that the threshold's useful range has.
     pub meets_target: bool,
     /// Share of frames without the detector.
@@ -98,9 +99,9 @@ pub fn advise(
             "{policy}: it has no threshold to meet a target with"
         ))
     })?;
-    let mut screens = vec![Screen::None];
+    let mut screens = vec![ScreenRule::Nonempty];
     if clips.iter().all(|clip| clip.screen.is_some()) {
-        screens.push(Screen::Model);
+        screens.push(ScreenRule::Recorded);
     }
     let propose = |screen| {
         let search = Search {
@@ -158,7 +159,7 @@ struct Search<'a> {
     clips: &'a [Clip],
     config: &'a PolicyConfig,
     knob: Knob,
-    screen: Screen,
+    screen: ScreenRule,
     settings: &'a Settings,
     target: Target,
 }
@@ -241,7 +242,7 @@ impl Search<'_> {
             "[policy]\nname = \"{name}\"\n{table}{} = {number}\n",
             self.knob.name
         );
-        if self.screen == Screen::Model {
+        if self.screen == ScreenRule::Recorded {
             text.push_str("[screen]\nmodel = \"the model whose verdicts were recorded\"\n");
         }
         text

@@ -3,7 +3,7 @@
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
 use super::target::Target;
-use super::trial::Screen;
+use crate::source::ScreenRule;
 use crate::text::{Column, or_dash, table, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
@@ -44,7 +44,10 @@ pub fn render(advice: &Advice) -> String {
         ),
         Column::new(
             ["screen", ""],
-            cells(&|found| found.screen.as_str().to_owned()),
+            cells(&|found| match found.screen {
+                ScreenRule::Recorded => "model".to_owned(),
+                _ => "none".to_owned(),
+            }),
         ),
         Column::new(["skipped", ""], cells(&|found| percent(found.skip_rate))),
         Column::new(["recall", ""], cells(&|found| share(found.recall))),
@@ -102,8 +105,8 @@ fn proposed(best: &Proposal) -> String {
         best.knob,
         digits(best.value),
         match best.screen {
-            Screen::None => String::new(),
-            screen => format!(" and the screen `{}`", screen.as_str()),
+            ScreenRule::Recorded => " and the screen `model`",
+            _ => "",
         },
         percent(best.skip_rate),
         percent(best.recall),

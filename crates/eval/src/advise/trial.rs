@@ -9,33 +9,12 @@ use crate::run::Settings;
 use crate::source::ScreenRule;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::PolicyConfig;
-use serde::Serialize;
 
 /// Blocks that a recording is cut into, if it is long enough.
 const BLOCKS: usize = 40;
 
 /// Frames of a block at least: one that ends with an object's visit says nothing of the next.
 const LEAST_FRAMES: usize = 20;
-
-/// Which empty-scene screen a candidate has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Screen {
-    /// None.
-    None,
-    /// The model whose verdicts were recorded.
-    Model,
-}
-
-impl Screen {
-    /// Its name in tables.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Model => "model",
-        }
-    }
-}
 
 /// Consecutive frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -122,17 +101,14 @@ pub(super) fn try_out(
     clips: &[Clip],
     config: &PolicyConfig,
     value: f64,
-    screen: Screen,
+    screen: ScreenRule,
     settings: &Settings,
 ) -> Result<Trial, EvalError> {
     let mut turned = config.clone();
     (turned.set_argument(&format!("{value:e}"))).map_err(refused)?;
     let mut policy = turned.build().map_err(refused)?;
     let settings = Settings {
-        screen: match screen {
-            Screen::None => ScreenRule::Nonempty,
-            Screen::Model => ScreenRule::Recorded,
-        },
+        screen,
         ..settings.clone()
     };
     let frames: usize = clips.iter().map(|clip| clip.frames).sum();

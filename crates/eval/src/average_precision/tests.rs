@@ -19,15 +19,11 @@ fn scored(corners: Corners, confidence: f64) -> ScoredBox {
     }
 }
 
-fn truth(corners: Corners) -> TruthBox {
-    TruthBox {
-        corners,
-        class: ClassId(0),
-        object: None,
-    }
+fn truth(corners: Corners) -> ScoredBox {
+    scored(corners, 1.0)
 }
 
-fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Accuracy {
+fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Accuracy {
     let area = Interpolation::AllPoints;
     accuracy(predictions, truth, Classes::Pooled, area).expect("there is ground truth")
 }
@@ -146,7 +142,7 @@ fn separate_classes_do_not_match_each_other_and_are_averaged() {
 /// The definition, written without any of the shortcuts.
 fn slow_average_precision(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<TruthBox>],
+    truth: &[Vec<ScoredBox>],
     threshold: f64,
 ) -> f64 {
     let mut ranked = Vec::new();
@@ -214,7 +210,7 @@ proptest! {
             .iter()
             .map(|frame| frame.0.iter().map(|&(b, c)| scored(b, f64::from(c) / 8.0)).collect())
             .collect();
-        let truths: Vec<Vec<TruthBox>> = frames
+        let truths: Vec<Vec<ScoredBox>> = frames
             .iter()
             .map(|frame| frame.1.iter().map(|&b| truth(b)).collect())
             .collect();
@@ -248,7 +244,7 @@ fn boxes_in_an_ignored_region_are_no_false_alarms_and_found_objects_there_count(
 }
 
 /// `count` boxes, 20 a frame, each predicted a little off its place.
-fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>) {
+fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>) {
     let place = |frame: usize, index: usize| {
         let x = ((frame * 37 + index * 61) % 1200) as f64;
         square(x, ((frame + index * 97) % 640) as f64, 80.0)

@@ -1,6 +1,6 @@
 //! Agreement of a policy's boxes with those of the detector on every frame.
 
-use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
+use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_wire::DetectionsMessage;
@@ -58,8 +58,8 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
     let both = boxes
         .iter()
         .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)));
-    let (found, truth): (Vec<_>, Vec<Vec<TruthBox>>) = both
-        .map(|(found, expected)| (found, expected.iter().map(|b| TruthBox::from(*b)).collect()))
+    let (found, truth): (Vec<_>, Vec<_>) = both
+        .map(|(found, expected)| (found, expected.clone()))
         .unzip();
     let judged = accuracy(&found, &truth, Classes::Pooled, Interpolation::AllPoints)?;
     Some(Agreement {

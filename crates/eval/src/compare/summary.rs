@@ -1,7 +1,7 @@
 //! Means over the rounds with their confidence intervals, and changes against the first variant.
 
 use super::run::{Comparison, Run};
-use crate::statistics::paired_t;
+use crate::statistics::half_interval;
 use albireo_wire::EnergyQuality;
 use serde::Serialize;
 
@@ -83,16 +83,10 @@ impl Mean {
             return None;
         }
         let mean = values.iter().sum::<f64>() / rounds as f64;
-        let half = match paired_t(values) {
-            Some(found) => {
-                let half = (found.upper - found.lower) / 2.0;
-                // Equal values differ from their mean by its rounding error.
-                Some(if half > 1e-12 * mean.abs() { half } else { 0.0 })
-            }
-            // All of them zero.
-            None if rounds > 1 => Some(0.0),
-            None => None,
-        };
+        let half = half_interval(values);
+        // Equal values differ from their mean by its rounding error; of zeros there is no interval.
+        let half = half.filter(|half| *half > 1e-12 * mean.abs());
+        let half = half.or((rounds > 1).then_some(0.0));
         Some(Self { mean, half, rounds })
     }
 }

@@ -72,7 +72,7 @@ pub struct Source<'a> {
 }
 
 /// Boxes of each video's frames, by index.
-type Videos<T> = BTreeMap<String, BTreeMap<usize, Vec<T>>>;
+type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
@@ -117,7 +117,7 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
 }
 
 /// One list per frame; frames the file does not have are empty.
-fn spread<T: Clone>(by_index: BTreeMap<usize, Vec<T>>, frames: usize) -> Vec<Vec<T>> {
+fn spread(by_index: BTreeMap<usize, Vec<ScoredBox>>, frames: usize) -> Vec<Vec<ScoredBox>> {
     let mut spread = vec![Vec::new(); frames];
     for (index, boxes) in by_index {
         spread[index] = boxes;
@@ -125,12 +125,12 @@ fn spread<T: Clone>(by_index: BTreeMap<usize, Vec<T>>, frames: usize) -> Vec<Vec
     spread
 }
 
-fn read_videos<T: From<ScoredBox>>(
+fn read_videos(
     path: &Path,
     picture: PictureSize,
     scored: bool,
     report: &mut LoadReport,
-) -> Result<Videos<T>, EvalError> {
+) -> Result<Videos, EvalError> {
     let mut videos = Videos::new();
     for file in json_files(path)? {
         let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
@@ -150,10 +150,7 @@ fn read_videos<T: From<ScoredBox>>(
         for (position, frame) in frames.into_iter().enumerate() {
             let index = frame.index.unwrap_or(position);
             let video = frame.video.as_deref().unwrap_or(&stem).to_owned();
-            let place = videos
-                .entry(video)
-                .or_insert_with(BTreeMap::new)
-                .entry(index);
+            let place = videos.entry(video).or_default().entry(index);
             let btree_map::Entry::Vacant(place) = place else {
                 let what = format!(
                     "frame {} comes twice: its video already has the index {index}",
@@ -184,13 +181,13 @@ fn json_files(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
 }
 
 /// The boxes of a frame that are kept.
-fn boxes<T: From<ScoredBox>>(
+fn boxes(
     file: &Path,
     frame: &Frame,
     picture: PictureSize,
     scored: bool,
     report: &mut LoadReport,
-) -> Result<Vec<T>, EvalError> {
+) -> Result<Vec<ScoredBox>, EvalError> {
     let mut boxes = Vec::new();
     for (number, label) in frame.labels.iter().flatten().enumerate() {
         let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
@@ -214,7 +211,7 @@ fn boxes<T: From<ScoredBox>>(
             object: label.id.as_ref().and_then(number_of),
         };
         let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
-        boxes.extend(report.keep::<T>(&labelled, picture, place));
+        boxes.extend(report.keep(&labelled, picture, place));
     }
     Ok(boxes)
 }

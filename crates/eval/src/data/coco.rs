@@ -6,7 +6,6 @@
 
 use super::classes::from_name;
 use super::{Clip, Clips, LabelledBox, LeftOut};
-use crate::average_precision::{ScoredBox, TruthBox};
 use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
@@ -102,7 +101,7 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> 
         let spot = || format!("{}, annotation {number}", dataset.display());
         let (clip, frame) = place(dataset, &places, annotation, number)?;
         let clip = &mut drafts[clip];
-        let kept = report.keep::<TruthBox>(&labelled(annotation, 1.0), clip.picture, spot);
+        let kept = report.keep(&labelled(annotation, 1.0), clip.picture, spot);
         if let Some(truth) = &mut clip.truth {
             truth[frame].extend(kept);
         }
@@ -116,7 +115,7 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> 
             let confidence = result.score.ok_or_else(|| {
                 EvalError::content(path, format!("result {number} has no `score`"))
             })?;
-            let kept = report.keep::<ScoredBox>(&labelled(result, confidence), clip.picture, spot);
+            let kept = report.keep(&labelled(result, confidence), clip.picture, spot);
             if let Some(detections) = &mut clip.detections {
                 detections[frame].extend(kept);
             }

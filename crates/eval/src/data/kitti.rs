@@ -7,7 +7,7 @@
 use super::classes::from_kitti;
 use super::rows::{Row, Table};
 use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension, pictures_in};
-use crate::average_precision::TruthBox;
+use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
@@ -57,13 +57,13 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     };
     let labels = table("label_02");
     let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");
-    let mut truth: Vec<Vec<TruthBox>> = labels.read(GONE, |row, boxes| {
+    let mut truth: Vec<Vec<ScoredBox>> = labels.read(GONE, |row, boxes| {
         if !is_region(row)? {
             let labelled = LabelledBox {
                 object: row.object(1, "id")?,
                 ..labelled(row, 1.0)?
             };
-            boxes.extend(report.keep::<TruthBox>(&labelled, picture, || row.place()));
+            boxes.extend(report.keep(&labelled, picture, || row.place()));
         }
         Ok(())
     })?;

@@ -139,15 +139,15 @@ impl Table<'_> {
     }
 
     /// The boxes of each frame that are kept; the others are counted in `report`.
-    pub(super) fn boxes<T: From<ScoredBox> + Clone>(
+    pub(super) fn boxes(
         &self,
         help: &str,
         picture: PictureSize,
         report: &mut LoadReport,
         labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, EvalError>,
-    ) -> Result<Vec<Vec<T>>, EvalError> {
+    ) -> Result<Vec<Vec<ScoredBox>>, EvalError> {
         self.read(help, |row, boxes| {
-            boxes.extend(report.keep::<T>(&labelled(row)?, picture, || row.place()));
+            boxes.extend(report.keep(&labelled(row)?, picture, || row.place()));
             Ok(())
         })
     }

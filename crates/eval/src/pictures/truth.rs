@@ -1,6 +1,6 @@
 //! What a clip of pictures is judged against: ground truth from a file, or Vanilla's own output.
 
-use crate::average_precision::{ScoredBox, TruthBox};
+use crate::average_precision::ScoredBox;
 use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::error::EvalError;
 use albireo_core::geometry::Corners;
@@ -24,7 +24,7 @@ pub enum TruthFormat {
 }
 
 /// Ground truth and the regions that it leaves out, one entry per frame each.
-pub type FrameTruth = (Vec<Vec<TruthBox>>, Vec<Vec<Corners>>);
+pub type FrameTruth = (Vec<Vec<ScoredBox>>, Vec<Vec<Corners>>);
 
 /// Files of ground truth.
 #[derive(Clone, Debug)]
@@ -157,10 +157,10 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
 
 /// Vanilla's own output as truth: the clip's detections from `confidence` on. What it measures is how far a
 /// policy departs from running the detector on every frame, not how right either is.
-pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<TruthBox>> {
+pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<ScoredBox>> {
     let sure = |frame: &Vec<ScoredBox>| {
         let sure = frame.iter().filter(|found| found.confidence >= confidence);
-        sure.map(|found| TruthBox::from(*found)).collect()
+        sure.copied().collect()
     };
     clip.detections.iter().flatten().map(sure).collect()
 }

@@ -1,11 +1,14 @@
 use super::*;
+use crate::data::Clip;
+use crate::pictures::PicturedClip;
 use crate::run::Settings;
-use crate::source::StoredEvidence;
-use albireo_core::detection::{ClassId, Detection};
+use crate::source::{ScreenRule, StoredEvidence};
+use albireo_core::detection::ClassId;
 use albireo_core::geometry::BoundingBox;
 use albireo_core::policy::{
-    BoxSource, GreyPicture, Knob, KnobError, OutputBox, PolicyConfig, PolicyConfigError,
+    BoxSource, Knob, KnobError, OutputBox, PolicyConfig, PolicyConfigError,
 };
+use albireo_vision::picture::Picture;
 
 const PICTURE: PictureSize = PictureSize::new(100, 100);
 
@@ -68,63 +71,48 @@ impl Policy for Curious {
     fn reset(&mut self) {}
 }
 
-/// A source whose evidence is missing on odd frames.
-struct Patchy {
-    found: Vec<Detection>,
-    grey: Vec<u8>,
-}
-
-impl ClipEvidence for Patchy {
-    fn picture(&self) -> PictureSize {
-        PICTURE
-    }
-    fn frames(&self) -> usize {
-        2
-    }
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, EvalError> {
-        Ok((frame == 0).then_some(&self.found[..]))
-    }
-    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, EvalError> {
-        Ok((frame == 0).then_some(false))
-    }
-    fn grey_picture(
-        &mut self,
-        frame: usize,
-        _: Need,
-    ) -> Result<Option<GreyPicture<'_>>, EvalError> {
-        let size = PictureSize::new(2, 1);
-        Ok((frame == 0).then_some(GreyPicture {
-            size,
-            pixels: &self.grey,
-        }))
+/// A recording of two frames with a grey picture each; of the second the screen could not say anything.
+fn recording(found: &[ScoredBox]) -> PicturedClip {
+    let grey = Picture {
+        size: PictureSize::new(2, 1),
+        pixels: vec![0, 0],
+        ..Picture::default()
+    };
+    PicturedClip {
+        clip: Clip {
+            detections: Some(vec![found.to_vec(); 2]),
+            screen: Some(vec![Some(false), None]),
+            ..Clip::new("clip".to_owned(), PICTURE, 2)
+        },
+        grey: vec![grey; 2],
+        small: Vec::new(),
+        small_width: None,
+        times: Vec::new(),
     }
 }
 
 /// Of a detector that drops what is below 0.5.
 fn replayed(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
+    recording: &PicturedClip,
     profile: Profile,
 ) -> Result<Replay, EvalError> {
+    let settings = Settings {
+        screen: ScreenRule::Recorded,
+        ..Settings::default()
+    };
+    let mut source = StoredEvidence::new(recording, &settings)?;
     let floor = MinConfidence::new(None, 0.5);
-    replay(policy, source, profile, floor, true)
-}
-
-fn patchy() -> Patchy {
-    Patchy {
-        found: Vec::new(),
-        grey: vec![0, 0],
-    }
+    replay(policy, &mut source, profile, floor, true)
 }
 
 #[test]
-fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
+fn a_policy_gets_what_it_asks_for_and_learns_what_the_screen_could_not_say() {
     let mut policy = Curious {
         script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
         ..Curious::default()
     };
-    let mut source = patchy();
-    let result = replayed(&mut policy, &mut source, Profile::Paper).expect("it runs");
+    let result = replayed(&mut policy, &recording(&[]), Profile::Paper).expect("it runs");
     assert_eq!(
         policy.told,
         [
@@ -132,8 +120,8 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
             "grey 2x1",
             "detections 0",
             "unavailable",
-            "unavailable",
-            "unavailable"
+            "grey 2x1",
+            "detections 0"
         ]
     );
     let calls: Vec<_> = result
@@ -141,14 +129,13 @@ fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
         .iter()
         .map(|f| (f.screen, f.detector))
         .collect();
-    assert_eq!(calls, [(true, true), (true, false)]);
+    assert_eq!(calls, [(true, true), (true, true)]);
 }
 
 #[test]
 fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
-    let run = |scoring| {
-        let mut source = patchy();
-        let result = replayed(&mut Curious::default(), &mut source, scoring);
+    let run = |profile| {
+        let result = replayed(&mut Curious::default(), &recording(&[]), profile);
         result.expect("it runs").boxes[0][0].corners
     };
     assert!((run(Profile::Paper).x1 - 44.45).abs() < 1e-9);
@@ -157,16 +144,11 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
 
 #[test]
 fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
-    let mut source = patchy();
-    let mut counts = |profile, least| {
+    let recording = recording(&[]);
+    let counts = |profile, least| {
         let floor = MinConfidence::new(least, 0.8);
-        let result = replay(
-            &mut Curious::default(),
-            &mut source,
-            profile,
-            floor,
-            false,
-        );
+        let mut source = StoredEvidence::new(&recording, &Settings::default()).unwrap();
+        let result = replay(&mut Curious::default(), &mut source, profile, floor, false);
         let result = result.expect("it runs");
         (
             result.boxes[0].len(),
@@ -186,12 +168,10 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         script: vec![Need::GreyPicture],
         ..Curious::default()
     };
-    let clip = crate::data::Clip {
-        detections: Some(vec![Vec::new()]),
-        ..crate::data::Clip::new("clip".to_owned(), PICTURE, 1)
-    };
+    let clip = recording(&[]).clip;
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
-    let error = replayed(&mut policy, &mut source, Profile::Paper);
+    let floor = MinConfidence::new(None, 0.5);
+    let error = replay(&mut policy, &mut source, Profile::Paper, floor, false);
     let said = error.unwrap_err().to_string();
     assert!(said.contains("evaluate it on a video"), "{said}");
 }
@@ -199,17 +179,14 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
 #[test]
 fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyConfigError> {
     let mut policy = PolicyConfig::default().build()?;
-    let found = vec![Detection {
-        bounding_box: BoundingBox::new(0.5, 0.5, 0.2, 0.2),
+    let found = ScoredBox {
+        corners: BoundingBox::new(0.5, 0.5, 0.2, 0.2).pixel_corners(PICTURE),
         class: ClassId(2),
         confidence: 0.9,
-    }];
+        object: None,
+    };
     let mut run = || {
-        let mut source = Patchy {
-            found: found.clone(),
-            grey: Vec::new(),
-        };
-        let result = replayed(policy.as_mut(), &mut source, Profile::Reference);
+        let result = replayed(policy.as_mut(), &recording(&[found]), Profile::Reference);
         let result = result.expect("it runs");
         (result.trace, result.boxes, result.boxes_last_confidence)
     };

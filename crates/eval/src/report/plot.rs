@@ -241,8 +241,9 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
 
 /// The 95 % interval of a policy's AP@50.
 fn interval(summary: &PolicySummary) -> Option<(f64, f64)> {
-    let (ap50, t) = (summary.ap50?, summary.ap50_change?.t?);
-    Some((ap50 - t.mean + t.lower, ap50 - t.mean + t.upper))
+    let (ap50, change) = (summary.ap50?, summary.ap50_change?);
+    let [from, to] = change.interval?;
+    Some((ap50 - change.mean + from, ap50 - change.mean + to))
 }
 
 /// The vertical range: all points, and of the intervals as much as leaves the points apart. Two clips can have an

@@ -1,5 +1,5 @@
 use super::*;
-use crate::average_precision::{ScoredBox, TruthBox};
+use crate::average_precision::ScoredBox;
 use crate::spec::resolve;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
@@ -29,9 +29,10 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
         confidence: 0.9,
         object: None,
     };
-    let truth = |frame| TruthBox {
+    let truth = |frame| ScoredBox {
         corners: car(frame),
         class,
+        confidence: 1.0,
         object: Some(1),
     };
     Clip {

@@ -92,7 +92,7 @@ fn the_screen_whose_verdicts_were_recorded_is_tried_beside_none() {
     let advice = advise(&clips, target, "albireo", &Settings::default()).unwrap();
     let screens: Vec<_> = advice.proposals.iter().map(|found| found.screen).collect();
     assert_eq!(screens.len(), 2);
-    assert!(screens.contains(&Screen::Model) && screens.contains(&Screen::None));
+    assert!(screens.contains(&ScreenRule::Recorded) && screens.contains(&ScreenRule::Nonempty));
 }
 
 #[test]
