@@ -18,7 +18,7 @@ pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
 pub use files::write;
 pub use run::{Advice, Comparison, Playing, Run};
 pub use schedule::{Turn, schedule};
-pub use summary::{Basis, Change, Figure, Mean, PolicySummary, Summary, summarise};
+pub use summary::{Change, Figure, Mean, PolicySummary, Summary, summarise};
 pub use table::render;
 pub use variant::variants;
 pub use verdict::{Verdict, verdicts};

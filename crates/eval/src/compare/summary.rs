@@ -101,26 +101,6 @@ pub struct Change {
     pub half: Option<f64>,
 }
 
-/// What the energy figures are worth.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Basis {
-    /// A meter was read through every run.
-    Measured {
-        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
-        source: String,
-    },
-    /// A meter was read, with gaps.
-    Partial {
-        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
-        source: String,
-    },
-    /// Computed from utilisation; no meter was read.
-    Estimated,
-    /// There is no figure for at least one run.
-    Unavailable,
-}
-
 /// All figures of one variant.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PolicySummary {
@@ -150,7 +130,9 @@ impl PolicySummary {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// What the energy figures are worth.
-    pub energy: Basis,
+    pub energy: EnergyQuality,
+    /// Where they come from, as clip reports have it: `rapl`, `tegrastats`, …
+    pub energy_source: String,
     /// Least share of a run's time that power samples cover.
     pub coverage: f64,
     /// Complete rounds.
@@ -210,7 +192,9 @@ pub fn summarise(comparison: &Comparison) -> Summary {
     power_modes.sort();
     power_modes.dedup();
     Summary {
-        energy: basis(runs),
+        energy: quality(runs),
+        energy_source: (runs.first())
+            .map_or_else(String::new, |run| run.report.energy.source.clone()),
         coverage: runs
             .iter()
             .map(|run| run.report.energy.coverage)
@@ -246,24 +230,12 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
 }
 
 /// The least that can be said of all runs: an estimate among measurements makes the whole an estimate.
-fn basis(runs: &[Run]) -> Basis {
-    let worst = runs
-        .iter()
-        .map(|run| match run.report.energy.joules {
-            Some(_) => run.report.energy.quality,
-            None => EnergyQuality::Unavailable,
-        })
-        .max();
-    let source = || {
-        let first = runs.first();
-        first.map_or_else(String::new, |run| run.report.energy.source.clone())
+fn quality(runs: &[Run]) -> EnergyQuality {
+    let of = |run: &Run| match run.report.energy.joules {
+        Some(_) => run.report.energy.quality,
+        None => EnergyQuality::Unavailable,
     };
-    match worst {
-        Some(EnergyQuality::Measured) => Basis::Measured { source: source() },
-        Some(EnergyQuality::Partial) => Basis::Partial { source: source() },
-        Some(EnergyQuality::Estimated) => Basis::Estimated,
-        Some(EnergyQuality::Unavailable) | None => Basis::Unavailable,
-    }
+    runs.iter().map(of).max().unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -2,9 +2,10 @@
 
 use super::run::Comparison;
 use super::schedule::schedule;
-use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
+use super::summary::{Change, Figure, Mean, PolicySummary, Summary};
 use super::verdict::verdicts;
 use crate::text::{self, Column, or_dash, wrapped};
+use albireo_wire::EnergyQuality;
 use std::fmt::Write;
 
 /// Widest label; what is longer is cut.
@@ -25,12 +26,12 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     } else {
         "One run each: without --repeat 2 or more there is no confidence interval".to_owned()
     };
-    let powered = summary.energy != Basis::Unavailable;
+    let powered = summary.energy != EnergyQuality::Unavailable;
     let energy_unit = match summary.energy {
-        Basis::Measured { .. } => "measured",
-        Basis::Partial { .. } => "partial",
-        Basis::Estimated => "ESTIMATED",
-        Basis::Unavailable => "",
+        EnergyQuality::Measured => "measured",
+        EnergyQuality::Partial => "partial",
+        EnergyQuality::Estimated => "ESTIMATED",
+        EnergyQuality::Unavailable => "",
     };
     let mut columns = vec![
         (Figure::CpuSeconds, ["CPU time s", ""]),
@@ -121,18 +122,19 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
 
 /// What the energy is worth, in words.
 fn energy(summary: &Summary) -> String {
-    let mut text = match &summary.energy {
-        Basis::Measured { source } => format!("Energy is measured by `{source}`."),
-        Basis::Partial { source } => format!(
+    let source = &summary.energy_source;
+    let mut text = match summary.energy {
+        EnergyQuality::Measured => format!("Energy is measured by `{source}`."),
+        EnergyQuality::Partial => format!(
             "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run. Where they \
              do not cover the whole run its energy is not known, and neither energy nor EDP is shown.",
             summary.coverage * 100.0
         ),
-        Basis::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \
+        EnergyQuality::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \
              CPU time, frame time and detector calls. Energy and EDP are ESTIMATED from the utilisation of the \
              whole machine with assumed watts, and are no measurement."
             .to_owned(),
-        Basis::Unavailable => "There is no power meter here (`albireo power` says why not), so there is no \
+        EnergyQuality::Unavailable => "There is no power meter here (`albireo power` says why not), so there is no \
              energy: what is measured is CPU time, frame time and detector calls."
             .to_owned(),
     };

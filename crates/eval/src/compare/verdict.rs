@@ -1,8 +1,9 @@
 //! The verdict of a comparison: a sentence per policy, and what to try.
 
 use super::run::{Comparison, Run};
-use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
+use super::summary::{Change, Figure, Mean, PolicySummary, Summary};
 use albireo_core::policy::short;
+use albireo_wire::EnergyQuality;
 use serde::Serialize;
 
 /// Seconds of a year.
@@ -24,7 +25,7 @@ pub struct Verdict {
     /// every run, without a second round to give it an interval, and where the clip was not played at its own pace.
     pub kwh_a_year: Option<Mean>,
     /// What the energy is worth.
-    pub energy: Basis,
+    pub energy: EnergyQuality,
     /// Whether it skipped a frame at all.
     pub skips: bool,
     /// All of it in a sentence.
@@ -56,7 +57,7 @@ fn verdict(
         detector_calls_percent: calls.map(|change| change.percent),
         ap50: policy.mean(Figure::Ap50).map(|mean| mean.mean),
         kwh_a_year: kwh_a_year(comparison, variant),
-        energy: summary.energy.clone(),
+        energy: summary.energy,
         skips: (policy.mean(Figure::SkipRate)).is_none_or(|mean| mean.mean > 0.0),
         sentence: String::new(),
     };
@@ -113,11 +114,12 @@ fn sentence(
 
 /// What becomes of the energy, in words.
 fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Option<String> {
-    let basis = match &summary.energy {
-        Basis::Measured { source } => format!("measured by `{source}`"),
-        Basis::Partial { source } => format!("measured by `{source}` with gaps"),
-        Basis::Estimated => "estimated".to_owned(),
-        Basis::Unavailable => return Some("energy not known".to_owned()),
+    let source = &summary.energy_source;
+    let basis = match summary.energy {
+        EnergyQuality::Measured => format!("measured by `{source}`"),
+        EnergyQuality::Partial => format!("measured by `{source}` with gaps"),
+        EnergyQuality::Estimated => "estimated".to_owned(),
+        EnergyQuality::Unavailable => return Some("energy not known".to_owned()),
     };
     let change = policy.change(Figure::Joules)?;
     if is_unclear(change) {

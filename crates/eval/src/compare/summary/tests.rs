@@ -124,22 +124,21 @@ fn changes_are_paired_by_round_so_that_a_drift_of_the_board_does_not_widen_them(
     let calls = albireo.change(Figure::DetectorCalls).unwrap();
     assert_eq!(calls.percent, -60.0);
     assert_eq!(albireo.mean(Figure::SkipRate).unwrap().mean, 0.6);
-    let source = "rapl".to_owned();
-    assert_eq!(summary.energy, Basis::Measured { source });
+    assert_eq!(summary.energy, EnergyQuality::Measured);
+    assert_eq!(summary.energy_source, "rapl");
     assert_eq!(summary.rounds, 4);
 }
 
 #[test]
 fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
     let mut runs = vec![run(0, 0, 100, Some(9.0)), run(0, 1, 50, Some(5.0))];
-    let basis_of = |runs: &Vec<Run>| summarise(&comparison(&["a", "b"], runs.clone())).energy;
+    let quality_of = |runs: &Vec<Run>| summarise(&comparison(&["a", "b"], runs.clone())).energy;
     runs[1].report.energy.quality = EnergyQuality::Partial;
-    let source = "rapl".to_owned();
-    assert_eq!(basis_of(&runs), Basis::Partial { source });
+    assert_eq!(quality_of(&runs), EnergyQuality::Partial);
     runs[0].report.energy.quality = EnergyQuality::Estimated;
-    assert_eq!(basis_of(&runs), Basis::Estimated);
+    assert_eq!(quality_of(&runs), EnergyQuality::Estimated);
     runs[0].report.energy.joules = None;
-    assert_eq!(basis_of(&runs), Basis::Unavailable);
+    assert_eq!(quality_of(&runs), EnergyQuality::Unavailable);
     assert_eq!(
         summarise(&comparison(&["a", "b"], runs)).policies[0].mean(Figure::Joules),
         None
