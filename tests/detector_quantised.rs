@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use albireo_core::detection::Detection;
-use albireo_eval::footage::{FrameSource, PictureArchive};
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};
 use albireo_vision::picture::{FrameLimits, Picture, PixelLayout, decode};
 use std::path::Path;
@@ -89,7 +89,7 @@ fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
     let mut agreement = Agreement::default();
     let mut same_to_the_bit = true;
     let road = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/road.tar");
-    let clips = PictureArchive::open(&road, 10.0).unwrap().into_clips();
+    let clips = Pictures::of_archive(&road, 10.0).unwrap().into_clips();
     let mut clip = clips.into_iter().find(|clip| clip.name() == CLIP).unwrap();
     let encoded = std::iter::from_fn(|| clip.next().unwrap());
     for encoded in encoded.step_by(EVERY) {

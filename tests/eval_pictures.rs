@@ -12,7 +12,7 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
+use albireo_eval::footage::{Ffmpeg, FrameSource, Pictures, Thinned, Video, VideoEncoding};
 use albireo_eval::pictures::{
     LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
     looks_at_pixels,
@@ -132,7 +132,7 @@ fn assert_replays_alike(pictured: &PicturedClip, confidence: f64) -> Vec<ClipRes
 fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 60);
-    let mut source = PictureFolder::open(folder.path(), 10.0).unwrap();
+    let mut source = Pictures::of_folder(folder.path(), 10.0).unwrap();
     let pictured = look(&mut source, &fixture_detector(), &fixture_screen());
     assert_eq!(pictured.clip.frames, 60);
     assert_eq!(pictured.grey.len(), 60);

@@ -11,7 +11,7 @@ mod stages;
 mod starts;
 mod ways;
 
-use albireo_eval::footage::{FrameSource, PictureArchive};
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::DetectorNetwork;
 use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
@@ -91,7 +91,7 @@ async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// The pictures that are shown to detectors.
 fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
-    let mut source = PictureArchive::open(Path::new("demo/road.tar"), node::RATE)?;
+    let mut source = Pictures::of_archive(Path::new("demo/road.tar"), node::RATE)?;
     let mut frames = Vec::new();
     while frames.len() < PICTURES
         && let Some(frame) = source.next()?

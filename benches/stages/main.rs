@@ -8,7 +8,7 @@ mod samples;
 mod table;
 mod throughput;
 
-use albireo_eval::footage::{FrameSource, PictureArchive, PictureFolder};
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{
     EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode,
@@ -67,10 +67,10 @@ fn main() -> anyhow::Result<()> {
 /// The pictures of one round, all JPEG.
 fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
     let mut source: Box<dyn FrameSource> = match &arguments.pictures {
-        Some(folder) => Box::new(PictureFolder::open(folder, PictureFolder::RATE)?),
-        None => Box::new(PictureArchive::open(
+        Some(folder) => Box::new(Pictures::of_folder(folder, Pictures::RATE)?),
+        None => Box::new(Pictures::of_archive(
             Path::new("demo/road.tar"),
-            PictureFolder::RATE,
+            Pictures::RATE,
         )?),
     };
     let mut frames = Vec::new();

@@ -16,7 +16,6 @@ use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadName;
 use albireo_wire::EnergyQuality;
 use anyhow::{Context, bail, ensure};
-use clip::LoadedClip;
 use indicatif::HumanDuration;
 use play::{Played, Player};
 use std::path::PathBuf;
@@ -148,12 +147,13 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let source = (arguments.clip)
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
-    let clip = LoadedClip::read(source, arguments.seconds).await?;
+    let (clip, size) = clip::load(source, arguments.seconds).await?;
+    let frames = clip.frames().unwrap_or_default();
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
     let turns = schedule(variants.len(), arguments.repeat as usize);
     let pace = match rate {
         Some(rate) => {
-            let played = clip.len() as f64 / clip.rate() + arguments.warm_up;
+            let played = frames as f64 / clip.rate() + arguments.warm_up;
             let run = played / arguments.speed + arguments.cool_down + 1.0;
             let all = Duration::from_secs_f64(turns.len() as f64 * run);
             format!("{rate} frames/s, about {}", HumanDuration(all))
@@ -163,12 +163,13 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     eprintln!(
         "{} runs of {} frames of {} at {pace}; power: {meter}",
         turns.len(),
-        clip.len(),
+        frames,
         clip.name(),
     );
     let player = Player {
         config,
         clip,
+        size,
         rate,
         warm_up_s: arguments.warm_up,
         cool_down: Duration::from_secs_f64(arguments.cool_down),
@@ -307,8 +308,8 @@ fn judge(
     let model = player.config.detector.model.file_name().unwrap_or_default();
     let playing = Playing {
         clip: player.clip.name().to_owned(),
-        frames: player.clip.len() as u64,
-        size: player.clip.size().to_string(),
+        frames: player.clip.frames().unwrap_or_default(),
+        size: player.size.to_string(),
         rate: player.clip.rate(),
         played_rate: player.rate,
         warm_up_s: player.warm_up_s,

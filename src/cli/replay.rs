@@ -7,7 +7,7 @@ pub use super::frames::{
     DEFAULT_ENDPOINT, FrameSender, OutgoingFrame, Pacing, flush, open_session,
 };
 pub use albireo_eval::footage::{
-    Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Video, VideoEncoding,
+    Ffmpeg, FrameSource, Pictures, SourceName, Stopper, Video, VideoEncoding,
 };
 pub use publish::{PublishOptions, Rate, Sent, publish};
 

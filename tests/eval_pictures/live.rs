@@ -5,7 +5,7 @@ use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, 
 use albireo_core::detection::Detection;
 use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
 use albireo_eval::data::classes::from_name;
-use albireo_eval::footage::{FrameSource, PictureFolder};
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::pictures::PicturedClip;
 use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
@@ -182,7 +182,7 @@ pub(crate) fn assert_live_alike(
 fn assert_fixtures_alike(screen: &ScreenConfig, confidence: f64) -> u64 {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 60);
-    let mut source = PictureFolder::open(folder.path(), 10.0).unwrap();
+    let mut source = Pictures::of_folder(folder.path(), 10.0).unwrap();
     let detector = fixture_detector();
     let pictured = look(&mut source, &detector, screen);
     source.rewind().unwrap();

@@ -1,13 +1,13 @@
 //! One run: a node with one policy, a camera that plays the clip to it, and what came back.
 
 use super::PATIENCE;
-use super::clip::LoadedClip;
 use crate::cli::replay::{
     FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
 };
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
-use albireo_eval::footage::FrameSource;
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_node::PreparedNode;
 use albireo_node::camera::{AnswerTime, SettleConfig};
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -36,7 +36,9 @@ pub(super) struct Player {
     /// The node's configuration, but for what this makes of it.
     pub config: NodeConfig,
     /// What is played.
-    pub clip: LoadedClip,
+    pub clip: Pictures,
+    /// Size of its pictures.
+    pub size: PictureSize,
     /// Frames per second; `None` for as fast as they are taken.
     pub rate: Option<f64>,
     /// Warm-up, seconds of the clip.
@@ -96,7 +98,7 @@ impl Played {
 impl Player {
     /// Frames that a run sends, warm-up included.
     pub(super) fn frames_of_a_run(&self) -> u64 {
-        self.warm_up_frames() + self.clip.len() as u64
+        self.warm_up_frames() + self.clip.frames().unwrap_or_default()
     }
 
     fn warm_up_frames(&self) -> u64 {

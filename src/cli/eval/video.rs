@@ -5,7 +5,7 @@ use crate::cli::progress;
 use crate::cli::values::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{FrameSource, PictureFolder, SourceName, Thinned, VideoEncoding};
+use albireo_eval::footage::{FrameSource, Pictures, SourceName, Thinned, VideoEncoding};
 use albireo_eval::pictures::{
     GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, TruthFormat,
     against_vanilla, collect, looks_at_pixels,
@@ -36,7 +36,7 @@ pub(super) struct VideoArguments {
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
     /// Frames per second of pictures.
-    #[arg(long, default_value_t = PictureFolder::RATE, value_parser = parse_rate)]
+    #[arg(long, default_value_t = Pictures::RATE, value_parser = parse_rate)]
     rate: f64,
     /// Take this many frames per second, as if the camera were slower.
     #[arg(long, value_name = "FPS", conflicts_with = "ground_truth", value_parser = parse_rate)]

@@ -1,7 +1,6 @@
 //! Opens footage by its name on the command line.
 
-use super::archive::PictureArchive;
-use super::folder::PictureFolder;
+use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use crate::error::EvalError;
@@ -49,11 +48,11 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, EvalError> {
-        let pictures_rate = rate.unwrap_or(PictureFolder::RATE);
+        let pictures_rate = rate.unwrap_or(Pictures::RATE);
         let path = self.existing()?;
         Ok(match self {
-            Self::Pictures(_) => Box::new(PictureFolder::open(path, pictures_rate)?),
-            Self::Archive(_) => Box::new(PictureArchive::open(path, pictures_rate)?),
+            Self::Pictures(_) => Box::new(Pictures::of_folder(path, pictures_rate)?),
+            Self::Archive(_) => Box::new(Pictures::of_archive(path, pictures_rate)?),
             Self::Video(input) => Box::new(Video::open(input, rate, encoding, Ffmpeg::default())?),
         })
     }
@@ -83,7 +82,7 @@ impl SourceName {
         let Self::Archive(path) = self else {
             return Ok(vec![self.open(rate, encoding)?]);
         };
-        let archive = PictureArchive::open(path, rate.unwrap_or(PictureFolder::RATE))?;
+        let archive = Pictures::of_archive(path, rate.unwrap_or(Pictures::RATE))?;
         let clips = archive.into_clips().into_iter();
         Ok(clips
             .map(|clip| Box::new(clip) as Box<dyn FrameSource>)
@@ -98,11 +97,11 @@ impl SourceName {
         let path = self.existing()?;
         match self {
             Self::Archive(_) => {
-                let clips = PictureArchive::open(path, PictureFolder::RATE)?.into_clips();
+                let clips = Pictures::of_archive(path, Pictures::RATE)?.into_clips();
                 return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
             }
             // To find a folder without pictures before anything else is done.
-            Self::Pictures(_) => drop(PictureFolder::open(path, PictureFolder::RATE)?),
+            Self::Pictures(_) => drop(Pictures::of_folder(path, Pictures::RATE)?),
             Self::Video(_) => {}
         }
         Ok(vec![clip_name(path)])

@@ -98,7 +98,7 @@ impl FrameSource for Thinned<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::footage::PictureArchive;
+    use crate::footage::Pictures;
     use std::path::Path;
 
     fn taken(sieve: Sieve, frames: u64) -> Vec<u64> {
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn a_thinned_source_gives_the_pictures_between_which_the_others_lie() {
         let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
-        let mut source = PictureArchive::open(road, 10.0).unwrap();
+        let mut source = Pictures::of_archive(road, 10.0).unwrap();
         let pictures: Vec<_> = (0..5).map(|_| source.next().unwrap().unwrap()).collect();
         source.rewind().unwrap();
         let mut thinned = Thinned::new(&mut source, 5.0);

@@ -1,0 +1,275 @@
+//! Pictures one after the other: of a folder, of a tar archive, or in memory.
+
+use super::source::{FrameSource, clip_name, plain_name};
+use crate::error::EvalError;
+use albireo_vision::picture::{
+    EncodedPicture, FrameLimits, is_picture_file, picture_files, picture_of_file, read_picture_file,
+};
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Pictures one after the other. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Pictures {
+    name: String,
+    pictures: Vec<Member>,
+    at: usize,
+    rate: f64,
+}
+
+/// A picture, and the clip it belongs to where there are several.
+#[derive(Clone, Debug)]
+struct Member {
+    clip: Option<Arc<str>>,
+    place: Place,
+}
+
+/// Where a picture lies.
+#[derive(Clone, Debug)]
+enum Place {
+    File(PathBuf),
+    /// In an archive.
+    Archive {
+        archive: Arc<(PathBuf, File)>,
+        offset: u64,
+        length: usize,
+    },
+    Memory(EncodedPicture),
+}
+
+impl Pictures {
+    /// Frames per second where none are given.
+    pub const RATE: f64 = 10.0;
+
+    fn new(name: String, pictures: Vec<Member>, rate: f64) -> Self {
+        Self {
+            name,
+            pictures,
+            at: 0,
+            rate,
+        }
+    }
+
+    /// These pictures, `rate` of them a second.
+    pub fn in_memory(name: String, pictures: Vec<EncodedPicture>, rate: f64) -> Self {
+        let member = |picture| Member {
+            clip: None,
+            place: Place::Memory(picture),
+        };
+        Self::new(name, pictures.into_iter().map(member).collect(), rate)
+    }
+
+    /// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`); or one such file.
+    ///
+    /// # Errors
+    /// When the folder cannot be read or has no pictures.
+    pub fn of_folder(path: &Path, rate: f64) -> Result<Self, EvalError> {
+        let member = |file| Member {
+            clip: None,
+            place: Place::File(file),
+        };
+        let pictures = picture_files(path)?.into_iter().map(member);
+        Ok(Self::new(clip_name(path), pictures.collect(), rate))
+    }
+
+    /// The JPEG and PNG files of a tar archive, in their order there; each folder in it is a clip.
+    ///
+    /// # Errors
+    /// When the archive cannot be read or has no pictures.
+    pub fn of_archive(path: &Path, rate: f64) -> Result<Self, EvalError> {
+        let unreadable = |error: std::io::Error| EvalError::content(path, error);
+        let file = File::open(path).map_err(unreadable)?;
+        let archive = Arc::new((path.to_path_buf(), file));
+        let name = clip_name(path);
+        let mut pictures: Vec<Member> = Vec::new();
+        let mut members = tar::Archive::new(&archive.1);
+        for entry in members.entries_with_seek().map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let inside = entry.path().map_err(unreadable)?.into_owned();
+            if !entry.header().entry_type().is_file() || !is_picture_file(&inside) {
+                continue;
+            }
+            let length = usize::try_from(entry.size()).unwrap_or(usize::MAX);
+            if length > FrameLimits::default().max_payload_bytes {
+                let what = format!("{} is too large for a picture", inside.display());
+                return Err(EvalError::content(path, what));
+            }
+            let folder = inside.parent().and_then(Path::file_name);
+            let clip =
+                folder.map_or_else(|| name.clone(), |own| plain_name(&own.to_string_lossy()));
+            // Pictures of one clip share its name.
+            let last = pictures.last().and_then(|last| last.clip.clone());
+            let clip = last
+                .filter(|last| **last == *clip)
+                .unwrap_or_else(|| clip.into());
+            pictures.push(Member {
+                clip: Some(clip),
+                place: Place::Archive {
+                    archive: Arc::clone(&archive),
+                    offset: entry.raw_file_position(),
+                    length,
+                },
+            });
+        }
+        if pictures.is_empty() {
+            let what = "there are no JPEG or PNG files in it";
+            return Err(EvalError::content(path, what));
+        }
+        Ok(Self::new(name, pictures, rate))
+    }
+
+    /// A source for each clip.
+    pub fn into_clips(self) -> Vec<Self> {
+        let parts = self.pictures.chunk_by(|a, b| a.clip == b.clip);
+        let part = |pictures: &[Member]| {
+            let clip = pictures.first().and_then(|first| first.clip.as_deref());
+            let name = clip.unwrap_or(&self.name).to_owned();
+            Self::new(name, pictures.to_vec(), self.rate)
+        };
+        parts.map(part).collect()
+    }
+}
+
+impl FrameSource for Pictures {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn clip(&self) -> Option<&str> {
+        self.pictures.get(self.at.checked_sub(1)?)?.clip.as_deref()
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    fn frames(&self) -> Option<u64> {
+        Some(self.pictures.len() as u64)
+    }
+
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
+        let Some(member) = self.pictures.get(self.at) else {
+            return Ok(None);
+        };
+        self.at += 1;
+        Ok(Some(match &member.place {
+            Place::Memory(picture) => picture.clone(),
+            Place::File(file) => read_picture_file(file)?,
+            Place::Archive {
+                archive,
+                offset,
+                length,
+            } => {
+                let (path, file) = &**archive;
+                let mut bytes = vec![0; *length];
+                let read = file.read_exact_at(&mut bytes, *offset);
+                read.map_err(|error| EvalError::content(path, error))?;
+                let picture = picture_of_file(bytes.into(), &FrameLimits::default());
+                picture.map_err(|fault| {
+                    let number = self.at;
+                    let what = format!("a frame cannot be sent: {fault}");
+                    EvalError::new(format!("{}, picture {number}: {what}", path.display()))
+                })?
+            }
+        }))
+    }
+
+    fn rewind(&mut self) -> Result<(), EvalError> {
+        self.at = 0;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn jpeg(side: u16) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let pixels = vec![0; usize::from(side) * usize::from(side)];
+        jpeg_encoder::Encoder::new(&mut bytes, 80)
+            .encode(&pixels, side, side, jpeg_encoder::ColorType::Luma)
+            .unwrap();
+        bytes
+    }
+
+    fn archive(members: &[(&str, Vec<u8>)]) -> tempfile::NamedTempFile {
+        let file = tempfile::Builder::new().suffix(".tar").tempfile().unwrap();
+        let mut builder = tar::Builder::new(file.reopen().unwrap());
+        for (name, bytes) in members {
+            let mut header = tar::Header::new_gnu();
+            header.set_size(bytes.len() as u64);
+            builder
+                .append_data(&mut header, name, bytes.as_slice())
+                .unwrap();
+        }
+        builder.finish().unwrap();
+        file
+    }
+
+    #[test]
+    fn each_folder_of_an_archive_is_a_clip() {
+        let file = archive(&[
+            ("busy/1.jpg", jpeg(8)),
+            ("busy/SOURCE.txt", b"not a picture".to_vec()),
+            ("busy/2.jpg", jpeg(16)),
+            ("night/1.jpg", jpeg(24)),
+        ]);
+        let mut all = Pictures::of_archive(file.path(), 5.0).unwrap();
+        assert_eq!((all.frames(), all.rate(), all.clip()), (Some(3), 5.0, None));
+        for _ in 0..2 {
+            for (clip, side) in [("busy", 8), ("busy", 16), ("night", 24)] {
+                assert_eq!(all.next().unwrap().unwrap().size.width, side);
+                assert_eq!(all.clip(), Some(clip));
+            }
+            assert!(all.next().unwrap().is_none());
+            all.rewind().unwrap();
+        }
+        let clips = all.into_clips();
+        let named: Vec<_> = (clips.iter())
+            .map(|clip| (clip.name(), clip.frames()))
+            .collect();
+        assert_eq!(named, [("busy", Some(2)), ("night", Some(1))]);
+    }
+
+    #[test]
+    fn an_archive_that_cannot_be_played_is_refused_by_name() {
+        let refused = |file: &Path| Pictures::of_archive(file, 5.0).unwrap_err().to_string();
+        let missing = refused(Path::new("no/such.tar"));
+        assert!(missing.starts_with("no/such.tar: "), "{missing}");
+        let empty = archive(&[("busy/readme.txt", b"hello".to_vec())]);
+        assert!(refused(empty.path()).contains("no JPEG or PNG files"));
+        let torn = archive(&[("busy/1.jpg", jpeg(64))]);
+        torn.as_file().set_len(700).unwrap();
+        let mut opened = Pictures::of_archive(torn.path(), 5.0).unwrap();
+        let error = opened.next().unwrap_err().to_string();
+        assert!(error.contains(".tar"), "{error}");
+        let wrong = archive(&[("busy/1.jpg", b"not a JPEG".to_vec())]);
+        let error = Pictures::of_archive(wrong.path(), 5.0).unwrap().next();
+        assert!(error.unwrap_err().to_string().contains("picture 1"));
+    }
+
+    #[test]
+    fn a_folder_s_pictures_come_in_order_to_the_end_and_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let picture = |name: &str, side: u16| {
+            let file = jpeg_encoder::Encoder::new_file(folder.path().join(name), 80).unwrap();
+            let pixels = vec![0; 3 * usize::from(side) * usize::from(side)];
+            file.encode(&pixels, side, side, jpeg_encoder::ColorType::Rgb)
+                .unwrap();
+        };
+        picture("10.jpg", 16);
+        picture("9.jpg", 8);
+        let mut opened = Pictures::of_folder(folder.path(), 5.0).unwrap();
+        assert_eq!(opened.frames(), Some(2));
+        for _ in 0..2 {
+            for side in [8, 16] {
+                assert_eq!(opened.next().unwrap().unwrap().size.width, side);
+            }
+            assert!(opened.next().unwrap().is_none());
+            opened.rewind().unwrap();
+        }
+    }
+}
