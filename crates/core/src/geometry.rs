@@ -30,8 +30,9 @@ impl std::fmt::Display for PictureSize {
 }
 
 /// A box in normalised centre form: `center_x` and `width` divided by the picture's width, `center_y`
-/// and `height` divided by its height (paper, section on the state vector).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// and `height` divided by its height (paper, section on the state vector). As JSON, these four in a list.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "[f64; 4]", into = "[f64; 4]")]
 pub struct BoundingBox {
     /// Horizontal centre, 0 at the left edge and 1 at the right.
     pub center_x: f64,
@@ -41,6 +42,18 @@ pub struct BoundingBox {
     pub width: f64,
     /// Height as a share of the picture's height.
     pub height: f64,
+}
+
+impl From<[f64; 4]> for BoundingBox {
+    fn from([center_x, center_y, width, height]: [f64; 4]) -> Self {
+        Self::new(center_x, center_y, width, height)
+    }
+}
+
+impl From<BoundingBox> for [f64; 4] {
+    fn from(own: BoundingBox) -> Self {
+        [own.center_x, own.center_y, own.width, own.height]
+    }
 }
 
 /// A box as the coordinates of its top-left and bottom-right corners, in pixels unless said otherwise.

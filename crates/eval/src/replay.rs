@@ -6,7 +6,7 @@ use crate::scoring::{
     decay_threshold, decayed_confidence, score_object, score_published, score_truncated,
 };
 use crate::source::StoredEvidence;
-use crate::trace::{TraceFrame, TraceObject};
+use crate::trace::TraceFrame;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     Evidence, EvidenceAtHand, FrameHead, FrameState, MinConfidence, Need, ObjectRecord, Outcome,
@@ -208,7 +208,7 @@ fn decide_frame(
 /// The boxes the published evaluator scores, with decayed and with last confidences: all objects, and the
 /// boxes that belong to none.
 fn score_as_published(
-    objects: &[TraceObject],
+    objects: &[ObjectRecord],
     outcome: &Outcome,
     picture: PictureSize,
     decay_u: f64,
@@ -225,14 +225,14 @@ fn score_as_published(
         .collect();
     let mut decayed = undecayed.clone();
     for (scored, object) in decayed.iter_mut().zip(objects) {
-        scored.confidence = decayed_confidence(object.conf, object.tau, decay_u);
+        scored.confidence = decayed_confidence(object.confidence, object.tau, decay_u);
     }
     (decayed, undecayed)
 }
 
 /// Appends the policy's objects in its own order.
-fn collect_objects(policy: &dyn Policy, objects: &mut Vec<TraceObject>) {
-    policy.objects(&mut |record: &ObjectRecord| objects.push(TraceObject::from(record)));
+fn collect_objects(policy: &dyn Policy, objects: &mut Vec<ObjectRecord>) {
+    policy.objects(&mut |record: &ObjectRecord| objects.push(*record));
 }
 
 #[cfg(test)]

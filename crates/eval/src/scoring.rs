@@ -10,10 +10,8 @@
 
 use crate::average_precision::ScoredBox;
 use crate::spec::takes_u;
-use crate::trace::TraceObject;
-use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_core::policy::{MinConfidence, OutputBox, Policy};
+use albireo_core::policy::{MinConfidence, ObjectRecord, OutputBox, Policy};
 
 /// The published decay never takes more than nine tenths of a confidence.
 const DECAY_FLOOR: f64 = 0.1;
@@ -33,15 +31,15 @@ pub fn decayed_confidence(last: f64, tau: f64, u: f64) -> f64 {
 }
 
 /// An object's box as the published evaluator scores it, with its last confidence.
-pub fn score_object(object: &TraceObject, picture: PictureSize) -> ScoredBox {
-    let [center_x, center_y, width, height] = object.bounding_box;
+pub fn score_object(object: &ObjectRecord, picture: PictureSize) -> ScoredBox {
+    let [center_x, center_y, width, height] = object.bounding_box.into();
     let (x1, x2) = whole_edges(center_x, width, picture.width);
     let (y1, y2) = whole_edges(center_y, height, picture.height);
     ScoredBox {
         corners: Corners { x1, y1, x2, y2 },
-        class: ClassId(object.class),
-        confidence: object.conf,
-        object: Some(object.id),
+        class: object.class,
+        confidence: object.confidence,
+        object: Some(object.id.0),
     }
 }
 
@@ -110,6 +108,7 @@ fn truncate(edge: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_core::detection::{ClassId, ObjectId};
     use albireo_core::policy::BoxSource;
 
     #[test]
@@ -122,17 +121,17 @@ mod tests {
     #[test]
     fn an_objects_box_is_cut_and_clamped_to_the_last_pixel() {
         let picture = PictureSize::new(100, 50);
-        let object = TraceObject {
-            id: 0,
-            class: 2,
+        let object = ObjectRecord {
+            id: ObjectId(0),
+            class: ClassId(2),
             confirmed: false,
-            conf: 0.7,
-            bounding_box: [0.95, 0.2, 0.3, 0.6],
+            confidence: 0.7,
+            bounding_box: [0.95, 0.2, 0.3, 0.6].into(),
             tau: 0.0,
             hits: 1,
             since_update: 0,
             since_infer: 0,
-            rescues: 0,
+            misses: 0,
         };
         let scored = score_object(&object, picture);
         let expected = Corners {

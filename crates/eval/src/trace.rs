@@ -22,56 +22,7 @@ pub struct TraceFrame {
     /// Number of active objects then.
     pub active: usize,
     /// Every object that is alive after the frame, in the policy's own order.
-    pub objects: Vec<TraceObject>,
-}
-
-/// One object of a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TraceObject {
-    /// Its number.
-    pub id: u64,
-    /// Its class.
-    pub class: u16,
-    /// Whether it is confirmed.
-    pub confirmed: bool,
-    /// Confidence of its last detection.
-    pub conf: f64,
-    /// Centre x, centre y, width, height, normalised.
-    #[serde(rename = "box")]
-    pub bounding_box: [f64; 4],
-    /// Its uncertainty after the frame.
-    pub tau: f64,
-    /// Detections matched so far.
-    pub hits: u32,
-    /// Frames since the last match.
-    pub since_update: u32,
-    /// Frames since the last match or rescue.
-    pub since_infer: u32,
-    /// Rescues in a row.
-    pub rescues: u32,
-}
-
-impl From<&ObjectRecord> for TraceObject {
-    fn from(record: &ObjectRecord) -> Self {
-        let bounding_box = record.bounding_box;
-        Self {
-            id: record.id.0,
-            class: record.class.0,
-            confirmed: record.confirmed,
-            conf: record.confidence,
-            bounding_box: [
-                bounding_box.center_x,
-                bounding_box.center_y,
-                bounding_box.width,
-                bounding_box.height,
-            ],
-            tau: record.tau,
-            hits: record.hits,
-            since_update: record.since_update,
-            since_infer: record.since_infer,
-            rescues: record.misses,
-        }
-    }
+    pub objects: Vec<ObjectRecord>,
 }
 
 /// Writes `frames` to `path`, making its folder.
@@ -116,6 +67,7 @@ pub fn read(path: &Path) -> Result<Vec<TraceFrame>, EvalError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_core::detection::{ClassId, ObjectId};
 
     #[test]
     fn a_trace_read_back_is_the_trace_written_to_the_last_bit() {
@@ -134,17 +86,17 @@ mod tests {
                 state: FrameState::P,
                 tau_max: Some(0.1 + 0.2),
                 active: 1,
-                objects: vec![TraceObject {
-                    id: 7,
-                    class: 2,
+                objects: vec![ObjectRecord {
+                    id: ObjectId(7),
+                    class: ClassId(2),
                     confirmed: true,
-                    conf: 1.0 / 3.0,
-                    bounding_box: [0.1, 0.7, 1e-17, 0.3],
+                    confidence: 1.0 / 3.0,
+                    bounding_box: [0.1, 0.7, 1e-17, 0.3].into(),
                     tau: 2.4961199111764362e-5,
                     hits: 3,
                     since_update: 1,
                     since_infer: 1,
-                    rescues: 0,
+                    misses: 0,
                 }],
             },
         ];

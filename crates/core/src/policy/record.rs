@@ -4,9 +4,10 @@ use super::ObjectId;
 use crate::detection::ClassId;
 use crate::geometry::BoundingBox;
 use crate::objects::ObjectState;
+use serde::{Deserialize, Serialize};
 
 /// One object after a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectRecord {
     /// Its number.
     pub id: ObjectId,
@@ -15,8 +16,10 @@ pub struct ObjectRecord {
     /// Whether it is confirmed.
     pub confirmed: bool,
     /// Confidence of its last detection, not decayed.
+    #[serde(rename = "conf")]
     pub confidence: f64,
     /// The estimated box, neither rounded nor clipped.
+    #[serde(rename = "box")]
     pub bounding_box: BoundingBox,
     /// Its uncertainty τ after the frame.
     pub tau: f64,
@@ -27,6 +30,7 @@ pub struct ObjectRecord {
     /// Frames since the detector last measured or missed it.
     pub since_infer: u32,
     /// Detector frames in a row that missed it.
+    #[serde(rename = "rescues")]
     pub misses: u32,
 }
 
