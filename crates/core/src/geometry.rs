@@ -159,16 +159,22 @@ impl Corners {
         }
     }
 
-    /// Intersection over union with `other` in the same coordinates; zero when the union is empty.
+    /// The area that both have, in the same coordinates.
     #[inline]
-    pub fn intersection_over_union(self, other: Self) -> f64 {
-        let overlap = Self {
+    pub fn shared_area(self, other: Self) -> f64 {
+        let shared = Self {
             x1: self.x1.max(other.x1),
             y1: self.y1.max(other.y1),
             x2: self.x2.min(other.x2),
             y2: self.y2.min(other.y2),
-        }
-        .area();
+        };
+        shared.area()
+    }
+
+    /// Intersection over union with `other` in the same coordinates; zero when the union is empty.
+    #[inline]
+    pub fn intersection_over_union(self, other: Self) -> f64 {
+        let overlap = self.shared_area(other);
         let union = self.area() + other.area() - overlap;
         if union > 0.0 { overlap / union } else { 0.0 }
     }

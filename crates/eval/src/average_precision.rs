@@ -80,9 +80,7 @@ pub struct Accuracy {
     pub ap75: f64,
     /// Mean of the average precisions at IoU 0.50 to 0.95, 0 to 1.
     pub map: f64,
-    /// F1, the harmonic mean of precision and recall, at IoU 0.50 and the confidence where it is highest.
-    pub f1_50: f64,
-    /// F1 at IoU 0.50 of all boxes of confidence [`SHOWN_CONFIDENCE`] and above: AP counts faint boxes that nobody
+    /// F1, the harmonic mean of precision and recall, at IoU 0.50 of all boxes of confidence [`SHOWN_CONFIDENCE`] and above: AP counts faint boxes that nobody
     /// would show.
     pub f1_50_shown: f64,
     /// Share of all predictions that match at IoU 0.50; 0 without predictions.
@@ -115,7 +113,6 @@ pub fn accuracy(
                 ap50: mean(|class| class.ap50),
                 ap75: mean(|class| class.ap75),
                 map: mean(|class| class.map),
-                f1_50: mean(|class| class.f1_50),
                 f1_50_shown: mean(|class| class.f1_50_shown),
                 precision: mean(|class| class.precision),
                 recall: mean(|class| class.recall),
@@ -137,8 +134,8 @@ pub(crate) fn outside_ignored(
     for (frame, (boxes, regions)) in judged.iter_mut().zip(ignored).enumerate() {
         let truth = truth.get(frame).map_or(&[][..], Vec::as_slice);
         boxes.retain(|found| {
-            let inside =
-                |region: &Corners| 2.0 * overlap(found.corners, *region) >= area_of(found.corners);
+            let own = found.corners;
+            let inside = |region: &Corners| 2.0 * own.shared_area(*region) >= own.area();
             let is_object = |truth: &ScoredBox| {
                 found.corners.intersection_over_union(truth.corners) >= IOU_THRESHOLDS[0]
             };
@@ -146,17 +143,6 @@ pub(crate) fn outside_ignored(
         });
     }
     judged
-}
-
-fn area_of(corners: Corners) -> f64 {
-    (corners.x2 - corners.x1) * (corners.y2 - corners.y1)
-}
-
-/// The area that both have.
-fn overlap(a: Corners, b: Corners) -> f64 {
-    let width = a.x2.min(b.x2) - a.x1.max(b.x1);
-    let height = a.y2.min(b.y2) - a.y1.max(b.y1);
-    width.max(0.0) * height.max(0.0)
 }
 
 /// The accuracy of every class that has ground truth, each judged by itself.
@@ -262,7 +248,6 @@ impl Matching {
             ap50,
             ap75,
             map: sum / IOU_THRESHOLDS.len() as f64,
-            f1_50: self.best_f1(),
             f1_50_shown: self.f1_shown(),
             precision: if self.matched.is_empty() {
                 0.0
@@ -273,16 +258,6 @@ impl Matching {
             predictions: self.matched.len(),
             truths: self.truths,
         })
-    }
-
-    /// The highest F1 over all confidences, `2·hits / (predictions + truths)` of the predictions above one.
-    fn best_f1(&self) -> f64 {
-        let mut hits = 0;
-        let f1 = self.matched.iter().enumerate().map(|(rank, matched)| {
-            hits += usize::from(matched & 1);
-            2.0 * hits as f64 / (rank + 1 + self.truths) as f64
-        });
-        f1.fold(0.0, f64::max)
     }
 
     /// F1 at IoU 0.50 of the predictions that are shown.

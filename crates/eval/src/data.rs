@@ -115,10 +115,8 @@ impl LeftOut {
 /// What a reader left out, and notes about the data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LoadReport {
-    /// Rows by reason.
-    pub left_out: BTreeMap<LeftOut, usize>,
-    /// The first place of each reason, `file:line` or `file, what`.
-    pub first: BTreeMap<LeftOut, String>,
+    /// Rows by reason, with the first place of each: `file:line` or `file, what`.
+    pub left_out: BTreeMap<LeftOut, (usize, String)>,
     /// Rows by class name, for classes outside the mapping.
     pub unmapped_classes: BTreeMap<String, usize>,
     /// Boxes reaching over the picture's edge: kept as they are.
@@ -130,8 +128,8 @@ pub struct LoadReport {
 impl LoadReport {
     /// Counts one row left out; `place` is only asked for the first of its kind.
     pub(crate) fn leave_out(&mut self, reason: LeftOut, place: impl FnOnce() -> String) {
-        *self.left_out.entry(reason).or_default() += 1;
-        self.first.entry(reason).or_insert_with(place);
+        let counted = self.left_out.entry(reason);
+        counted.or_insert_with(|| (0, place())).0 += 1;
     }
 
     /// Counts one row of a class outside the mapping.
@@ -177,8 +175,7 @@ impl LoadReport {
         let mut lines: Vec<String> = self
             .left_out
             .iter()
-            .map(|(reason, count)| {
-                let first = self.first.get(reason).map_or("", String::as_str);
+            .map(|(reason, (count, first))| {
                 format!("left out {count}: {} (first: {first})", reason.as_str())
             })
             .collect();

@@ -36,17 +36,6 @@ impl ScreenRule {
     }
 }
 
-/// What answers for the screen.
-#[derive(Clone, Debug)]
-enum Screen<'a> {
-    /// Never "empty".
-    Nonempty,
-    /// "Empty" exactly when the frame has no detection.
-    Detections,
-    /// What a model said, one verdict per frame, under the limit that holds in the node.
-    Recorded(&'a [Option<bool>], EmptyRun),
-}
-
 /// What policies are replayed over: a clip with stored detections, and its pictures where a detector looked at them.
 #[derive(Clone, Copy, Debug)]
 pub struct Recording<'a> {
@@ -79,7 +68,9 @@ impl<'a> From<&'a PicturedClip> for Recording<'a> {
 pub(crate) struct StoredEvidence<'a> {
     recording: Recording<'a>,
     detections: Vec<Vec<Detection>>,
-    screen: Screen<'a>,
+    screen: ScreenRule,
+    /// The limit that holds in the node for what a real screen says.
+    run: EmptyRun,
     /// The current frame.
     frame: usize,
 }
@@ -106,24 +97,17 @@ impl<'a> StoredEvidence<'a> {
                 .filter(|found| found.confidence >= settings.confidence);
             sure.map(|found| found.normalise(clip.picture)).collect()
         };
-        let screen = match settings.screen {
-            ScreenRule::Nonempty => Screen::Nonempty,
-            ScreenRule::Detections => Screen::Detections,
-            ScreenRule::Recorded => {
-                let verdicts = clip.screen.as_deref();
-                let verdicts = verdicts.ok_or_else(|| {
-                    EvalError::new(
-                        "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store them \
-                         with `albireo eval video … --screen-model FILE --save-detections DIR`",
-                    )
-                })?;
-                Screen::Recorded(verdicts, EmptyRun::new(settings.longest_empty_run))
-            }
-        };
+        if settings.screen == ScreenRule::Recorded && clip.screen.is_none() {
+            return Err(EvalError::new(
+                "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store them with \
+                 `albireo eval video … --screen-model FILE --save-detections DIR`",
+            ));
+        }
         Ok(Self {
             recording,
             detections: stored.iter().map(normalised).collect(),
-            screen,
+            screen: settings.screen,
+            run: EmptyRun::new(settings.longest_empty_run),
             frame: 0,
         })
     }
@@ -148,26 +132,25 @@ impl<'a> StoredEvidence<'a> {
     /// # Errors
     /// When the recording does not have such pictures.
     pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
-        if let Screen::Recorded(_, run) = &mut self.screen
-            && self.frame != frame
-        {
-            run.next_frame();
+        if self.frame != frame {
+            self.frame = frame;
+            self.run.next_frame();
         }
-        self.frame = frame;
         let found = self.detections.get(frame).map_or(&[][..], Vec::as_slice);
         let verdict = |empty| Evidence::Screen { empty };
-        Ok(match (need, &mut self.screen) {
+        Ok(match (need, self.screen) {
             (Need::Nothing, _) => Evidence::Unavailable,
-            (Need::Screen, Screen::Nonempty) => verdict(false),
-            (Need::Screen, Screen::Detections) => verdict(found.is_empty()),
-            (Need::Screen, Screen::Recorded(verdicts, run)) => {
+            (Need::Screen, ScreenRule::Nonempty) => verdict(false),
+            (Need::Screen, ScreenRule::Detections) => verdict(found.is_empty()),
+            (Need::Screen, ScreenRule::Recorded) => {
+                let verdicts = self.recording.clip.screen.as_deref().unwrap_or_default();
                 let empty = verdicts.get(frame).copied().flatten();
-                empty.map_or(Evidence::Unavailable, |empty| verdict(run.limit(empty)))
+                empty.map_or(Evidence::Unavailable, |empty| {
+                    verdict(self.run.limit(empty))
+                })
             }
-            (Need::Detections, screen) => {
-                if let Screen::Recorded(_, run) = screen {
-                    run.detector_ran();
-                }
+            (Need::Detections, _) => {
+                self.run.detector_ran();
                 Evidence::Detections(found)
             }
             (Need::GreyPicture | Need::SmallGreyPicture { .. }, _) => {

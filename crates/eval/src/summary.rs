@@ -1,7 +1,7 @@
 //! One line per policy: means over the clips, differences to the baseline clip by clip, tests, frontiers.
 
 use crate::average_precision::Accuracy;
-use crate::result::{ClipResult, Provenance};
+use crate::result::{ClipResult, Energy, Provenance};
 use crate::spec::BASELINE;
 use crate::statistics::{half_interval, mean};
 use serde::Serialize;
@@ -28,15 +28,6 @@ impl Difference {
             interval: half_interval(values).map(|half| [mean - half, mean + half]),
         })
     }
-}
-
-/// Mean projected energy.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct EnergySummary {
-    /// Joules per clip.
-    pub joules: f64,
-    /// EDP per clip, J·ms/frame.
-    pub edp: f64,
 }
 
 /// One policy over the clips. Means are unweighted over clips, as in the paper. Where some clips have ground
@@ -82,9 +73,9 @@ pub struct PolicySummary {
     pub decision_us: Option<f64>,
     /// Mean time per frame in milliseconds and where it comes from.
     pub frame_time_ms: Option<(f64, Provenance)>,
-    /// Energy, projected.
+    /// Mean energy of a clip, projected.
     #[serde(rename = "projected_energy")]
-    pub energy: Option<EnergySummary>,
+    pub energy: Option<Energy>,
     /// AP@50 minus the baseline's; `None` for the baseline itself.
     pub ap50_change: Option<Difference>,
     /// AP@75 minus the baseline's.
@@ -188,9 +179,14 @@ fn summarise_policy(
                 provenance,
             ))
         }),
-        energy: over(&|result| Some(result.energy?.joules))
-            .zip(over(&|result| Some(result.energy?.edp)))
-            .map(|(joules, edp)| EnergySummary { joules, edp }),
+        energy: results.first().and_then(|first| first.energy).map(|_| {
+            let mean = |figure: fn(Energy) -> f64| all(&|result| result.energy.map_or(0.0, figure));
+            Energy {
+                joules: mean(|energy| energy.joules),
+                duration_s: mean(|energy| energy.duration_s),
+                edp: mean(|energy| energy.edp),
+            }
+        }),
         ap50_change: change(|accuracy| accuracy.ap50),
         ap75_change: change(|accuracy| accuracy.ap75),
         f1_50_shown_change: change(|accuracy| accuracy.f1_50_shown),

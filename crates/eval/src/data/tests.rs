@@ -141,7 +141,7 @@ fn meaningless_rows_are_left_out_counted_and_named() {
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
     let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
     let report = &clips.report;
-    let counted = |reason| report.left_out.get(&reason).copied().unwrap_or_default();
+    let counted = |reason| report.left_out.get(&reason).map_or(0, |(count, _)| *count);
     assert_eq!(counted(LeftOut::NotFinite), 2);
     assert_eq!(counted(LeftOut::EmptyBox), 3);
     assert_eq!(counted(LeftOut::OutsidePicture), 1);
@@ -199,7 +199,7 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
         (10.0, 20.0, 20.0, 40.0)
     );
     assert!(truth[1].is_empty());
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 2);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
     assert_eq!(clips.report.unmapped_classes["6"], 1);
     let detections = clip.detections.as_ref().unwrap();
     assert_eq!(detections[1][0].confidence, 0.8);
@@ -328,8 +328,8 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
     assert_eq!(truth[1][0].corners.x2, 11.0);
     assert!(truth[0].is_empty());
     assert_eq!(clip.detections.as_ref().unwrap()[0].len(), 1);
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 1);
-    assert_eq!(clips.report.left_out[&LeftOut::EmptyBox], 1);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
+    assert_eq!(clips.report.left_out[&LeftOut::EmptyBox].0, 1);
     assert_eq!(clips.report.unmapped_classes["boat"], 1);
     let lost = folder(&[(
         "results.json",

@@ -20,7 +20,7 @@ pub enum SourceName {
     /// A tar archive of such folders; `demo` is the demonstration's.
     Archive(PathBuf),
     /// A video file.
-    Video(String),
+    Video(PathBuf),
 }
 
 impl FromStr for SourceName {
@@ -34,7 +34,7 @@ impl FromStr for SourceName {
         if path.is_dir() || is_picture_file(path) {
             return Ok(Self::Pictures(path.to_path_buf()));
         }
-        Ok(Self::Video(text.to_owned()))
+        Ok(Self::Video(path.to_path_buf()))
     }
 }
 
@@ -53,16 +53,16 @@ impl SourceName {
         Ok(match self {
             Self::Pictures(_) => Box::new(Pictures::of_folder(path, pictures_rate)?),
             Self::Archive(_) => Box::new(Pictures::of_archive(path, pictures_rate)?),
-            Self::Video(input) => Box::new(Video::open(input, rate, encoding, Ffmpeg::default())?),
+            Self::Video(_) => {
+                let file = path.to_string_lossy();
+                Box::new(Video::open(&file, rate, encoding, Ffmpeg::default())?)
+            }
         })
     }
 
     /// Where it lies, if it does; an address is left to [`Video::open`] to refuse.
     fn existing(&self) -> Result<&Path, EvalError> {
-        let path = match self {
-            Self::Pictures(path) | Self::Archive(path) => path,
-            Self::Video(input) => Path::new(input),
-        };
+        let (Self::Pictures(path) | Self::Archive(path) | Self::Video(path)) = self;
         if path.exists() || path.to_string_lossy().contains("://") {
             Ok(path)
         } else {
@@ -110,10 +110,8 @@ impl SourceName {
 
 impl Display for SourceName {
     fn fmt(&self, formatter: &mut Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Pictures(path) | Self::Archive(path) => path.display().fmt(formatter),
-            Self::Video(input) => input.fmt(formatter),
-        }
+        let (Self::Pictures(path) | Self::Archive(path) | Self::Video(path)) = self;
+        path.display().fmt(formatter)
     }
 }
 
@@ -125,7 +123,7 @@ mod tests {
     fn a_source_is_told_by_its_name() {
         assert_eq!(
             "drive.mp4".parse(),
-            Ok(SourceName::Video("drive.mp4".to_owned()))
+            Ok(SourceName::Video(PathBuf::from("drive.mp4")))
         );
         assert_eq!(
             "one.PNG".parse(),

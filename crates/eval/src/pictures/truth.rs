@@ -143,11 +143,8 @@ impl GroundTruth {
 
 /// Adds what a reader of ground truth left out. Its notes are about detections, which it does not have.
 fn merge(report: &mut LoadReport, other: LoadReport) {
-    for (reason, count) in other.left_out {
-        *report.left_out.entry(reason).or_default() += count;
-    }
-    for (reason, place) in other.first {
-        report.first.entry(reason).or_insert(place);
+    for (reason, (count, place)) in other.left_out {
+        report.left_out.entry(reason).or_insert((0, place)).0 += count;
     }
     for (class, count) in other.unmapped_classes {
         *report.unmapped_classes.entry(class).or_default() += count;

@@ -18,7 +18,6 @@ fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipRe
         ap50,
         map: ap50 / 2.0,
         ap75: ap50 / 2.0,
-        f1_50: ap50,
         f1_50_shown: ap50,
         precision: 1.0,
         recall: 1.0,
