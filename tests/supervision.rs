@@ -116,7 +116,7 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
 async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_keeps_the_clip() {
     let mut config = configuration();
     config.detector.model = model("hanging.onnx");
-    config.node.stop_timeout_s = 4.0;
+    config.node.stop_timeout = Duration::from_secs(4);
     config.cameras[0].ring = 4;
     let mut bench = Bench::start(&config).await;
     let mut reports = bench.reports().await;

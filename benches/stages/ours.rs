@@ -4,13 +4,12 @@ use super::decode_for;
 use super::samples::{Samples, Stage};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide};
-use albireo_node::camera::answer::{AnswerContext, detections_message};
+use albireo_node::camera::answer::detections_message;
 use albireo_node::input::Frame;
 use albireo_service::config::ZenohConfig;
 use albireo_service::session;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture};
-use albireo_wire::Latency;
 use anyhow::{Context, anyhow, bail};
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
@@ -136,15 +135,7 @@ impl<'a> OurPath<'a> {
         }
 
         let start = Instant::now();
-        let context = AnswerContext {
-            pending: false,
-            frame: &frame,
-            clip: "bench",
-            threshold: None,
-            class_names: &self.class_names,
-            latency: Latency::default(),
-        };
-        let message = detections_message(&self.outcome, &context);
+        let message = detections_message(&self.outcome, &frame, "bench", &self.class_names);
         let json = serde_json::to_vec(&message).context("the message")?;
         let written = start.elapsed();
 

@@ -121,12 +121,12 @@ async fn online(config: &NodeConfig) -> anyhow::Result<()> {
     let waiting = ProgressBar::new_spinner().with_message("trying models, cameras and router");
     waiting.enable_steady_tick(Duration::from_millis(100));
     let mut failed = 0;
-    try_all(config, |tried| {
-        let line = match &tried.outcome {
-            Ok(found) => format!("works  {}: {found}", tried.key),
+    try_all(config, |key, outcome| {
+        let line = match outcome {
+            Ok(found) => format!("works  {key}: {found}"),
             Err(reason) => {
                 failed += 1;
-                format!("fails  {}: {reason}", tried.key)
+                format!("fails  {key}: {reason}")
             }
         };
         waiting.suspend(|| println!("{line}"));

@@ -3,6 +3,7 @@
 
 use albireo_node::config::NodeConfig;
 use anyhow::{Context, bail};
+use std::time::Duration;
 
 /// Sets in `config` what the variable names.
 pub(super) fn apply(config: &mut NodeConfig) -> anyhow::Result<()> {
@@ -20,7 +21,9 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
     match name {
         "sysfs" => config.power.sysfs = value.into(),
         "nvpmodel" => config.power.nvpmodel = value.into(),
-        "stop_timeout_s" => config.node.stop_timeout_s = value.parse()?,
+        "stop_timeout_s" => {
+            config.node.stop_timeout = Duration::from_secs(value.parse()?);
+        }
         "retry_min_ms" => config.outbox.retry_min_ms = value.parse()?,
         "retry_max_ms" => config.outbox.retry_max_ms = value.parse()?,
         "answer_timeout_ms" => config.outbox.answer_timeout_ms = value.parse()?,

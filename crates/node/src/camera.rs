@@ -16,7 +16,7 @@ pub(crate) use settled::SettledStream;
 #[cfg(test)]
 pub(crate) use tests::answer;
 
-use crate::camera::answer::{AnswerContext, detections_message};
+use crate::camera::answer::detections_message;
 use crate::camera::audit::{CameraAudit, DrawnFrame};
 use crate::camera::clip::{Clip, ClipTracker};
 use crate::camera::decider::{Decided, Fetched};
@@ -332,21 +332,17 @@ impl Camera {
             None => {}
         }
         parts.min_confidence.select(&mut outcome.boxes);
-        let message = Arc::new(detections_message(
-            outcome,
-            &AnswerContext {
-                frame: &incoming.frame,
-                clip: &frame.clip,
-                pending,
-                threshold: frame.threshold,
-                class_names: &parts.class_names,
-                latency: Latency {
-                    total: milliseconds(received.elapsed()),
-                    waiting: milliseconds(frame.taken - received),
-                    ..frame.times.latency
-                },
+        let class_names = &parts.class_names;
+        let message = Arc::new(DetectionsMessage {
+            pending,
+            threshold: frame.threshold,
+            latency_ms: Latency {
+                total: milliseconds(received.elapsed()),
+                waiting: milliseconds(frame.taken - received),
+                ..frame.times.latency
             },
-        ));
+            ..detections_message(outcome, &incoming.frame, &frame.clip, class_names)
+        });
         if late {
             if let Some(late) = &parts.late {
                 late.put(&*message);

@@ -146,20 +146,15 @@ pub struct NodeSection {
     pub answer: AnswerTime,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
-    /// Longest time stopping may take, seconds, whatever hangs. No setting: service managers wait for 10 s and more.
+    /// Longest time stopping may take, whatever hangs. No setting: service managers wait for 10 s and more.
     #[serde(skip)]
-    pub stop_timeout_s: f64,
+    pub stop_timeout: Duration,
     /// Under a service manager: a detector, screen or camera loop that has been broken for that long ends the feeding of
     /// the watchdog, seconds.
     pub stuck_after_s: f64,
 }
 
 impl NodeSection {
-    /// [`stop_timeout_s`](Self::stop_timeout_s) as a time.
-    pub fn stop_timeout(&self) -> Duration {
-        Duration::try_from_secs_f64(self.stop_timeout_s).unwrap_or(Duration::from_secs(5))
-    }
-
     /// [`stuck_after_s`](Self::stuck_after_s) as a time.
     pub(crate) fn stuck_after(&self) -> Duration {
         Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
@@ -174,7 +169,7 @@ impl Default for NodeSection {
             state_dir: None,
             answer: AnswerTime::default(),
             labels: BTreeMap::new(),
-            stop_timeout_s: 5.0,
+            stop_timeout: Duration::from_secs(5),
             stuck_after_s: 900.0,
         }
     }

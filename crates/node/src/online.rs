@@ -24,23 +24,11 @@ const ANSWER: Duration = Duration::from_secs(10);
 /// Why something does not work, for people.
 type Failure = Box<dyn Error + Send + Sync>;
 
-/// What was seen of one thing that a configuration names.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Tried {
-    /// The key of the configuration.
-    pub key: String,
-    /// What was seen, or why it does not work.
-    pub outcome: Result<String, String>,
-}
-
-/// Tries everything the configuration names, and reports each result as it comes. Nothing is published, and a node that runs
+/// Tries everything the configuration names, and gives `each` key with what was found, or why it does not work. Nothing is published, and a node that runs
 /// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
-pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(Tried)) {
+pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<String, String>)) {
     let mut report = |key: &str, outcome: Result<String, Failure>| {
-        each(Tried {
-            key: key.to_owned(),
-            outcome: outcome.map_err(|error| error.to_string()),
-        });
+        each(key, outcome.map_err(|error| error.to_string()));
     };
     let detector = config.detector.clone();
     let found = tokio::task::spawn_blocking(move || try_detector(&detector)).await;

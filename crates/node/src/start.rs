@@ -18,7 +18,6 @@ use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::ScreenHandle;
 use camera::{Cameras, Subscriptions};
-use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -55,14 +54,6 @@ pub struct Node {
 pub struct PreparedNode {
     board: Arc<Board>,
     policies: PolicyMaker,
-}
-
-impl fmt::Debug for PreparedNode {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PreparedNode")
-            .field("board", &self.board)
-            .finish_non_exhaustive()
-    }
 }
 
 impl PreparedNode {
@@ -235,7 +226,7 @@ impl PreparedNode {
             screen,
             tasks,
             give_up,
-            stop_timeout: config.node.stop_timeout(),
+            stop_timeout: config.node.stop_timeout,
             sampling: unless_started.disarm(),
             alive,
             uplink,

@@ -4,45 +4,33 @@ use crate::input::Frame;
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Outcome, OutputBox};
 use albireo_service::clock::significant;
-use albireo_wire::{BoxMessage, DetectionsMessage, Latency, Threshold, VERSION};
+use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
 
-/// What the message says about the frame besides the policy's outcome.
-#[derive(Debug)]
-pub struct AnswerContext<'a> {
-    /// The frame answered.
-    pub frame: &'a Frame,
-    /// The clip it belongs to.
-    pub clip: &'a str,
-    /// Whether this is a prediction made at once, with the final answer to follow.
-    pub pending: bool,
-    /// The threshold in force.
-    pub threshold: Option<Threshold>,
-    /// Names of the detector's classes.
-    pub class_names: &'a [String],
-    /// Time of each step.
-    pub latency: Latency,
-}
-
-/// The detections message of one frame, its figures rounded to what they mean: corners to a hundredth of a pixel,
-/// confidence to four digits, τ to six. Boxes are clipped to the picture; those of which nothing is in
+/// The message of a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to what
+/// they mean: corners to a hundredth of a pixel, confidence to four digits, τ to six. Boxes are clipped to the picture; those of which nothing is in
 /// the picture are left out.
-pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> DetectionsMessage {
-    let size = context.frame.picture.size;
+pub fn detections_message(
+    outcome: &Outcome,
+    frame: &Frame,
+    clip: &str,
+    class_names: &[String],
+) -> DetectionsMessage {
+    let size = frame.picture.size;
     DetectionsMessage {
         v: VERSION,
-        seq: context.frame.sequence,
-        t_ns: context.frame.time_ns,
-        clip: context.clip.to_owned(),
+        seq: frame.sequence,
+        t_ns: frame.time_ns,
+        clip: clip.to_owned(),
         state: outcome.state,
-        pending: context.pending,
+        pending: false,
         degraded: outcome.degraded,
         cause: outcome.cause,
         tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
-        threshold: context.threshold,
+        threshold: None,
         width: size.width,
         height: size.height,
-        boxes: box_messages(&outcome.boxes, size, context.class_names),
-        latency_ms: context.latency,
+        boxes: box_messages(&outcome.boxes, size, class_names),
+        latency_ms: Latency::default(),
     }
 }
 

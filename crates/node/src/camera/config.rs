@@ -1,7 +1,6 @@
 //! When a camera's frames are answered, and what is published: `node.answer`, `camera.answer`, `[settle]` and `[report]`.
 
 use serde::{Deserialize, Serialize};
-use std::time::Duration;
 
 /// When a frame is answered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,13 +21,6 @@ pub struct SettleConfig {
     pub enabled: bool,
     /// Longest time a frame is held back for the second of them, milliseconds.
     pub longest_ms: u64,
-}
-
-impl SettleConfig {
-    /// [`longest_ms`](Self::longest_ms) as a time.
-    pub(crate) const fn longest(self) -> Duration {
-        Duration::from_millis(self.longest_ms)
-    }
 }
 
 impl Default for SettleConfig {

@@ -13,27 +13,19 @@ mod waiting;
 
 pub use config::OutboxConfig;
 
+use crate::error::NodeError;
 use crate::state::settings::Settings;
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
 use disk::Disk;
 pub(super) use disk::StateFile;
 use parking_lot::Mutex;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 pub(super) use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
-
-/// The state directory cannot be used, for a reason that waiting does not mend: a disk that fails is no reason not to
-/// start.
-#[derive(Debug, thiserror::Error)]
-#[error("node.state_dir {} cannot be used: {error}", .directory.display())]
-pub struct OutboxError {
-    directory: PathBuf,
-    error: TableError,
-}
 
 /// What the outbox has counted, and how it is.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -94,8 +86,8 @@ impl Outbox {
     /// later. Reads and writes files.
     ///
     /// # Errors
-    /// [`OutboxError`]: another node uses the directory, or what is there is not ours.
-    pub fn open(config: &OutboxConfig, directory: Option<&Path>) -> Result<Self, OutboxError> {
+    /// When another node uses the directory, or what is there is not ours. A disk that fails is no reason not to start.
+    pub fn open(config: &OutboxConfig, directory: Option<&Path>) -> Result<Self, NodeError> {
         let opened = match directory {
             None => {
                 tracing::warn!(
@@ -111,10 +103,10 @@ impl Outbox {
                 Self::open_on(file, config.max_bytes, Now::system())
             }
         };
-        opened.map_err(|error| OutboxError {
-            directory: directory.map(Path::to_owned).unwrap_or_default(),
-            error,
-        })
+        let shown = directory.unwrap_or(Path::new("")).display();
+        opened.map_err(NodeError::of(format!(
+            "node.state_dir {shown} cannot be used"
+        )))
     }
 
     /// Opens the outbox on a disk.

@@ -23,6 +23,7 @@ use albireo_vision::screen::{CameraScreen, ScreenHandle};
 use albireo_wire::{HealthState, stream_of_token, stream_tokens};
 use std::any::Any;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
@@ -217,7 +218,7 @@ impl Cameras {
         let decider = Decider::new(policy, evidence);
         let settled = parts.settled.as_ref().map(|publisher| {
             SettledStream::new(
-                config.settle.longest(),
+                Duration::from_millis(config.settle.longest_ms),
                 Arc::clone(publisher),
                 parts.min_confidence,
                 Arc::clone(&parts.class_names),

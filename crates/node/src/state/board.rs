@@ -89,7 +89,7 @@ impl Board {
     /// What cannot be used: the state directory, or what a checked configuration does not have.
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
-        let outbox = Outbox::open(&config.outbox, directory).map_err(NodeError::new)?;
+        let outbox = Outbox::open(&config.outbox, directory)?;
         let settings = Settings::open(directory);
         let policy = config.policy.build().map_err(NodeError::new)?;
         let (events, _) = broadcast::channel(EVENT_BACKLOG);

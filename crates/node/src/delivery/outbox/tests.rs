@@ -6,6 +6,7 @@ use albireo_wire::{LARGEST_REPORT_BYTES, RefusedReport, VERSION};
 use futures_util::FutureExt;
 use rusqlite::Connection;
 use std::io::{Error, ErrorKind};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use uuid::Uuid;

@@ -2,6 +2,7 @@
 //! the hub.
 
 use super::UplinkSetup;
+use crate::state::board::CameraBoard;
 use albireo_service::clock::unix_nanoseconds;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,7 +23,7 @@ const PERIOD: Duration = Duration::from_millis(950);
 const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
 /// A question for the picture of a camera.
-pub(super) type PictureQuery = (Arc<str>, Query);
+pub(super) type PictureQuery = (Arc<CameraBoard>, Query);
 
 /// Whether somebody watches, and what is sent then.
 pub(super) struct Watched {
@@ -84,12 +85,12 @@ impl Watched {
         for camera in &setup.board.cameras {
             let keys = &camera.keys;
             if declares {
-                let (queries, name) = (self.queries.clone(), Arc::<str>::from(camera.name()));
+                let (queries, asked) = (self.queries.clone(), Arc::clone(camera));
                 let queryable = session
                     .declare_queryable(keys.picture())
                     .callback(move |query| {
                         // Zenoh's thread must not encode a picture; a question too many ends unanswered.
-                        let _ = queries.try_send((Arc::clone(&name), query));
+                        let _ = queries.try_send((Arc::clone(&asked), query));
                     })
                     .await?;
                 self.pictures.push(queryable);
@@ -116,12 +117,8 @@ impl Watched {
 }
 
 /// Answers a question for a picture. Encodes one: to be called away from async workers.
-pub(super) fn answer(camera: &str, query: &Query, setup: &UplinkSetup) {
-    let latest = setup
-        .board
-        .camera(camera)
-        .and_then(|camera| camera.latest_frame());
-    let answered = match latest {
+pub(super) fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
+    let answered = match camera.latest_frame() {
         _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has come yet").wait(),
         Some(frame) => match frame.jpeg(&setup.config.frame) {
@@ -134,6 +131,6 @@ pub(super) fn answer(camera: &str, query: &Query, setup: &UplinkSetup) {
         },
     };
     if let Err(error) = answered {
-        tracing::debug!(camera, %error, "a picture was not sent");
+        tracing::debug!(camera = camera.name(), %error, "a picture was not sent");
     }
 }
