@@ -130,25 +130,28 @@ fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
 #[test]
 fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
     let folder = tempfile::tempdir().unwrap();
-    let clip = by_hand(3).clip;
+    let mut clip = by_hand(3);
     let mut report = LoadReport::default();
-    let found = labels(folder.path(), "by-hand", 3).of(&clip, false, &mut report);
-    let (found, ignored) = found.unwrap().unwrap();
-    assert!(ignored.is_empty());
+    let mut truth = labels(folder.path(), "by-hand", 3);
+    truth.of(&mut clip, false, &mut report).unwrap();
+    assert!(clip.ignored.is_empty());
+    let found = clip.truth.take().unwrap();
     assert!(found.iter().all(|frame| frame.len() == 1));
     assert_eq!(report.unmapped_classes["tram"], 3);
 
     for frames in [2, 4] {
         let mut other = labels(folder.path(), "by-hand", frames);
-        let error = other.of(&clip, false, &mut report).unwrap_err();
+        let error = other.of(&mut clip, false, &mut report).unwrap_err();
         let expected = format!("is for {frames} frames, the clip has 3");
         assert_says(&error.to_string(), &[&expected]);
     }
 
     let mut other = labels(folder.path(), "other", 3);
-    assert_eq!(other.of(&clip, false, &mut report).unwrap(), None);
+    other.of(&mut clip, false, &mut report).unwrap();
+    assert_eq!(clip.truth, None);
     // The only ground truth is for the only clip, whatever it is called.
-    assert!(other.of(&clip, true, &mut report).unwrap().is_some());
+    other.of(&mut clip, true, &mut report).unwrap();
+    assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
     assert_says(&error, &["other", "by-hand, second"]);
@@ -157,13 +160,17 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
 #[test]
 fn ground_truth_for_pictures_of_another_size_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut clip = by_hand(3).clip;
+    let mut clip = by_hand(3);
     clip.truth = Some(vec![Vec::new(); 3]);
     albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
     let mut report = LoadReport::default();
-    assert!(truth.of(&clip, false, &mut report).unwrap().is_some());
+    truth.of(&mut clip, false, &mut report).unwrap();
+    assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
-    let error = truth.of(&clip, false, &mut report).unwrap_err().to_string();
+    let error = truth
+        .of(&mut clip, false, &mut report)
+        .unwrap_err()
+        .to_string();
     assert_says(&error, &["1280x720", "640x360"]);
 }

@@ -4,9 +4,9 @@
 use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, write_pictures};
 use albireo_core::detection::Detection;
 use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
+use albireo_eval::data::Clip;
 use albireo_eval::data::classes::from_name;
 use albireo_eval::footage::{FrameSource, Pictures};
-use albireo_eval::pictures::PicturedClip;
 use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
 use albireo_node::LiveEvidence;
@@ -113,7 +113,7 @@ pub(crate) fn assert_live_alike(
     source: &mut dyn FrameSource,
     detector: &DetectorConfig,
     screen: &ScreenConfig,
-    pictured: &PicturedClip,
+    pictured: &Clip,
     confidence: f64,
     policies: &[&str],
 ) -> u64 {
@@ -121,7 +121,7 @@ pub(crate) fn assert_live_alike(
     while let Some(picture) = source.next().unwrap() {
         pictures.push(picture);
     }
-    assert_eq!(pictures.len(), pictured.clip.frames);
+    assert_eq!(pictures.len(), pictured.frames);
     let rule = match screen.model {
         None => ScreenRule::Nonempty,
         Some(_) => ScreenRule::Recorded,
@@ -139,7 +139,7 @@ pub(crate) fn assert_live_alike(
         .unwrap();
     runtime.block_on(async {
         let node = Node::start(detector, screen, confidence).await;
-        let stored = pictured.clip.detections.as_ref().unwrap();
+        let stored = pictured.detections.as_ref().unwrap();
         for (frame, (encoded, stored)) in pictures.iter().zip(stored).enumerate() {
             let live = node.detect(encoded).await;
             let stored: Vec<_> = stored

@@ -16,6 +16,7 @@ mod rows;
 
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
+use crate::pictures::Pass;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -48,6 +49,8 @@ pub struct Clip {
     pub pictures: Vec<PathBuf>,
     /// Regions whose objects the ground truth leaves out, one entry per frame; empty where the data set marks none.
     pub ignored: Vec<Vec<Corners>>,
+    /// What was kept of the pictures where a detector looked at them in this run.
+    pub pass: Option<Pass>,
 }
 
 impl Clip {
@@ -64,6 +67,7 @@ impl Clip {
             truth: None,
             pictures: Vec::new(),
             ignored: Vec::new(),
+            pass: None,
         }
     }
 }

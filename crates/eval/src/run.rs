@@ -8,7 +8,7 @@ use crate::energy_model::EnergyModel;
 use crate::error::EvalError;
 use crate::replay::replay;
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
-use crate::source::{Recording, ScreenRule, StoredEvidence};
+use crate::source::{ScreenRule, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace;
 use crate::tracking::tracking;
@@ -71,37 +71,37 @@ impl Settings {
     }
 }
 
-/// Runs `policies` over `recordings`. The results are in order of policies, then recordings. `done` is called after each of
+/// Runs `policies` over `clips`. The results are in order of policies, then clips. `done` is called after each of
 /// these steps, from any thread.
 ///
 /// # Errors
 /// The first [`EvalError`] met; the other threads stop at their next step.
-pub fn run<'a, R: Into<Recording<'a>>>(
-    recordings: impl IntoIterator<Item = R>,
+pub fn run<'a>(
+    clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
     settings: &Settings,
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<ClipResult>, EvalError> {
-    in_parallel(recordings, policies, settings, done, &run_policy)
+    in_parallel(clips, policies, settings, done, &run_policy)
 }
 
-/// Does `work` with every policy on every recording on as many threads as `settings` have.
+/// Does `work` with every policy on every clip on as many threads as `settings` have.
 ///
 /// # Errors
 /// A [`EvalError`] that was met; after one, no thread begins another step.
-pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
-    recordings: impl IntoIterator<Item = R>,
+pub(super) fn in_parallel<'a>(
+    clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
     settings: &Settings,
     done: &(dyn Fn() + Sync),
-    work: &(dyn Fn(Recording<'a>, &PolicySpec, &Settings) -> Result<ClipResult, EvalError> + Sync),
+    work: &(dyn Fn(&'a Clip, &PolicySpec, &Settings) -> Result<ClipResult, EvalError> + Sync),
 ) -> Result<Vec<ClipResult>, EvalError> {
-    let recordings: Vec<Recording<'a>> = recordings.into_iter().map(Into::into).collect();
+    let clips: Vec<&Clip> = clips.into_iter().collect();
     let mut steps: Vec<(usize, usize)> = (0..policies.len())
-        .flat_map(|policy| (0..recordings.len()).map(move |clip| (policy, clip)))
+        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
         .collect();
     // The longest clips first, so that no thread is left alone with one at the end.
-    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(recordings[clip].clip.frames));
+    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.threads)
         .build()
@@ -115,7 +115,7 @@ pub(super) fn in_parallel<'a, R: Into<Recording<'a>>>(
         let steps = steps.iter().par_bridge();
         steps
             .map(|&(policy, clip)| {
-                let result = work(recordings[clip], &policies[policy], settings);
+                let result = work(clips[clip], &policies[policy], settings);
                 done();
                 Ok(((policy, clip), result?))
             })
@@ -140,20 +140,19 @@ pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: EvalError) -
     source.of(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
-/// The figures of one policy over one recording.
+/// The figures of one policy over one clip.
 ///
 /// # Errors
-/// [`EvalError`] when the policy cannot be built, asks for what the recording does not have, or the trace cannot be written.
+/// [`EvalError`] when the policy cannot be built, asks for what the clip does not have, or the trace cannot be written.
 fn run_policy(
-    recording: Recording<'_>,
+    clip: &Clip,
     policy: &PolicySpec,
     settings: &Settings,
 ) -> Result<ClipResult, EvalError> {
-    let clip = recording.clip;
     let mut decider = build(policy)?;
     let profile = profile_of(decider.name(), settings.profile);
-    let mut source = StoredEvidence::new(recording, settings)
-        .map_err(|source| no_evidence(clip, policy, source))?;
+    let mut source =
+        StoredEvidence::new(clip, settings).map_err(|source| no_evidence(clip, policy, source))?;
     let replayed = replay(
         decider.as_mut(),
         &mut source,
@@ -199,7 +198,7 @@ fn run_policy(
     if settings.keep_worst {
         result.worst = worst_frames(clip, &replayed, settings.confidence);
     }
-    if let Some(pictured) = recording.pictured {
+    if let Some(pass) = &clip.pass {
         let occupied = source
             .all_detections()
             .iter()
@@ -211,7 +210,7 @@ fn run_policy(
             .filter(|(state, _)| **state == FrameState::E)
             .count();
         let screened = settings.screen == ScreenRule::Recorded;
-        let times = pictured.frame_times(&replayed.frames, decider.pictures(), screened);
+        let times = pass.frame_times(&replayed.frames, decider.pictures(), screened);
         result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
             milliseconds,
             provenance: Provenance::Composed,

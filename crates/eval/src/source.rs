@@ -3,7 +3,6 @@
 use crate::average_precision::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::pictures::PicturedClip;
 use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
@@ -36,37 +35,10 @@ impl ScreenRule {
     }
 }
 
-/// What policies are replayed over: a clip with stored detections, and its pictures where a detector looked at them.
-#[derive(Clone, Copy, Debug)]
-pub struct Recording<'a> {
-    /// The clip.
-    pub clip: &'a Clip,
-    /// Its pictures.
-    pub pictured: Option<&'a PicturedClip>,
-}
-
-impl<'a> From<&'a Clip> for Recording<'a> {
-    fn from(clip: &'a Clip) -> Self {
-        Self {
-            clip,
-            pictured: None,
-        }
-    }
-}
-
-impl<'a> From<&'a PicturedClip> for Recording<'a> {
-    fn from(pictured: &'a PicturedClip) -> Self {
-        Self {
-            clip: &pictured.clip,
-            pictured: Some(pictured),
-        }
-    }
-}
-
-/// A recording as evidence.
+/// A clip as evidence.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredEvidence<'a> {
-    recording: Recording<'a>,
+    clip: &'a Clip,
     detections: Vec<Vec<Detection>>,
     screen: ScreenRule,
     /// The limit that holds in the node for what a real screen says.
@@ -76,16 +48,11 @@ pub(crate) struct StoredEvidence<'a> {
 }
 
 impl<'a> StoredEvidence<'a> {
-    /// The recording's detections as `settings` want them, and their screen.
+    /// The clip's detections as `settings` want them, and their screen.
     ///
     /// # Errors
     /// When the clip has no detections stored, or none of the verdicts of a screen that are asked for.
-    pub(crate) fn new(
-        recording: impl Into<Recording<'a>>,
-        settings: &Settings,
-    ) -> Result<Self, EvalError> {
-        let recording = recording.into();
-        let clip = recording.clip;
+    pub(crate) fn new(clip: &'a Clip, settings: &Settings) -> Result<Self, EvalError> {
         let stored = clip.detections.as_ref().ok_or_else(|| {
             EvalError::new(
                 "the clip has no stored detections: give some, or evaluate its pictures with a real detector",
@@ -104,7 +71,7 @@ impl<'a> StoredEvidence<'a> {
             ));
         }
         Ok(Self {
-            recording,
+            clip,
             detections: stored.iter().map(normalised).collect(),
             screen: settings.screen,
             run: EmptyRun::new(settings.longest_empty_run),
@@ -114,7 +81,7 @@ impl<'a> StoredEvidence<'a> {
 
     /// Size of the clip's pictures.
     pub(crate) fn picture(&self) -> PictureSize {
-        self.recording.clip.picture
+        self.clip.picture
     }
 
     /// Number of frames.
@@ -130,7 +97,7 @@ impl<'a> StoredEvidence<'a> {
     /// What a policy needs to know of a frame. Questions come in order of frames, several of one frame perhaps.
     ///
     /// # Errors
-    /// When the recording does not have such pictures.
+    /// When the clip does not have such pictures.
     pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
         if self.frame != frame {
             self.frame = frame;
@@ -143,7 +110,7 @@ impl<'a> StoredEvidence<'a> {
             (Need::Screen, ScreenRule::Nonempty) => verdict(false),
             (Need::Screen, ScreenRule::Detections) => verdict(found.is_empty()),
             (Need::Screen, ScreenRule::Recorded) => {
-                let verdicts = self.recording.clip.screen.as_deref().unwrap_or_default();
+                let verdicts = self.clip.screen.as_deref().unwrap_or_default();
                 let empty = verdicts.get(frame).copied().flatten();
                 empty.map_or(Evidence::Unavailable, |empty| {
                     verdict(self.run.limit(empty))
@@ -161,11 +128,11 @@ impl<'a> StoredEvidence<'a> {
 
     /// The picture in grey, as small as `need` has it.
     fn grey_picture(&self, frame: usize, need: Need) -> Result<GreyPicture<'_>, EvalError> {
-        let kept = self.recording.pictured.and_then(|pictured| match need {
-            Need::SmallGreyPicture { width } if pictured.small_width == Some(width) => {
-                pictured.small.get(frame)
+        let kept = self.clip.pass.as_ref().and_then(|pass| match need {
+            Need::SmallGreyPicture { width } if pass.small_width == Some(width) => {
+                pass.small.get(frame)
             }
-            Need::GreyPicture => pictured.grey.get(frame),
+            Need::GreyPicture => pass.grey.get(frame),
             _ => None,
         });
         let picture = kept.ok_or_else(|| {

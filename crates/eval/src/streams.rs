@@ -14,7 +14,7 @@ use crate::replay::{ClipFrame, drive};
 use crate::result::ClipResult;
 use crate::run::{Settings, build, in_parallel, judge, no_evidence};
 use crate::scoring::score_published;
-use crate::source::{Recording, StoredEvidence};
+use crate::source::StoredEvidence;
 use crate::spec::{BASELINE, PolicySpec};
 use crate::summary::{Difference, PolicySummary, summarise};
 use crate::table::short;
@@ -60,25 +60,24 @@ struct Published {
     delay: u64,
 }
 
-/// Runs `policies` over `recordings` and judges `stream`.
+/// Runs `policies` over `clips` and judges `stream`.
 ///
 /// # Errors
 /// [`EvalError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
-pub fn run<'a, R: Into<Recording<'a>>>(
-    recordings: impl IntoIterator<Item = R>,
+pub fn run<'a>(
+    clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, EvalError> {
     let results = in_parallel(
-        recordings,
+        clips,
         policies,
         settings,
         &|| (),
-        &|recording, spec, settings| {
-            let clip = recording.clip;
+        &|clip, spec, settings| {
             let policy = build(spec)?;
-            let published = StoredEvidence::new(recording, settings)
+            let published = StoredEvidence::new(clip, settings)
                 .and_then(|mut evidence| publish(clip, policy, &mut evidence, &stream))
                 .map_err(|source| no_evidence(clip, spec, source))?;
             let min_confidence = settings.min_confidence();

@@ -91,7 +91,7 @@ fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
     }
     if !footage.is_empty() {
         let pictured = look_at(&footage, arguments.rate, &arguments.pass)?;
-        recordings.extend(pictured.into_iter().map(|pictured| pictured.clip));
+        recordings.extend(pictured);
     }
     Ok(recordings)
 }

@@ -7,7 +7,7 @@ use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{FrameSource, Pictures, SourceName, Thinned, VideoEncoding};
 use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, TruthFormat,
+    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, StepTimes, TruthFormat,
     against_vanilla, collect, looks_at_pixels,
 };
 use albireo_eval::report::Report;
@@ -205,34 +205,32 @@ impl<'a> Evaluation<'a> {
     /// none was given, against Vanilla. The frames that lost most get their pictures from `source` once more: keeping all
     /// pictures until these frames are known takes memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
-        let mut pictured = pass_over(source, &mut self.observer, &self.keep, &mut self.report)?;
-        self.times.extend_from_slice(&pictured.times);
-        let clip = &mut pictured.clip;
+        let mut clip = pass_over(source, &mut self.observer, &self.keep, &mut self.report)?;
+        let pass = clip.pass.take();
+        self.times.extend(pass.iter().flat_map(|pass| &pass.times));
         if let Some(truth) = &mut self.truth {
-            let found = truth.of(clip, self.clips == 1, &mut self.report)?;
-            (clip.truth, clip.ignored) = found
-                .map(|(boxes, ignored)| (Some(boxes), ignored))
-                .unwrap_or_default();
+            truth.of(&mut clip, self.clips == 1, &mut self.report)?;
         }
         if self.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
         }
+        clip.pass = pass;
         if self.truth.is_none() {
-            clip.truth = Some(against_vanilla(clip, self.settings.confidence));
+            clip.truth = Some(against_vanilla(&clip, self.settings.confidence));
         } else if clip.truth.is_none() {
             let note = format!("{}: not in the ground truth, left out", clip.name);
             self.report.notes.push(note);
             return Ok(());
         }
-        let mut results = run::run([&pictured], &self.policies, &self.settings, &|| ())?;
+        let mut results = run::run([&clip], &self.policies, &self.settings, &|| ())?;
         if let Err(error) = attach_pictures(source, &mut results) {
-            let name = &pictured.clip.name;
+            let name = &clip.name;
             let note = format!("{name}: no pictures of the frames that lost most: {error}");
             self.report.notes.push(note);
         }
         self.results.extend(results);
         for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let results = streams::run([&pictured], &self.policies, &self.settings, stream)?;
+            let results = streams::run([&clip], &self.policies, &self.settings, stream)?;
             match self.streams.get_mut(at) {
                 Some(clips_before) => clips_before.extend(results),
                 None => self.streams.push(results),
@@ -373,7 +371,7 @@ fn pass_over(
     observer: &mut Observer,
     settings: &PassSettings,
     report: &mut LoadReport,
-) -> anyhow::Result<PicturedClip> {
+) -> anyhow::Result<Clip> {
     let most = settings.most_frames.map(|most| most as u64);
     let total = match (source.frames(), most) {
         (Some(known), Some(most)) => Some(known.min(most)),
@@ -397,7 +395,7 @@ pub(super) fn look_at(
     clips: &[SourceName],
     rate: Option<f64>,
     pass: &PassArguments,
-) -> anyhow::Result<Vec<PicturedClip>> {
+) -> anyhow::Result<Vec<Clip>> {
     let mut observer = start_observer(pass)?;
     let settings = PassSettings {
         most_frames: most_frames(pass),
@@ -419,8 +417,7 @@ pub(super) fn look_at(
         eprintln!("{line}");
     }
     if let Some(folder) = &pass.save_detections {
-        let clips: Vec<Clip> = pictured.iter().map(|pass| pass.clip.clone()).collect();
-        recorded::write(folder, &clips)?;
+        recorded::write(folder, &pictured)?;
         eprintln!("Detections written to {}", folder.display());
     }
     Ok(pictured)

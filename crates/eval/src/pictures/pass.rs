@@ -38,12 +38,9 @@ pub struct StepTimes {
     pub small: f64,
 }
 
-/// A clip of which everything a policy may ask is known.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PicturedClip {
-    /// Detections from the pass's confidence on, and the screen's verdicts if there is a screen. No ground
-    /// truth yet.
-    pub clip: Clip,
+/// What the pass over a clip's pictures keeps beside detections and verdicts.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pass {
     /// The grey picture of each frame at half size; empty when not kept.
     pub grey: Vec<Picture>,
     /// The small grey picture of each frame; empty when not kept.
@@ -54,7 +51,7 @@ pub struct PicturedClip {
     pub times: Vec<StepTimes>,
 }
 
-impl PicturedClip {
+impl Pass {
     /// Milliseconds of each frame under a policy that looks at `pictures`: its decision as `records` has it, and the steps
     /// that it asked for as they were measured in the pass. Screen and detector share one decoded picture; `screened` says
     /// whether it was this clip's screen that answered.
@@ -110,7 +107,7 @@ pub fn collect(
     settings: &PassSettings,
     report: &mut LoadReport,
     progress: &mut dyn FnMut(),
-) -> Result<PicturedClip, EvalError> {
+) -> Result<Clip, EvalError> {
     let name = source.name().to_owned();
     let mut size = None;
     let mut detections = Vec::new();
@@ -147,6 +144,7 @@ pub fn collect(
         times.push(step);
         progress();
     }
+    let frames = times.len();
     let Some(picture) = size else {
         return Err(EvalError::new(format!(
             "{name}: not a single frame came out of it"
@@ -160,17 +158,17 @@ pub fn collect(
             ));
         }
     }
-    Ok(PicturedClip {
-        clip: Clip {
-            frame_rate: Some(source.rate()),
-            detections: Some(detections),
-            screen: observer.has_screen().then_some(verdicts),
-            ..Clip::new(name, picture, times.len())
-        },
-        grey,
-        small,
-        small_width: settings.keep_small,
-        times,
+    Ok(Clip {
+        frame_rate: Some(source.rate()),
+        detections: Some(detections),
+        screen: observer.has_screen().then_some(verdicts),
+        pass: Some(Pass {
+            grey,
+            small,
+            small_width: settings.keep_small,
+            times,
+        }),
+        ..Clip::new(name, picture, frames)
     })
 }
 

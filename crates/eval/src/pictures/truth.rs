@@ -3,7 +3,6 @@
 use crate::average_precision::ScoredBox;
 use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::error::EvalError;
-use albireo_core::geometry::Corners;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
@@ -22,9 +21,6 @@ pub enum TruthFormat {
     /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
     Recorded,
 }
-
-/// Ground truth and the regions that it leaves out, one entry per frame each.
-pub type FrameTruth = (Vec<Vec<ScoredBox>>, Vec<Vec<Corners>>);
 
 /// Files of ground truth.
 #[derive(Clone, Debug)]
@@ -67,17 +63,17 @@ impl GroundTruth {
         )))
     }
 
-    /// The ground truth of `clip`: that of its name, or the only one there is when it is the only clip
+    /// Gives `clip` its ground truth, if there is any: that of its name, or the only one there is when it is the only clip
     /// (`alone`). `None` if there is none for it. What is left out goes to `report`.
     ///
     /// # Errors
     /// [`EvalError`] when it cannot be read or is of other pictures.
     pub fn of(
         &mut self,
-        clip: &Clip,
+        clip: &mut Clip,
         alone: bool,
         report: &mut LoadReport,
-    ) -> Result<Option<FrameTruth>, EvalError> {
+    ) -> Result<(), EvalError> {
         for path in &self.paths {
             let mut read = self.read(path, clip.picture)?;
             let place = read.clips.iter().position(|truth| truth.name == clip.name);
@@ -116,9 +112,10 @@ impl GroundTruth {
             if first {
                 merge(report, read.report);
             }
-            return Ok(Some((truth, found.ignored)));
+            (clip.truth, clip.ignored) = (Some(truth), found.ignored);
+            return Ok(());
         }
-        Ok(None)
+        Ok(())
     }
 
     fn read(

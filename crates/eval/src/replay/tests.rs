@@ -1,6 +1,6 @@
 use super::*;
 use crate::data::Clip;
-use crate::pictures::PicturedClip;
+use crate::pictures::Pass;
 use crate::run::Settings;
 use crate::source::{ScreenRule, StoredEvidence};
 use albireo_core::detection::ClassId;
@@ -72,29 +72,27 @@ impl Policy for Curious {
 }
 
 /// A recording of two frames with a grey picture each; of the second the screen could not say anything.
-fn recording(found: &[ScoredBox]) -> PicturedClip {
+fn recording(found: &[ScoredBox]) -> Clip {
     let grey = Picture {
         size: PictureSize::new(2, 1),
         pixels: vec![0, 0],
         ..Picture::default()
     };
-    PicturedClip {
-        clip: Clip {
-            detections: Some(vec![found.to_vec(); 2]),
-            screen: Some(vec![Some(false), None]),
-            ..Clip::new("clip".to_owned(), PICTURE, 2)
-        },
-        grey: vec![grey; 2],
-        small: Vec::new(),
-        small_width: None,
-        times: Vec::new(),
+    Clip {
+        detections: Some(vec![found.to_vec(); 2]),
+        screen: Some(vec![Some(false), None]),
+        pass: Some(Pass {
+            grey: vec![grey; 2],
+            ..Pass::default()
+        }),
+        ..Clip::new("clip".to_owned(), PICTURE, 2)
     }
 }
 
 /// Of a detector that drops what is below 0.5.
 fn replayed(
     policy: &mut dyn Policy,
-    recording: &PicturedClip,
+    recording: &Clip,
     profile: Profile,
 ) -> Result<Replay, EvalError> {
     let settings = Settings {
@@ -168,7 +166,10 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         script: vec![Need::GreyPicture],
         ..Curious::default()
     };
-    let clip = recording(&[]).clip;
+    let clip = Clip {
+        pass: None,
+        ..recording(&[])
+    };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
     let floor = MinConfidence::new(None, 0.5);
     let error = replay(&mut policy, &mut source, Profile::Paper, floor, false);
