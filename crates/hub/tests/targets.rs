@@ -2,6 +2,7 @@
 
 use crate::support::{Hub, Stand, config, full_status, now_ns, on_both, say, sqlite};
 use crate::tuning::{Played, fleet, post, put, put_at, values};
+use albireo_hub::config::LocalChange;
 use albireo_wire::{
     CameraState, CameraStatus, NodeTarget, SettingSource, StatusMessage, Target, TargetStatus,
     Threshold,
@@ -210,6 +211,53 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
         "{drift}"
     );
     assert_eq!(found["why"], off);
+    stand.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(&sqlite(folder.path()));
+    config.tuning.local_change = LocalChange::SetBack;
+    let stand = Stand::on(config).await;
+    let (hub, session) = (&stand.hub, &stand.session);
+    let mut statuses = 0..;
+    let mut report = async |revision, u| {
+        let seq = statuses.next().unwrap();
+        say(session, "car-1", &told(10, seq, revision, u)).await;
+    };
+    report(0, 3e-4).await;
+    hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
+        .await;
+    let body = json!({"u": 5e-4, "select": "car-1", "wait_s": 0});
+    let (_, answer) = put(hub, body).await;
+    let mut revision = answer["revision"].as_u64().unwrap();
+    report(revision, 5e-4).await;
+    for times in 1..=3 {
+        report(revision, 9e-4).await;
+        let drift = hub
+            .until("/api/v1/drift", |drift| drift[0]["set_back"] == times)
+            .await;
+        assert_eq!(drift[0]["node"], "car-1");
+        let changes = hub.get("/api/v1/changes").await;
+        assert_eq!(changes["changes"][0]["origin"], "drift", "{changes}");
+        revision = changes["changes"][0]["revision"].as_u64().unwrap();
+        // It obeys, and is no drift any more.
+        report(revision, 5e-4).await;
+        hub.until("/api/v1/drift", |drift| *drift == json!([]))
+            .await;
+    }
+    report(revision, 9e-4).await;
+    let drift = hub
+        .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
+        .await;
+    assert_eq!(drift[0]["set_back"], 3, "{drift}");
+    // Somebody's change begins the count again.
+    let body = json!({"u": 6e-4, "select": "car-1", "wait_s": 0});
+    let (_, answer) = put(hub, body).await;
+    let ordered = answer["revision"].as_u64().unwrap();
+    let changes = hub.get("/api/v1/changes").await;
+    assert_eq!(changes["changes"][0]["revision"], ordered, "{changes}");
     stand.end().await;
 }
 

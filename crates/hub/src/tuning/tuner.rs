@@ -26,6 +26,9 @@ const NOTIFY_AGAIN_MS: Millis = 5_000;
 /// How often a node is set back at most after one change: two hands on one value do not fight for ever.
 const SET_BACK_TIMES: u32 = 3;
 
+/// The origin of the order that sets a node back.
+const SET_BACK: &str = "drift";
+
 /// How far beyond this database's revisions a node's may be. A database that was restored or is empty knows none of the
 /// revisions that nodes have; a node that reports nonsense must not use them up.
 const FARTHEST_AHEAD: u64 = 1 << 32;
@@ -53,6 +56,8 @@ struct OpenOrder {
     setting: DesiredSetting,
     from: Option<DesiredSetting>,
     notified_ms: Millis,
+    /// How often the node was set back since somebody else ordered something of it.
+    set_back: u32,
 }
 
 impl OpenOrder {
@@ -185,6 +190,7 @@ impl Tuner {
                     setting: desired.setting,
                     from: row.setting_before,
                     notified_ms: 0,
+                    set_back: 0,
                 };
                 tuner.open.lock().insert(row.node, order);
             }
@@ -248,6 +254,10 @@ impl Tuner {
                 setting,
                 from,
                 notified_ms: now,
+                set_back: match change.origin == SET_BACK {
+                    true => self.set_back_times(&node) + 1,
+                    false => 0,
+                },
             };
             orders.push((node, order));
         }
@@ -270,6 +280,11 @@ impl Tuner {
         self.desires.remove(node);
         self.drift.lock().remove(node);
         self.open.lock().remove(node);
+    }
+
+    /// How often a node was set back since somebody else ordered something of it, as far as this hub saw it.
+    fn set_back_times(&self, node: &str) -> u32 {
+        self.open.lock().get(node).map_or(0, |order| order.set_back)
     }
 
     /// What became of the order of `revision` at `node`.
@@ -356,12 +371,12 @@ impl Tuner {
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
             found.push(Drift {
-                node,
                 since_ms: known.as_ref().map_or(now, |known| known.since_ms),
                 desired: desired.setting,
                 in_force: settings.setting(),
                 why: settings.target_off(),
-                set_back: known.map_or(0, |known| known.set_back),
+                set_back: self.set_back_times(&node),
+                node,
             });
         }
         if !events.is_empty() {
@@ -393,13 +408,13 @@ impl Tuner {
             at_ms: now,
             who: "hub".to_owned(),
             why: "changed at the node".to_owned(),
-            origin: "drift".to_owned(),
+            origin: SET_BACK.to_owned(),
             selector: String::new(),
             setting: drifted[0].desired,
         };
         let nodes = drifted.iter().map(|d| (d.node.clone(), d.in_force));
         self.order(change, nodes.collect()).await?;
-        // Ordering forgets the drift; how often a node was set back must be known the next time.
+        // Ordering forgets the drift; the nodes stay listed until they have the value again.
         drifted.iter_mut().for_each(|drift| drift.set_back += 1);
         self.list_drift(drifted);
         Ok(())
