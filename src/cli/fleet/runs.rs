@@ -264,19 +264,24 @@ async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result
 }
 
 async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
-    let mut printed = 0;
+    let mut last: Option<Entry> = None;
     loop {
         let path = format!("/api/v1/rollouts/{id}");
         let rollout: RunView = context.client.get(&path, &[]).await?;
         let run = &rollout.kept.run;
-        for entry in run.record.iter().skip(printed) {
+        // The hub keeps the newest entries only, so that their places change.
+        let printed = last.as_ref().and_then(|last| {
+            let mut entries = run.record.iter();
+            entries.rposition(|entry| entry == last)
+        });
+        for entry in run.record.iter().skip(printed.map_or(0, |place| place + 1)) {
             if context.json {
                 println!("{}", serde_json::to_string(entry)?);
             } else {
                 print!("{}", entry_text(entry, rollout.kept.begun_ms));
             }
         }
-        printed = run.record.len().max(printed);
+        last = run.record.last().cloned().or(last);
         if matches!(
             run.phase,
             Phase::Done | Phase::Returned | Phase::Stopped | Phase::Held
