@@ -113,6 +113,14 @@ async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
     running.end().await;
 }
 
+#[test]
+fn a_program_that_took_long_for_its_first_line_does_not_stall() {
+    let task = json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]});
+    let (_folder, config) = stand_in(&task);
+    let mut meter = power::open(&config).unwrap();
+    let _no_line_yet = meter.poll(Instant::now()).unwrap();
+}
+
 #[tokio::test]
 async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading() {
     let task = json!({"curve": [[0, 30], [1, 30]], "die_at": 1.5});

@@ -85,12 +85,12 @@ impl LineChild {
     }
 
     /// Waits up to `patience` for the first line.
-    pub(crate) fn first_line(&mut self, patience: Duration) -> Option<String> {
+    pub(crate) fn first_line(&mut self, patience: Duration) -> Option<Line> {
         let line = self.lines.recv_timeout(patience);
         if line.is_err() {
             self.end();
         }
-        line.ok().map(|(_, line)| line)
+        line.ok()
     }
 
     fn restart(&mut self) {

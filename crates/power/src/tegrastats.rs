@@ -65,9 +65,10 @@ impl Tegrastats {
     }
 
     fn first_line(&mut self) -> Result<(), MeterError> {
-        let Some(line) = self.child.first_line(FIRST_LINE) else {
+        let Some((at, line)) = self.child.first_line(FIRST_LINE) else {
             return Err(self.unreadable(self.child.trouble().unwrap_or("it prints nothing")));
         };
+        self.newest = at;
         let Some(rails) = tegrastats_rails(&line) else {
             return Err(self.unreadable("it does not print lines of tegrastats"));
         };
