@@ -8,7 +8,6 @@ use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use serde::Deserialize;
 use serde_json::json;
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Nodes of one page.
@@ -18,9 +17,8 @@ const MOST: usize = 200_000;
 /// From so many seconds on, a time of `energy` begins with a day (UTC).
 const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
 const DAY_MS: i64 = 86_400_000;
-/// Nodes that `watch` shows, and the largest fleet whose values it counts.
+/// Nodes that `watch` shows.
 const SHOWN: usize = 20;
-const MOST_VALUES: u64 = 5_000;
 /// Time between two looks of `watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
@@ -309,13 +307,6 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
             ("limit", SHOWN.to_string()),
         ];
         let page: NodeList = context.client.get("/api/v1/nodes", &query).await?;
-        let counts = &page.counts;
-        let known = counts.online + counts.degraded + counts.silent + counts.offline;
-        let found = if known <= MOST_VALUES {
-            Some(nodes(context, None, "name", MOST).await?)
-        } else {
-            None
-        };
         if context.json {
             println!("{}", serde_json::to_string(&page)?);
         } else {
@@ -323,7 +314,7 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
                 // Clear and go to the upper left corner.
                 print!("\x1b[2J\x1b[H");
             }
-            print!("{}", overview(&page, known, found.as_deref()));
+            print!("{}", overview(&page));
         }
         looks += 1;
         if arguments.looks.is_some_and(|most| looks >= most) {
@@ -333,10 +324,10 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
     }
 }
 
-/// How many nodes are in which state and, where all were asked for, which values they have; then those that are not
-/// well, or the first ones.
-fn overview(page: &NodeList, known: u64, nodes: Option<&[NodeView]>) -> String {
+/// How many nodes are in which state; then those that are not well, or the first ones.
+fn overview(page: &NodeList) -> String {
     let counts = &page.counts;
+    let known = counts.online + counts.degraded + counts.silent + counts.offline;
     let line = format!(
         "{}: {} online, {} degraded, {} silent, {} offline; {} reports wait",
         units::nodes(known),
@@ -346,20 +337,7 @@ fn overview(page: &NodeList, known: u64, nodes: Option<&[NodeView]>) -> String {
         counts.offline,
         page.waiting
     );
-    let mut text = cut(&line, WIDTH) + "\n";
-    if let Some(nodes) = nodes {
-        let mut values: BTreeMap<String, usize> = BTreeMap::new();
-        for node in nodes {
-            let value = status(node).map_or("-".to_owned(), |status| value(&status));
-            *values.entry(value).or_insert(0) += 1;
-        }
-        let values: Vec<String> = values
-            .iter()
-            .map(|(at, n)| format!("{n} at {at}"))
-            .collect();
-        text += &(cut(&format!("values: {}", values.join(", ")), WIDTH) + "\n");
-    }
-    text.push('\n');
+    let text = cut(&line, WIDTH) + "\n\n";
     let shown = &page.nodes;
     let unwell = shown
         .iter()
