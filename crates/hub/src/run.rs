@@ -73,7 +73,8 @@ pub async fn run(
         listener,
         serving.clone(),
     );
-    let notifier = tokio::spawn(notify::run(service_state(view.clone()), shutdown.clone()));
+    let stopping = shutdown.child_token();
+    let notifier = tokio::spawn(notify::run(service_state(view.clone()), stopping.clone()));
     tracing::info!(
         http = format!("http://{address}"),
         prefix = config.hub.prefix,
@@ -93,8 +94,9 @@ pub async fn run(
         },
         hub
     );
-    // It has reported that the hub stops; after an error nothing did.
-    notifier.abort();
+    // The service manager hears of the end, be it by an error, before the process is gone.
+    stopping.cancel();
+    let _ = notifier.await;
     hub.and(http)
 }
 

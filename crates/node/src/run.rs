@@ -104,6 +104,7 @@ pub async fn run_prepared(
         ended.map_err(NodeError::of("[http]"))
     };
     let (status_board, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
+    let stopping = shutdown.child_token();
     let notifier = tokio::spawn(albireo_service::notify::run(
         move || {
             readiness::service_state(
@@ -112,7 +113,7 @@ pub async fn run_prepared(
                 stuck_after,
             )
         },
-        shutdown.clone(),
+        stopping.clone(),
     ));
     tracing::info!(
         http = format!("http://{address}"),
@@ -134,8 +135,9 @@ pub async fn run_prepared(
         ended
     };
     let (http, node) = tokio::join!(http, node);
-    // It ends by itself when the node is stopped, but not when the node fails.
-    notifier.abort();
+    // The service manager hears of the end, be it by an error, before the process is gone.
+    stopping.cancel();
+    let _ = notifier.await;
     node.and(http)
 }
 
