@@ -16,7 +16,7 @@ DEMO_SECONDS ?=
 # Python's ONNX Runtime, like ours, must not collect telemetry.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
+.PHONY: help demo test build-tests web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,8 +25,13 @@ demo: onnxruntime web ## camera, node, hub and live output in one process, with 
 	cargo build --locked $$(bash tests/features.sh)
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
-test: onnxruntime python wheel-tests debian web ## fetch what the tests need and run them all
+# What is fetched waits for the network, what is built for the processor: side by side.
+test: onnxruntime debian web ## fetch what the tests need and run them all
+	@$(MAKE) --no-print-directory -j3 python wheel-tests build-tests
 	@bash tests/run.sh
+
+build-tests:
+	cargo test --locked $$(bash tests/features.sh) --no-run
 
 lint: ## formatting and clippy of every combination of features that is shipped, as the continuous integration does
 	cargo fmt --check

@@ -217,9 +217,9 @@ async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
         "99th of 100, frame and health: {before:?} without, {after:?} with a subscriber that does not read"
     );
     for (before, after) in before.into_iter().zip(after) {
-        // A put that waits for the subscriber waits for seconds.
+        // A put that waits for the subscriber waits for five seconds; a busy machine takes one now and then.
         assert!(
-            after < before * 10 + Duration::from_millis(50),
+            after < before * 10 + Duration::from_secs(2),
             "{before:?} {after:?}"
         );
     }

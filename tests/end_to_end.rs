@@ -23,7 +23,7 @@ timeout_ms = 30000
 name = "{policy}"
 u = 5e-4
 [clip]
-silence_s = 2.0
+silence_s = 6.0
 [[camera]]
 name = "front"
 delivery = "every"

@@ -49,7 +49,7 @@ name = "fixed-skip"
 [policy.fixed_skip]
 n = 3
 [clip]
-silence_s = 1.0
+silence_s = 3.0
 [power]
 source = "ina"
 # development: sysfs={} nvpmodel={}
