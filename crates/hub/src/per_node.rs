@@ -1,4 +1,4 @@
-//! Bounds the entries of each node in a queue that all nodes share.
+//! Limits how many entries each node may have in a queue that all nodes share.
 
 use parking_lot::Mutex;
 use std::collections::HashMap;
@@ -12,11 +12,11 @@ pub(crate) struct PerNode {
     places: Mutex<HashMap<String, Arc<Semaphore>>>,
 }
 
-/// The place of one thing of a node; free again when dropped.
+/// The place of one entry; dropping it frees the place.
 pub(crate) type Place = OwnedSemaphorePermit;
 
 impl PerNode {
-    /// At most this many of a node may wait.
+    /// Each node may have at most `most` entries waiting.
     pub(crate) fn new(most: usize) -> Self {
         Self {
             most,
@@ -24,12 +24,14 @@ impl PerNode {
         }
     }
 
-    /// A place for one more of `node`; none when too many wait.
+    /// A place for one more entry of `node`; `None` when too many wait.
     pub(crate) fn place(&self, node: &str) -> Option<Place> {
         let mut all = self.places.lock();
         let places = match all.get(node) {
             Some(places) => Arc::clone(places),
             None => {
+                // A node that has nothing waiting is not remembered: a sender can invent names without end.
+                all.retain(|_, places| places.available_permits() < self.most);
                 let places = Arc::new(Semaphore::new(self.most));
                 all.insert(node.to_owned(), Arc::clone(&places));
                 places
@@ -52,5 +54,15 @@ mod tests {
         assert!(all.place("b").is_some());
         drop(places);
         assert!(all.place("a").is_some());
+    }
+
+    #[test]
+    fn a_node_that_has_nothing_waiting_is_not_remembered() {
+        let all = PerNode::new(2);
+        let _waiting = all.place("a");
+        for invented in 0..100 {
+            drop(all.place(&format!("n{invented}")));
+        }
+        assert!(all.places.lock().len() <= 2);
     }
 }
