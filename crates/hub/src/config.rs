@@ -66,7 +66,7 @@ impl Default for HubConfig {
     }
 }
 
-/// A router beside the node's default endpoint, so that node and hub can be started on one machine.
+/// The port differs from the node's default, so that a node and a hub can run on one machine.
 fn default_zenoh() -> ZenohConfig {
     ZenohConfig {
         mode: ZenohMode::Router,
@@ -92,7 +92,7 @@ fn http_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<HttpConfig
     over(&default_http(), deserializer)
 }
 
-/// Reads a section whose keys that are not given have the hub's defaults, and not those of the section's own type.
+/// Reads a section in which absent keys get the hub's defaults instead of those of the section's type.
 fn over<'de, T, D>(defaults: &T, deserializer: D) -> Result<T, D::Error>
 where
     T: Serialize + DeserializeOwned,
@@ -110,7 +110,7 @@ impl HubConfig {
     /// The keys of all nodes of the fleet.
     ///
     /// # Errors
-    /// When the prefix cannot be used; a configuration that passed its check has one that can.
+    /// When the prefix cannot be used, which the configuration's check rules out.
     pub(crate) fn keys(&self) -> Result<NodeKeys, albireo_wire::KeyError> {
         NodeKeys::all(&self.hub.prefix)
     }

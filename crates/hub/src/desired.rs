@@ -7,17 +7,17 @@ use serde::Deserialize;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-/// What is desired of a node: a value of its knob, or a target.
+/// The desired setting of a node: a threshold or a target.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct DesiredValue {
-    /// Its number.
+    /// The revision of the setting: higher than that of any setting before it.
     pub revision: u64,
-    /// The value or the target.
+    /// The threshold or the target.
     #[serde(with = "json_text")]
     pub setting: DesiredSetting,
 }
 
-/// What is desired of each node, as the database has it, and which of them somebody watches.
+/// The desired setting of each node, as the database has it, and which nodes somebody watches.
 #[derive(Debug, Default)]
 pub struct Desires {
     values: RwLock<HashMap<String, DesiredValue>>,
@@ -25,7 +25,7 @@ pub struct Desires {
 }
 
 impl Desires {
-    /// Takes a value; one of a lower or the same revision changes nothing. Returns whether it was taken.
+    /// Stores a setting, unless it has no higher revision than the present one. Returns true if it was stored.
     pub(crate) fn set(&self, node: &str, value: DesiredValue) -> bool {
         let mut values = self.values.write();
         let newer = (values.get(node)).is_none_or(|present| present.revision < value.revision);
@@ -35,17 +35,17 @@ impl Desires {
         newer
     }
 
-    /// Drops what is desired of a node.
+    /// Drops the desired setting of a node.
     pub(crate) fn remove(&self, node: &str) {
         self.values.write().remove(node);
     }
 
-    /// The value desired of a node.
+    /// The desired setting of a node.
     pub(crate) fn get(&self, node: &str) -> Option<DesiredValue> {
         self.values.read().get(node).copied()
     }
 
-    /// All desired values.
+    /// All desired settings, by node.
     pub(crate) fn all(&self) -> Vec<(String, DesiredValue)> {
         let values = self.values.read();
         values
@@ -54,7 +54,7 @@ impl Desires {
             .collect()
     }
 
-    /// What is desired of `node`.
+    /// The answer to a pull of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let value = self.get(node);
         let until = self.watched.read().get(node).copied();
@@ -70,7 +70,7 @@ impl Desires {
         }
     }
 
-    /// Somebody watches `node` for so long: it then sends counters once a second.
+    /// Notes that somebody watches `node` for `time`: until then it sends counters once a second.
     pub fn watch(&self, node: &str, time: Duration) {
         let now = Instant::now();
         let mut watched = self.watched.write();

@@ -1,4 +1,4 @@
-//! Why a hub cannot start, or ended.
+//! The error of a hub that cannot start, or that ended.
 
 use albireo_service::session::SessionError;
 use albireo_service::supervise::TaskFailed;
@@ -16,13 +16,13 @@ pub enum HubError {
     /// A task the hub cannot do without has ended by itself.
     #[error(transparent)]
     Task(#[from] TaskFailed),
-    /// Another reason, in words: of the database, of the HTTP interface, of Zenoh or of the operating system.
+    /// Another error, in words: from the database, the HTTP interface, Zenoh or the operating system.
     #[error("{0}")]
     Other(String),
 }
 
 impl HubError {
-    /// For what goes wrong with something.
+    /// Names the part that an error came from.
     pub(crate) fn at<E: std::fmt::Display>(what: &str) -> impl Fn(E) -> Self {
         move |error| Self::Other(format!("{what}: {error}"))
     }

@@ -41,42 +41,42 @@ use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// What the routes look at.
+/// The state that all routes share.
 #[derive(Clone, Debug)]
 pub struct HubView {
-    /// Which parts do not work.
+    /// The parts that do not work.
     pub readiness: Arc<Readiness>,
-    /// Every node.
+    /// All nodes.
     pub fleet: Arc<Fleet>,
-    /// What is desired of the nodes.
+    /// The desired settings of the nodes.
     pub desires: Arc<Desires>,
-    /// What ingest counts.
+    /// Counters of ingest.
     pub ingest: Arc<IngestCounters>,
-    /// What is heard and could not be taken.
+    /// Counters of messages from nodes.
     pub listen: Arc<ListenCounters>,
-    /// Tells that there are new events.
+    /// Signals that the database has new events.
     pub events: watch::Sender<()>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
     /// The database, once it is open.
     pub(crate) opened: Arc<OnceLock<Store>>,
-    /// What tunes the fleet, once it runs.
+    /// The tuner, once it runs.
     pub(crate) tunes: Arc<OnceLock<Arc<Tuner>>>,
-    /// The way to the nodes, once there is one.
+    /// The Zenoh session and the notifier, once the session is open.
     pub(crate) reaches: Arc<OnceLock<Reach>>,
-    /// Beginning of all keys.
+    /// The prefix of all keys.
     prefix: Arc<str>,
-    /// Places for who watches a node.
+    /// Limits how many readers watch nodes at a time.
     live: Arc<Semaphore>,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
-    /// After what time a request is answered with an error.
+    /// A request that takes longer is answered with an error.
     timeout: Duration,
     started: Instant,
 }
 
 impl HubView {
-    /// A hub that knows nobody yet.
+    /// A hub that knows no node yet.
     pub fn new(config: &HubConfig, readiness: Arc<Readiness>, shutdown: CancellationToken) -> Self {
         Self {
             readiness,
@@ -97,7 +97,7 @@ impl HubView {
         }
     }
 
-    /// What is desired of `node`, and whether it is to send its full status.
+    /// The answer to a pull of `node`: its desired setting, and whether it should send its full status.
     pub(crate) fn desired(&self, node: &str) -> Desired {
         Desired {
             send_full_status: self.fleet.needs_full_status(node),
@@ -105,7 +105,7 @@ impl HubView {
         }
     }
 
-    /// The way to the nodes.
+    /// The Zenoh session and the notifier.
     ///
     /// # Errors
     /// A problem document while the session is not open yet.
@@ -113,13 +113,13 @@ impl HubView {
         attached(&self.reaches, "the Zenoh session is not open yet")
     }
 
-    /// How many Zenoh sessions there are to others; `None` before the hub's own is open.
+    /// The number of Zenoh peers; `None` before the hub's own session is open.
     pub(crate) async fn sessions(&self) -> Option<usize> {
         let reach = self.reaches.get()?;
         Some(reach.session.info().transports().await.count())
     }
 
-    /// What tunes the fleet.
+    /// The tuner.
     ///
     /// # Errors
     /// A problem document while it does not run yet.
@@ -162,12 +162,12 @@ impl From<StoreError> for Problem {
                        set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz` and `/readyz` needs one; what changes something needs one \
                        with the role `tune`.",
     ),
-    // Events carry them: a stream's contents cannot be described, the messages in it can.
+    // OpenAPI cannot describe the contents of an event stream, but it can describe the messages in it.
     components(schemas(
         Problem,
         StoredEvent,
         CountersMessage,
-        // Of parameters, which do not bring theirs.
+        // Parameters do not register their own schemas.
         EnergyBy,
         Sort,
         Command

@@ -1,8 +1,8 @@
-//! Takes the nodes' reports, each exactly once.
+//! Stores the nodes' reports, each exactly once.
 //!
-//! Zenoh's thread only hands a query over to a bounded queue, and answers "busy" when it is full or when the node has sent
-//! more than its share. One thread reads what waits, another commits it, at most every `ingest.commit_ms`, and the answer
-//! goes out after the commit: so a slow or absent database holds acknowledgements back, and never fills the memory.
+//! Zenoh's thread only puts a query into a bounded queue, and answers "busy" when it is full or when the node has sent
+//! more than its share. One thread parses the batches, another commits them, at most every `ingest.commit_ms`, and the
+//! answer goes out after the commit: a slow or absent database delays acknowledgements, and never fills the memory.
 
 mod clip;
 mod counters;
@@ -32,15 +32,15 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::{Duration, Instant};
 use zenoh::query::Query;
 
-/// Largest batch as it is sent, bytes: one that a node makes is a tenth of that.
+/// Largest compressed batch, bytes: ten times as large as those that nodes send.
 const LARGEST_PAYLOAD: usize = 1 << 20;
 
-/// Batches that may wait, and their compressed bytes; one more is answered "busy" at once.
+/// Most batches that may wait, and their compressed bytes; a further one is answered "busy" at once.
 const MOST_BATCHES: usize = 4096;
 const MOST_BYTES: u64 = 32 << 20;
 
-/// A batch that comes while what is being written has waited longer than this is answered "busy". It is well below the time that
-/// nodes wait for an answer: what is written after that is sent once more for nothing.
+/// A batch that arrives while the batches being written have waited longer than this is answered "busy". It is well below
+/// the time that nodes wait for an answer: a node would send again what is written later.
 const BUSY_AFTER: Duration = Duration::from_secs(3);
 
 /// Why a batch is refused when the queue is full.
@@ -49,19 +49,19 @@ const FULL: &str = "too many batches wait to be written";
 /// A batch that waits.
 #[derive(Debug)]
 pub(crate) struct Waiting {
-    /// What came.
+    /// Its compressed bytes.
     pub(crate) payload: Bytes,
-    /// To be answered.
+    /// The query to answer.
     pub(crate) query: Query,
-    /// When it came.
+    /// When it arrived.
     pub(crate) since: Instant,
     /// Its node.
     pub(crate) node: String,
-    /// Its place among the batches of its node, and among those that are counted.
+    /// Its place among the batches of its node, and among those counted as waiting.
     _places: (Place, Queued),
 }
 
-/// What Zenoh calls for each batch.
+/// The queue into which Zenoh's threads put batches.
 pub(crate) struct ReportQueue {
     queue: SyncSender<Waiting>,
     limits: Arc<NodeLimits>,
@@ -70,13 +70,13 @@ pub(crate) struct ReportQueue {
 }
 
 impl ReportQueue {
-    /// Takes a query over. Never waits.
+    /// Queues a batch, or refuses it. Never waits.
     pub(crate) fn take(&self, mut query: Query) {
         let now = Instant::now();
         let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
-            // It is no node, and is not answered.
+            // The sender is no node, and gets no answer.
             return self.counters.refuse(RefusalReason::Unreadable);
         };
         if payload.len() > LARGEST_PAYLOAD {
@@ -88,7 +88,7 @@ impl ReportQueue {
             Err((wait, why)) => return self.refuse(query, RefusalReason::Busy, why, Some(wait)),
         };
         let full = |query| self.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
-        // Written in time or not at all: what a node has given up waiting for it sends again.
+        // A node sends again what was not answered in time.
         let bytes = self.counters.queued_bytes() + payload.len() as u64;
         if bytes > MOST_BYTES || self.counters.waited() > BUSY_AFTER {
             return full(query);

@@ -1,5 +1,5 @@
-//! The hub of a fleet: it takes the nodes' clip reports exactly once, knows which nodes are there and how they are,
-//! keeps their history in a database, and shows it by HTTP. [`run()`] is the service.
+//! The hub of a fleet: it stores the nodes' clip reports exactly once, knows which nodes are online, and serves their
+//! history from a database over HTTP. [`run()`] is the service.
 
 pub mod config;
 pub mod desired;

@@ -23,7 +23,7 @@ macro_rules! named {
                 }
             }
 
-            /// The one of that name.
+            /// The value with that name.
             pub fn named(name: &str) -> Option<Self> {
                 Self::ALL.into_iter().find(|one| one.name() == name)
             }
@@ -36,7 +36,7 @@ macro_rules! named {
         }
     };
 }
-/// Makes what reads from a text and shows itself as one a text in JSON too.
+/// Serialises a type that implements `FromStr` and `Display` as a string.
 macro_rules! as_text {
     ($type:ty) => {
         impl TryFrom<String> for $type {

@@ -1,5 +1,4 @@
-//! Which nodes are there and how they are: by the freshness of their status, their health, and, where it is
-//! watched, the liveliness token.
+//! The state of each node, judged by the age of its last status, its health and, if configured, its liveliness token.
 
 mod entry;
 mod fleet;

@@ -1,24 +1,24 @@
-//! The parts of a hub whose faults its readiness reports.
+//! The parts of the hub that do not work, and why.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 
-/// Parts that do not work; empty when the hub is ready.
+/// The parts that do not work; none of them when the hub is ready.
 #[derive(Debug, Default)]
 pub struct Readiness(Mutex<BTreeMap<&'static str, String>>);
 
 impl Readiness {
-    /// Says that `part` does not work.
+    /// Notes that `part` does not work, and why.
     pub(crate) fn hold(&self, part: &'static str, reason: &str) {
         self.0.lock().insert(part, reason.to_owned());
     }
 
-    /// Says that `part` works.
+    /// Notes that `part` works.
     pub fn release(&self, part: &'static str) {
         self.0.lock().remove(part);
     }
 
-    /// What does not work, by part.
+    /// Why each broken part does not work.
     pub(crate) fn reasons(&self) -> BTreeMap<&'static str, String> {
         self.0.lock().clone()
     }

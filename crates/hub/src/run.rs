@@ -1,4 +1,4 @@
-//! The service: a hub and its HTTP interface, from start to stop.
+//! Runs a hub and its HTTP interface.
 
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
@@ -19,24 +19,24 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
-/// router busy for half a minute, and a session that is lost then declares everything again and makes it longer. Room
-/// for nodes that connect to the hub itself: the default refuses the thousand-and-first without a word.
+/// Zenoh settings of a hub beside the configured ones. The lease is long, because many joining nodes can keep a router busy
+/// for half a minute, and a session that is lost then declares everything again and prolongs it. The limits leave room for
+/// nodes that connect to the hub itself: by default Zenoh silently refuses the thousand-and-first.
 const SESSION: &[(&str, &str)] = &[
     ("transport/link/tx/lease", "60000"),
     ("transport/unicast/max_sessions", "12000"),
     ("transport/unicast/accept_pending", "2000"),
-    // A hub is one of few: it may come back at once after its router.
+    // There are few hubs, so they may reconnect at once.
     (
         "connect/retry",
         r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
     ),
 ];
 
-/// What [`SESSION`] says, for the metrics.
+/// The limit in [`SESSION`], for the metrics.
 pub(crate) const MAX_SESSIONS: u64 = 12_000;
 
-/// Batches that wait while none is answered and no transaction is tried: after this time the writer counts as stuck.
+/// The writer counts as stuck if for this time batches wait, none is answered and no transaction is tried.
 const STUCK_AFTER: Duration = Duration::from_secs(120);
 
 /// How long stopping may take.
@@ -46,7 +46,7 @@ const DATABASE_RETRY: Duration = Duration::from_secs(1);
 
 /// Runs a hub and its HTTP interface on `listener` until `shutdown`.
 ///
-/// HTTP answers first, so that a health check sees a hub whose database or router is not there yet.
+/// HTTP starts first, so that a health check works while the database or the router is absent.
 ///
 /// # Errors
 /// When the configuration cannot be used, or the HTTP interface may not be offered as configured.
@@ -63,7 +63,7 @@ pub async fn run(
     readiness.hold("zenoh", "the session is not open yet");
     readiness.hold("database", "it is not open yet");
     let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
-    // HTTP outlives the rest, so that it can be read until the end.
+    // HTTP ends last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run_with_tokens(
         &config.http,
@@ -100,8 +100,8 @@ pub async fn run(
     hub.and(http)
 }
 
-/// How the hub is, for the service manager: a router or a database that is away is waited for, a writer that does
-/// nothing while batches wait is left to a new start.
+/// The hub's state for the service manager: it waits for an absent router or database, and is stuck if the writer does
+/// nothing while batches wait.
 fn service_state(view: HubView) -> impl Fn() -> ServiceState {
     let moved = Mutex::new((0, Instant::now()));
     move || {
@@ -123,10 +123,10 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
     }
 }
 
-/// Starts the parts in order, waits for the shutdown, and stops them in the opposite one.
+/// Starts the parts in order, waits for the shutdown, and stops them in reverse order.
 async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let (readiness, shutdown) = (&view.readiness, &view.shutdown);
-    // A database may go away again at any moment, also between two questions of the start.
+    // The database may become unreachable again at any moment.
     let opening = || async {
         let store = Store::open(&config.database).await?;
         let nodes = view.fleet.read(&store, Instant::now()).await?;
@@ -137,7 +137,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         return Ok(());
     };
     tracing::info!(database = store.kind(), nodes, "history is open");
-    // Each of these is set once.
+    // This is the only place that sets it.
     let _ = view.opened.set(store.clone());
     readiness.release("database");
     let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
@@ -152,8 +152,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         .map_err(HubError::at("the answering thread cannot be started"))?;
     let (queue, written) = ingest::start(config, view, &store, &replies)
         .map_err(HubError::at("the threads of ingest cannot be started"))?;
-    // A hub that has lost a task would look well and do half of its work: it ends, and is started again.
-    // Their end ends the hub, so that no readiness has to name them.
+    // A hub that lost a task would look healthy and do half of its work. So the end of a task ends the hub, and the service
+    // manager starts it again; readiness need not name tasks.
     let mut tasks = Supervisor::new(
         albireo_service::readiness::Readiness::default(),
         TaskTally::default(),
@@ -176,7 +176,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         .callback(move |query| queue.take(query))
         .await
         .map_err(HubError::at("reports cannot be taken"))?;
-    // Without one the hub is being stopped: what was taken in the meantime is committed below.
+    // `None` means that the hub stops; batches that were taken meanwhile are committed below.
     let opening = || {
         Tuner::open(
             store.clone(),
@@ -194,7 +194,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         let _ = view.tunes.set(Arc::clone(&tuner));
         tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     }
-    // Known nodes report their state now, and not at their next period.
+    // Known nodes report their state now instead of at their next period.
     for node in view.fleet.names() {
         listening
             .notifier
@@ -211,15 +211,15 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     tracing::info!(?zenoh, "ready");
 
     let watched = tasks.watch().await;
-    // After a failure the tasks that still run have to stop.
+    // After a failure the other tasks have to stop.
     shutdown.cancel();
     readiness.hold("zenoh", "the hub stops");
-    // With the queryable the queue's only sender goes: the writer commits what waits, and ends.
+    // This drops the queue's only sender: the writer commits the waiting batches, and ends.
     drop(reports);
     let stop = async {
         tasks.finish().await;
         drop(listening);
-        // The last answers go before the session does.
+        // The last answers are sent before the session closes.
         let _ = tokio::task::spawn_blocking(move || replier.join()).await;
         if let Err(error) = session.close().await {
             tracing::warn!(%error, "Zenoh session not closed cleanly");
@@ -232,7 +232,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     Ok(watched?)
 }
 
-/// Opens something of the database, again and again where that may help; `None` when the hub is being stopped.
+/// Retries `open` until the database answers; `None` if the hub stops meanwhile.
 async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
     config: &HubConfig,
     view: &HubView,

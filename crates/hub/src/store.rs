@@ -1,7 +1,7 @@
 //! The database: SQLite in one file, or PostgreSQL, behind one synchronous trait.
 //!
-//! What is committed survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`. Readers have
-//! their own connections and never wait for the writer.
+//! A commit survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`. Readers have their own
+//! connections and never wait for the writer.
 
 mod database;
 mod error;
@@ -39,7 +39,7 @@ use tokio::sync::Semaphore;
 /// Connections for reading, beside the one that writes.
 const READERS: usize = 4;
 
-/// Which database it is.
+/// The kind of database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// One file.
@@ -59,7 +59,7 @@ impl Kind {
     }
 }
 
-/// The database, opened.
+/// An open database.
 #[derive(Clone)]
 pub struct Store(Arc<Shared>);
 
@@ -68,10 +68,10 @@ struct Shared {
     url: String,
     timeout_ms: u64,
     runtime: Handle,
-    /// One permit for each connection that reads.
+    /// One permit per connection that reads.
     readers: Arc<Semaphore>,
     idle: Mutex<Vec<Box<dyn Database>>>,
-    /// The connection that changes the settings of nodes.
+    /// The connection that writes settings of nodes.
     writer: Arc<tokio::sync::Mutex<Option<Box<dyn Database>>>>,
 }
 
@@ -87,8 +87,8 @@ impl Store {
     /// Connects, and creates the tables where there are none.
     ///
     /// # Errors
-    /// [`StoreError::Refused`] when the database holds something else, or was written by another version of the program:
-    /// waiting does not help. [`StoreError::Unavailable`] when it cannot be reached now.
+    /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: waiting
+    /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
         let kind = Kind::of(&config.url);
         if kind == Kind::Sqlite {
@@ -108,7 +108,7 @@ impl Store {
         Ok(store)
     }
 
-    /// A connection: `before` if it may be used again, else a new one. Not to be called on a thread of the runtime.
+    /// A connection: `before` if it is still open, else a new one. Must not be called on a thread of the runtime.
     pub(crate) fn connect(
         &self,
         access: Access,
@@ -185,7 +185,7 @@ impl Store {
         }
     }
 
-    /// Closes the connections, when nothing uses them any more.
+    /// Closes the connections, once nothing uses them any more.
     pub async fn close(&self) {
         let _all = self.0.readers.acquire_many(READERS as u32).await;
         let idle = std::mem::take(&mut *self.0.idle.lock());

@@ -1,7 +1,7 @@
-//! Tuning the fleet: a value for selected nodes, changes in stages that are gated on what is measured, comparisons of
+//! Tunes the fleet: changes of selected nodes, rollouts in stages with gates on measured figures, and trials that compare
 //! values on random groups.
 //!
-//! What decides is pure: [`selector`], [`gate`] and [`run`] know neither clock nor network nor database.
+//! All decisions are pure: [`selector`], [`gate`] and [`run`] know no clock, network or database.
 
 pub mod change;
 pub mod effect;

@@ -119,16 +119,16 @@ export interface paths {
         };
         /**
          * The history of changes
-         * @description A change: author, nodes, setting, reason and outcome.
+         * @description Each change has its author, nodes, setting, reason and outcome.
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Only those of this node. */
+                    /** @description Only changes of this node. */
                     node?: string | null;
-                    /** @description Only those before this number. */
+                    /** @description Only changes with a lower number. */
                     before?: number | null;
-                    /** @description How many at most; 50 by default. */
+                    /** @description Maximum number; 50 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -239,15 +239,15 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Of this node. */
+                    /** @description Only of this node. */
                     node?: string;
-                    /** @description Of this camera of it. */
+                    /** @description Only of this camera of that node. */
                     camera?: string;
                     /** @description Begun at this time or later, milliseconds since the Unix epoch. */
                     since_ms?: number;
                     /** @description Begun before this time, milliseconds since the Unix epoch. */
                     until_ms?: number;
-                    /** @description `next` of the page before. */
+                    /** @description `next` of the previous page. */
                     cursor?: number;
                     /** @description Maximum number, up to 1000; 100 by default. */
                     limit?: number;
@@ -307,15 +307,15 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Of this node. */
+                    /** @description Only of this node. */
                     node?: string;
-                    /** @description Of this camera of it. */
+                    /** @description Only of this camera of that node. */
                     camera?: string;
                     /** @description Begun at this time or later, milliseconds since the Unix epoch. */
                     since_ms?: number;
                     /** @description Begun before this time, milliseconds since the Unix epoch. */
                     until_ms?: number;
-                    /** @description `next` of the page before. */
+                    /** @description `next` of the previous page. */
                     cursor?: number;
                     /** @description Maximum number, up to 1000; 100 by default. */
                     limit?: number;
@@ -425,7 +425,7 @@ export interface paths {
         };
         /**
          * Nodes whose setting differs from the desired one
-         * @description They took it, and it was changed at the node since: another value, another target, or none any more.
+         * @description These nodes took the desired setting, and somebody changed it at the node since.
          */
         get: {
             parameters: {
@@ -484,13 +484,13 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description `all`, `node`, `camera`, `day`, `policy` or `knob`. */
+                    /** @description `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`. */
                     by?: components["schemas"]["EnergyBy"];
                     /** @description Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default. */
                     since_ms?: number;
                     /** @description Clips begun before this time; now by default. */
                     until_ms?: number;
-                    /** @description Of this node only. */
+                    /** @description Only of this node. */
                     node?: string;
                     /** @description `group`, or `joules`: the groups with the most energy first. A group has a line for each quality. */
                     sort?: components["schemas"]["Sort"];
@@ -545,17 +545,17 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What happens in the fleet, as server-sent events
-         * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
-         *     missed, so read the present state again.
+         * The fleet's events, as server-sent events
+         * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node),
+         *     `forgotten`, and `resync`: more was missed, so read the present state again.
          *     `curl -N http://127.0.0.1:8090/api/v1/events`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Number of the last event the reader has; the header `Last-Event-ID` says the same. */
+                    /** @description Number of the last event that the reader has; the header `Last-Event-ID` does the same. */
                     last_event_id?: number;
-                    /** @description Names of the kinds wanted, separated by commas; all without it. */
+                    /** @description Only these kinds, separated by commas; all kinds by default. */
                     types?: string;
                 };
                 header?: never;
@@ -776,8 +776,7 @@ export interface paths {
         };
         /**
          * The newest picture of a node's camera
-         * @description The node sends it because it is asked for, and sends none otherwise. The header `albireo-frame` has the sequence number
-         *     of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+         * @description The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
          */
         get: {
             parameters: {
@@ -838,7 +837,7 @@ export interface paths {
         };
         /**
          * The counters of one node's cameras, once a second, as server-sent events
-         * @description The node sends them only while this is read, and for half a minute after. Event `counters`, one per camera and second.
+         * @description The node sends them only while this stream is read, and for half a minute after. There is one event `counters` per camera and second.
          *     `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
          */
         get: {
@@ -898,9 +897,9 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Only those with numbers below this. */
+                    /** @description Only those with a lower number. */
                     before?: number | null;
-                    /** @description How many at most; 20 by default. */
+                    /** @description Maximum number; 20 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -1104,16 +1103,16 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Reports that could not be read, with their cause
-         * @description They are acknowledged, so that they do not hold up those behind them, and kept here.
+         * Reports that could not be read, and why
+         * @description The hub acknowledges them, so that they do not hold up the reports behind them, and keeps them here.
          *     `curl http://127.0.0.1:8090/api/v1/set-aside`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Of this node. */
+                    /** @description Only of this node. */
                     node?: string;
-                    /** @description `next` of the page before. */
+                    /** @description `next` of the previous page. */
                     cursor?: number;
                     /** @description Maximum number, up to 100; 20 by default. */
                     limit?: number;
@@ -1168,8 +1167,8 @@ export interface paths {
         get?: never;
         /**
          * Sets a target on selected nodes instead of a threshold
-         * @description It holds at a node when the node **reports** it; how far it is met is in the node's status. A threshold that is ordered
-         *     or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
+         * @description A node has the target when it **reports** the target; its status says how well it is met. A threshold that is set later,
+         *     here or at the node, switches the target off. Otherwise this works as `/api/v1/threshold`.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
          */
         put: {
@@ -1228,9 +1227,9 @@ export interface paths {
         get?: never;
         /**
          * Sets a value on selected nodes
-         * @description It holds at a node when the node **reports** it. `Accept: application/x-ndjson` streams each node's outcome as it comes; otherwise
-         *     the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return. A node that holds a target
-         *     holds it no more.
+         * @description A node has the value when it **reports** the value. `Accept: application/x-ndjson` streams the outcome of each node; otherwise
+         *     the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it returns. The value switches
+         *     off a node's target.
          *     `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
          */
         put: {
@@ -1290,9 +1289,9 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Only those with numbers below this. */
+                    /** @description Only those with a lower number. */
                     before?: number | null;
-                    /** @description How many at most; 20 by default. */
+                    /** @description Maximum number; 20 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -1550,7 +1549,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Figures of the hub
+         * Metrics of the hub
          * @description `curl http://127.0.0.1:8090/metrics`
          */
         get: {
@@ -1604,7 +1603,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether reports are taken: the database can be written, the Zenoh session is open
+         * Whether the hub takes reports: the database can be written, the Zenoh session is open
          * @description `curl http://127.0.0.1:8090/readyz`
          */
         get: {
@@ -1671,29 +1670,29 @@ export interface components {
             before: number;
             /**
              * Format: int64
-             * @description Their clips during the trial.
+             * @description The number of their clips during the trial.
              */
             clips: number;
             difference?: components["schemas"]["Interval"] | null;
-            /** @description What. */
+            /** @description The figure. */
             figure: components["schemas"]["Figure"];
             /**
              * Format: double
              * @description Mean over these nodes during the trial.
              */
             mean: number;
-            /** @description Nodes that have it, with enough clips before and during the trial. */
+            /** @description The number of nodes with enough clips before and during the trial. */
             nodes: number;
         };
-        /** @description What one value came to. */
+        /** @description The result of one value. */
         ArmResult: {
-            /** @description Of them, those that reported the value. */
+            /** @description The number of them that reported the value. */
             applied: number;
             /** @description Its figures. */
             figures: components["schemas"]["ArmFigure"][];
-            /** @description Nodes of the group. */
+            /** @description The number of nodes of the group. */
             nodes: number;
-            /** @description Of those, how many made clips before the trial and none during it. */
+            /** @description The number of those that made clips before the trial and none during it. */
             silent: number;
             /** @description The value. */
             value: components["schemas"]["Threshold"];
@@ -1702,20 +1701,20 @@ export interface components {
         AsidePage: {
             /**
              * Format: int64
-             * @description What to give as `cursor` for the next page; absent on the last.
+             * @description The `cursor` of the next page; absent on the last page.
              */
             next?: number | null;
             reports: components["schemas"]["StoredSetAside"][];
         };
-        /** @description What is known of a setting that a node was asked for. */
+        /** @description An order to one node, and its outcome. */
         Ask: {
-            /** @description When the node was asked; one that was away has its time again from its return. */
+            /** @description When the node was asked; for a node that was out of reach, when it returned. */
             asked_ms: components["schemas"]["i64"];
-            /** @description When the hub heard that it is applied; 0 before. */
+            /** @description When the node reported the setting; 0 before. */
             at_ms: components["schemas"]["i64"];
-            /** @description What became of it. */
+            /** @description The outcome. */
             outcome: components["schemas"]["Outcome"];
-            /** @description Why the node refuses it. */
+            /** @description Why the node refused it. */
             reason?: string;
             /**
              * Format: int64
@@ -1791,49 +1790,49 @@ export interface components {
              */
             rate: number;
         };
-        /** @description What the plans of rollouts and trials have in common. */
+        /** @description The fields that the plans of rollouts and trials share. */
         Basics: {
             /**
              * Format: double
-             * @description How long a node in reach may take to report the value, seconds.
+             * @description Time that a reachable node has to report the value, seconds.
              * @default 120
              */
             apply_within_s: number;
             /**
              * Format: double
-             * @description How far back the measurements before the change go, seconds.
+             * @description The length of the baseline before the change, seconds.
              * @default 604800
              */
             baseline_s: number;
             /**
              * Format: double
-             * @description How sure verdicts are. With 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
-             *     and looks together, and at most one of twenty changes beyond a bound passes its stage. Of a trial it is the probability
-             *     that all intervals hold the truth together.
+             * @description The confidence of verdicts. With 0.95, at most one of twenty rollouts without any effect fails, over all gates, stages
+             *     and looks together, and at most one of twenty changes beyond a bound passes its stage. For a trial it is the
+             *     probability that all intervals together contain the true values.
              * @default 0.95
              */
             confidence: number;
             /**
              * Format: int64
-             * @description Fewest clips of a node before and after; those with fewer are left out.
+             * @description Fewest clips of a node before and after; nodes with fewer are left out.
              * @default 5
              */
             fewest_clips: number;
             /**
              * Format: int64
-             * @description Draws the order of the nodes, or the groups; chosen by the hub when it is not given.
+             * @description The seed that draws the order of the nodes, or the groups; by default the hub chooses one.
              * @default null
              */
             seed: number | null;
             /**
-             * @description Which nodes.
+             * @description Selects the nodes.
              * @default [
              *       "all"
              *     ]
              */
             select: string[];
             /**
-             * @description Why.
+             * @description The reason, for the history.
              * @default
              */
             why: string;
@@ -1853,19 +1852,19 @@ export interface components {
             /** @description Who set it. */
             threshold_source: components["schemas"]["SettingSource"];
         };
-        /** @description What became of a change at one node. */
+        /** @description The outcome of a change at one node. */
         ChangeNode: {
             /**
              * Format: int64
-             * @description When that was known, milliseconds since the Unix epoch.
+             * @description When the hub knew the outcome, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description Why, where there is something to say. */
+            /** @description The reason, if there is one. */
             detail?: string;
             from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
-            /** @description What became of it. */
+            /** @description The outcome. */
             outcome: components["schemas"]["Outcome"];
             /**
              * Format: int64
@@ -1880,29 +1879,29 @@ export interface components {
              * @description When, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description `hand`, `rollout 3`, `trial 4`, `drift`. */
+            /** @description Where it came from: `hand`, `rollout 3`, `trial 4`, `drift`. */
             origin: string;
             /**
              * Format: int64
              * @description Its number, which nodes report as the revision of their setting.
              */
             revision: number;
-            /** @description Who was selected; empty where a rollout or trial chose. */
+            /** @description The selector; empty for a rollout or trial. */
             select: string;
-            /** @description What was ordered: a threshold, or a target (null switches it off). */
+            /** @description The ordered setting: a threshold, or a target (null switches it off). */
             to: components["schemas"]["DesiredSetting"];
-            /** @description Who: the name of the token. */
+            /** @description The name of the caller's token. */
             who: string;
-            /** @description Why. */
+            /** @description The reason. */
             why: string;
         };
-        /** @description A change as the history has it. */
+        /** @description A change in the history. */
         ChangeView: components["schemas"]["ChangeRow"] & {
-            /** @description How many nodes have which outcome. */
+            /** @description The number of nodes by outcome. */
             counts: {
                 [key: string]: number;
             };
-            /** @description What became of it at each; absent in a list. */
+            /** @description The outcome at each node; absent in a list. */
             nodes?: components["schemas"]["ChangeNode"][];
         };
         /** @description Changes, the newest first. */
@@ -1911,7 +1910,7 @@ export interface components {
             changes: components["schemas"]["ChangeView"][];
             /**
              * Format: int64
-             * @description Give it as `before` for the next page; absent on the last.
+             * @description The `before` of the next page; absent on the last page.
              */
             next?: number | null;
         };
@@ -1920,12 +1919,12 @@ export interface components {
             clips: components["schemas"]["StoredClip"][];
             /**
              * Format: int64
-             * @description What to give as `cursor` for the next page; absent on the last.
+             * @description The `cursor` of the next page; absent on the last page.
              */
             next?: number | null;
         };
         /**
-         * @description What a person may ask of a rollout.
+         * @description A command to a rollout.
          * @enum {string}
          */
         Command: "pause" | "resume" | "next" | "return" | "stop";
@@ -2014,9 +2013,9 @@ export interface components {
              */
             watts: number;
         };
-        /** @description A node that took what is desired of it and has something else now. */
+        /** @description A node that took its desired setting, and has another one now. */
         Drift: {
-            /** @description What is desired: a threshold or a target. */
+            /** @description The desired setting: a threshold or a target. */
             desired: components["schemas"]["DesiredSetting"];
             in_force?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
@@ -2026,9 +2025,9 @@ export interface components {
              * @description How often it was set back.
              */
             set_back: number;
-            /** @description Since when the hub knows, milliseconds since the Unix epoch. */
+            /** @description When the hub noticed, milliseconds since the Unix epoch. */
             since_ms: components["schemas"]["i64"];
-            /** @description Why it holds its target no more, in its own words. */
+            /** @description Why it no longer holds its target, in the node's words. */
             why?: string | null;
         };
         /** @description Frames that were not processed, each kind under its own name. */
@@ -2093,21 +2092,21 @@ export interface components {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description One entry for each group and quality. */
             groups: components["schemas"]["EnergyGroup"][];
-            /** @description The spans the sums were made from: days where the times asked for begin and end with one, else five minutes. */
+            /** @description The spans that were summed: days where the requested times are whole days, else five minutes. */
             resolution: components["schemas"]["Resolution"];
             /**
              * Format: int64
-             * @description From this time on, milliseconds since the Unix epoch: the beginning of a span.
+             * @description The beginning of the first span, milliseconds since the Unix epoch.
              */
             since_ms: number;
             /**
              * Format: int64
-             * @description Before this time: the end of a span.
+             * @description The end of the last span.
              */
             until_ms: number;
         };
         /**
-         * @description What sums are grouped by.
+         * @description How sums are grouped.
          * @enum {string}
          */
         EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob" | "clip";
@@ -2116,12 +2115,12 @@ export interface components {
             audit?: components["schemas"]["AuditFigures"] | null;
             /**
              * Format: double
-             * @description Estimate of what the audit added, joules: a part of `joules`.
+             * @description Estimated energy of the audit, joules: a part of `joules`.
              */
             audit_joules: number;
             /**
              * Format: int64
-             * @description Frames answered without the detector, degraded ones not among them: calls of it that were avoided.
+             * @description Avoided calls of the detector: frames answered without it, except degraded ones.
              */
             avoided_calls: number;
             /**
@@ -2131,7 +2130,7 @@ export interface components {
             clips: number;
             /**
              * Format: double
-             * @description Of it the processor's.
+             * @description The processor's part of it.
              */
             cpu_joules: number;
             /**
@@ -2151,7 +2150,7 @@ export interface components {
             frames: number;
             /**
              * Format: double
-             * @description Of it the GPU's.
+             * @description The GPU's part of it.
              */
             gpu_joules: number;
             /**
@@ -2161,7 +2160,7 @@ export interface components {
             group: string;
             /**
              * Format: double
-             * @description Of it memory's and input and output's.
+             * @description The part of memory, input and output.
              */
             io_mem_joules: number;
             /**
@@ -2173,7 +2172,7 @@ export interface components {
             quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: double
-             * @description Estimate, whatever the quality, of what the avoided calls would have added, joules: sum of what the nodes report.
+             * @description Energy that the avoided calls would have cost, joules: always an estimate, summed over the nodes' reports.
              */
             saved_joules_estimated: number;
             /**
@@ -2183,7 +2182,7 @@ export interface components {
             skip_rate: number;
             /**
              * Format: int64
-             * @description Avoided calls in clips whose node did not know what a call adds: they are not in the estimate.
+             * @description Avoided calls that the estimate leaves out, because their node did not know the cost of a call.
              */
             unpriced_calls: number;
         };
@@ -2192,24 +2191,24 @@ export interface components {
          * @enum {string}
          */
         EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
-        /** @description One thing that happened. */
+        /** @description An entry of the record. */
         Entry: {
             /** @description When, milliseconds since the Unix epoch. */
             at_ms: components["schemas"]["i64"];
             /** @description Each gate with its numbers. */
             gates?: components["schemas"]["GateResult"][];
-            /** @description In which stage, from 1. */
+            /** @description The stage, from 1. */
             stage: number;
-            /** @description The same in words. */
+            /** @description Details, in words. */
             text?: string;
             verdict?: components["schemas"]["Verdict"] | null;
-            /** @description What. */
+            /** @description Its kind. */
             what: components["schemas"]["What"];
-            /** @description Who ordered it; absent where the hub did it by itself. */
+            /** @description Who ordered it; absent if the hub did it by itself. */
             who?: string | null;
         };
         /**
-         * @description One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
+         * @description A number that clips have. Energy that was metered over only a part of the clip is in no figure.
          * @enum {string}
          */
         Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "recall" | "precision";
@@ -2245,21 +2244,21 @@ export interface components {
         GateResult: {
             /**
              * Format: double
-             * @description Mean over the changed nodes after; absent without any.
+             * @description Mean over the changed nodes after; absent if there are none.
              */
             after?: number | null;
             /**
              * Format: double
-             * @description Mean over the changed nodes before; absent without any.
+             * @description Mean over the changed nodes before; absent if there are none.
              */
             before?: number | null;
             change?: components["schemas"]["Interval"] | null;
-            /** @description Nodes not changed yet with enough clips over the same hours. */
+            /** @description The number of unchanged nodes with enough clips over the same hours. */
             compared: number;
             figure?: components["schemas"]["Figure"] | null;
             /** @description The gate, as written. */
             gate: string;
-            /** @description Changed nodes with enough clips before and after. */
+            /** @description The number of changed nodes with enough clips before and after. */
             nodes: number;
             /** @description The verdict. */
             verdict: components["schemas"]["Verdict"];
@@ -2287,27 +2286,27 @@ export interface components {
         };
         /** @description [`HubReadiness`] as a problem document. */
         HubNotReady: components["schemas"]["Problem"] & components["schemas"]["HubReadiness"];
-        /** @description Whether reports are taken and committed. */
+        /** @description Whether the hub takes and commits reports. */
         HubReadiness: {
-            /** @description Whether everything works. */
+            /** @description True if every part works. */
             ready: boolean;
-            /** @description What does not work and why, by part: `database`, `zenoh`. */
+            /** @description Why each broken part does not work: `database`, `zenoh`. */
             reasons: {
                 [key: string]: string;
             };
         };
         /** @description Service, version and list of routes. */
         Index: {
-            /** @description The interface described in full. */
+            /** @description Where the full description is. */
             openapi: string;
-            /** @description What can be asked. */
+            /** @description All routes. */
             routes: components["schemas"]["Route"][];
             /** @description Always `hub`. */
             service: string;
             /** @description The program's version. */
             version: string;
         };
-        /** @description Where a change lies: a share of the value before, or in the figure's unit. */
+        /** @description The confidence interval of a change: a share of the value before, or in the figure's unit. */
         Interval: {
             /**
              * Format: double
@@ -2325,7 +2324,7 @@ export interface components {
              */
             upper: number;
         };
-        /** @description A rollout or trial as it is kept, and shown. */
+        /** @description A stored rollout or trial. */
         KeptRun: components["schemas"]["Run"] & {
             /** @description When, milliseconds since the Unix epoch. */
             begun_ms: components["schemas"]["i64"];
@@ -2335,7 +2334,7 @@ export interface components {
              * @description Its number, among those of its kind.
              */
             id: number;
-            /** @description Selected nodes that take no part; only in the answer to its begin. */
+            /** @description Selected nodes that take no part; only in the answer that begins it. */
             left_out?: components["schemas"]["LeftOut"][];
             /** @description Who began it. */
             who: string;
@@ -2344,14 +2343,14 @@ export interface components {
         Kind: {
             /** @enum {string} */
             kind: "rollout";
-            /** @description How. */
+            /** @description The plan. */
             plan: components["schemas"]["RolloutPlan"];
             /** @description The new value. */
             to: components["schemas"]["Threshold"];
         } | {
             /** @enum {string} */
             kind: "trial";
-            /** @description How. */
+            /** @description The plan. */
             plan: components["schemas"]["TrialPlan"];
         };
         /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
@@ -2403,7 +2402,7 @@ export interface components {
         LeftOut: {
             /** @description The node. */
             node: string;
-            /** @description Why. */
+            /** @description The reason. */
             why: string;
         };
         /** @description One node of a rollout or trial. */
@@ -2415,24 +2414,24 @@ export interface components {
             group: number;
             /** @description Its name. */
             node: string;
-            /** @description Whether it is in reach. */
+            /** @description True if it is in reach. */
             reachable: boolean;
             wanted?: components["schemas"]["Threshold"] | null;
-            /** @description Whether it was in reach when the stage that is measured began. */
+            /** @description True if it was in reach when the present stage began. */
             was_reachable: boolean;
         };
-        /** @description A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target. */
+        /** @description A change of selected nodes. The threshold is a further field under the policy's name for it, `"u": 5e-4`, or a target. */
         NewChange: {
-            /** @description Only say who would change. */
+            /** @description Only report which nodes would change. */
             dry_run?: boolean;
-            /** @description Which nodes: names, globs, labels, `all`. */
+            /** @description Selects the nodes: names, globs, labels, `all`. */
             select: string[];
             /**
              * Format: double
-             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+             * @description Time to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
              */
             wait_s?: number | null;
-            /** @description Why; kept in the history. */
+            /** @description The reason, for the history. */
             why?: string;
         };
         /** @description A target that selected nodes are to hold. */
@@ -2501,7 +2500,7 @@ export interface components {
             /** @description The target. */
             target: components["schemas"]["Target"];
         };
-        /** @description A node as it is shown. */
+        /** @description A node, as the HTTP interface shows it. */
         NodeView: {
             /**
              * Format: int64
@@ -2512,41 +2511,41 @@ export interface components {
             node: string;
             /**
              * Format: int64
-             * @description Revision of the desired value in force.
+             * @description The revision in force at the node.
              */
             revision: number;
             /**
              * Format: int64
-             * @description Since when, milliseconds since the Unix epoch.
+             * @description When that state began, milliseconds since the Unix epoch.
              */
             since_ms: number;
-            /** @description How it is. */
+            /** @description Its state. */
             state: components["schemas"]["PresenceState"];
             status?: components["schemas"]["NodeStatus"] | null;
-            /** @description What its clips of today (UTC) used and saved. */
+            /** @description The energy and skip rate of its clips of today (UTC). */
             today: components["schemas"]["TodaysEnergy"];
             /**
              * Format: int64
              * @description Reports that wait in its outbox.
              */
             waiting: number;
-            /** @description Why; empty when online. */
+            /** @description The reason for the state; empty when online. */
             why: string;
         };
         /**
-         * @description What happens when a gate fails.
+         * @description What a rollout does when a gate fails.
          * @enum {string}
          */
         OnFailure: "return" | "hold";
-        /** @description What a change came to. */
+        /** @description The result of a change. */
         OrderAnswer: {
-            /** @description How many nodes have which outcome. */
+            /** @description The number of nodes by outcome. */
             counts: {
                 [key: string]: number;
             };
-            /** @description Whether nothing was done. */
+            /** @description True if nothing was changed. */
             dry_run: boolean;
-            /** @description Each node. */
+            /** @description The outcome at each node. */
             nodes: components["schemas"]["OutcomeLine"][];
             /**
              * Format: int64
@@ -2575,29 +2574,29 @@ export interface components {
             waiting: number;
         };
         /**
-         * @description What became of a setting at a node.
+         * @description The outcome of an order at a node.
          * @enum {string}
          */
         Outcome: "untouched" | "pending" | "waiting" | "applied" | "refused" | "timed_out" | "missed" | "superseded" | "unchanged" | "would_change";
-        /** @description What an order came to at one node. */
+        /** @description The outcome of an order at one node. */
         OutcomeLine: {
-            /** @description Why, where there is something to say. */
+            /** @description The reason, if there is one. */
             detail?: string;
             from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
-            /** @description What became of it. */
+            /** @description The outcome. */
             outcome: components["schemas"]["Outcome"];
-            /** @description What was ordered: a threshold or a target. */
+            /** @description The ordered setting: a threshold or a target. */
             to: components["schemas"]["DesiredSetting"];
         };
         /**
-         * @description Where a rollout or a trial is.
+         * @description The phase of a rollout or a trial.
          * @enum {string}
          */
         Phase: "applying" | "soaking" | "running" | "held" | "finishing" | "returning" | "done" | "returned" | "stopped";
         /**
-         * @description How a node is.
+         * @description The state of a node.
          * @enum {string}
          */
         PresenceState: "online" | "degraded" | "silent" | "offline";
@@ -2628,16 +2627,16 @@ export interface components {
              */
             revision: number;
         };
-        /** @description What is known of the reports of a node. */
+        /** @description Counts of a node's reports. */
         ReportCounts: {
             /**
              * Format: int64
-             * @description When a batch came first, milliseconds since the Unix epoch.
+             * @description When the first batch came, milliseconds since the Unix epoch.
              */
             first_ms: number;
             /**
              * Format: int64
-             * @description When a batch came last.
+             * @description When the last batch came.
              */
             last_ms: number;
             /**
@@ -2652,12 +2651,12 @@ export interface components {
             refused: number;
             /**
              * Format: int64
-             * @description How often the running count began again: the node's state was made new, went back in time or was copied.
+             * @description How often the running count began again: the node's state was new, older or a copy.
              */
             resets: number;
             /**
              * Format: int64
-             * @description Reports that make no sense.
+             * @description Invalid reports.
              */
             set_aside: number;
             /**
@@ -2667,7 +2666,7 @@ export interface components {
             stored: number;
         };
         /**
-         * @description How long the spans are that the sums were made from.
+         * @description The length of the spans that were summed.
          * @enum {string}
          */
         Resolution: "five_minutes" | "day";
@@ -2675,12 +2674,12 @@ export interface components {
         RolloutPlan: components["schemas"]["Basics"] & {
             /**
              * Format: double
-             * @description Share of a stage's nodes in reach that must have reported the value; with fewer the stage has failed.
+             * @description Share of a stage's reachable nodes that must report the value; with fewer the stage fails.
              * @default 0.9
              */
             fewest_applied: number;
             /**
-             * @description What the change may cost.
+             * @description The gates: what the change may cost.
              * @default [
              *       "skip_rate>=-0.05",
              *       "joules<=+5%?",
@@ -2697,30 +2696,30 @@ export interface components {
             held_for_s: number;
             /**
              * Format: double
-             * @description How long a node out of reach may stay away, seconds; then its value is withdrawn and it is named.
+             * @description Time that a node may stay out of reach, seconds; then its order is withdrawn, and the record names it.
              * @default 604800
              */
             offline_deadline_s: number;
             /**
-             * @description What happens when a gate fails.
+             * @description What a rollout does when a gate fails.
              * @default return
              */
             on_failure: components["schemas"]["OnFailure"];
             /**
              * Format: double
-             * @description How much longer a stage is held when its gates could not be judged at the end of the soak, seconds.
+             * @description Further time that a stage soaks if its gates are undecided at the end of the soak, seconds.
              * @default 172800
              */
             patience_s: number;
             /**
              * Format: double
-             * @description How long a stage is held before its gates are judged, seconds.
+             * @description Time that a stage soaks before its gates are judged, seconds.
              * @default 86400
              */
             soak_s: number;
             /**
-             * @description How many nodes have the new value in each stage, all stages before included. Where the last leaves some out, they keep
-             *     the old value, and the last stage is measured against them.
+             * @description The number of nodes that have the new value in each stage, earlier stages included. Nodes that the last stage leaves
+             *     out keep the old value, and the last stage is compared with them.
              * @default [
              *       "1",
              *       "10%",
@@ -2734,10 +2733,10 @@ export interface components {
         Rollouts: {
             /**
              * Format: int64
-             * @description Give it as `before` for the next page; absent on the last.
+             * @description The `before` of the next page; absent on the last page.
              */
             next?: number | null;
-            /** @description One entry for each. */
+            /** @description One entry per run. */
             rollouts: components["schemas"]["RunView"][];
         };
         /** @description A route. */
@@ -2749,23 +2748,23 @@ export interface components {
             /** @description What it is for. */
             summary: string;
         };
-        /** @description A rollout or a trial: its plan, its nodes, where it is, and its record. */
+        /** @description A rollout or a trial: its plan, nodes, phase and record. */
         Run: components["schemas"]["Kind"] & {
             /** @description Who ended a trial before its time. */
             ended_by?: string | null;
             /**
              * Format: int32
-             * @description How often the gates of this stage were judged.
+             * @description How often this stage's gates were judged.
              */
             looks?: number;
             /** @description Its nodes, in the order of their stages; absent in a list. */
             nodes?: components["schemas"]["Member"][];
             paused_ms?: components["schemas"]["i64"] | null;
-            /** @description Where it is. */
+            /** @description Its phase. */
             phase: components["schemas"]["Phase"];
-            /** @description Why it is held, or why the old values return or have returned. */
+            /** @description Why it is held, or why the old values return. */
             reason?: string;
-            /** @description What happened, oldest first; absent in a list. */
+            /** @description Its record, oldest entry first; absent in a list. */
             record?: components["schemas"]["Entry"][];
             result?: components["schemas"]["TrialResult"] | null;
             /**
@@ -2773,11 +2772,11 @@ export interface components {
              * @description The seed that drew the order of the nodes, or the groups.
              */
             seed: number;
-            /** @description Since when. */
+            /** @description When the phase began. */
             since_ms: components["schemas"]["i64"];
             /**
              * Format: int32
-             * @description How often this stage was soaked: once, and once more each time a person resumed it after a hold.
+             * @description How often this stage has soaked: once, and once more after each resumed hold.
              */
             soaks: number;
             /** @description The stage it is in, from 1. */
@@ -2785,11 +2784,11 @@ export interface components {
         };
         /** @description A rollout or a trial. */
         RunView: components["schemas"]["KeptRun"] & {
-            /** @description How many nodes have which outcome. */
+            /** @description The number of nodes by outcome. */
             counts: {
                 [key: string]: number;
             };
-            /** @description Whether it is paused. */
+            /** @description True if it is paused. */
             paused: boolean;
             /** @description Its stages or groups. */
             stages: components["schemas"]["StageView"][];
@@ -2800,17 +2799,17 @@ export interface components {
          */
         SettingSource: "configuration" | "local" | "hub";
         /**
-         * @description Which group comes first.
+         * @description The order of the groups.
          * @enum {string}
          */
         Sort: "group" | "joules";
         /** @description A stage of a rollout, or a group of a trial. */
         StageView: {
-            /** @description How many of them have which outcome. */
+            /** @description The number of them by outcome. */
             counts: {
                 [key: string]: number;
             };
-            /** @description Nodes that are new in it. */
+            /** @description The number of nodes that it adds. */
             nodes: number;
         };
         /** @description A clip. */
@@ -2822,8 +2821,8 @@ export interface components {
             ai: number;
             /**
              * Format: int64
-             * @description The time it is filed under, milliseconds since the Unix epoch: when it began, or when it was received where the
-             *     node's clock is off.
+             * @description The time under which it is stored, milliseconds since the Unix epoch: when it began, or when it was received if the
+             *     node's clock is wrong.
              */
             at_ms: number;
             audit?: components["schemas"]["AuditFigures"] | null;
@@ -2945,30 +2944,30 @@ export interface components {
              */
             value?: number | null;
         };
-        /** @description Something that happened. */
+        /** @description An event. */
         StoredEvent: {
             /**
              * Format: int64
              * @description When, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description The rest, by kind. */
+            /** @description Details, by kind. */
             detail: unknown;
             /**
              * Format: int64
              * @description Its number: the later, the higher.
              */
             id: number;
-            /** @description What kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`. */
+            /** @description Its kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift`, `forgotten`. */
             kind: string;
             /** @description The node it is about. */
             node?: string | null;
         };
-        /** @description A report that makes no sense. */
+        /** @description An invalid report. */
         StoredSetAside: {
-            /** @description What came, at most 2 KiB of it. */
+            /** @description Its text, at most 2 KiB. */
             body: string;
-            /** @description Why it is not taken. */
+            /** @description Why it is invalid. */
             cause: string;
             /**
              * Format: int64
@@ -2979,7 +2978,7 @@ export interface components {
             node: string;
             /**
              * Format: int64
-             * @description When it came.
+             * @description When it was received.
              */
             received_ms: number;
             /** @description Identity of the report. */
@@ -3071,7 +3070,7 @@ export interface components {
              */
             value: number;
         };
-        /** @description What a node's clips of today used. Measured and estimated energy are never added. */
+        /** @description The energy and skip rate of a node's clips of today. Measured and estimated energy are never added. */
         TodaysEnergy: {
             /**
              * Format: double
@@ -3080,7 +3079,7 @@ export interface components {
             estimated_joules: number;
             /**
              * Format: double
-             * @description Joules read from a meter, also where it was read for a part of the time.
+             * @description Joules read from a meter, also where it covers only part of the time.
              */
             measured_joules: number;
             /**
@@ -3098,7 +3097,7 @@ export interface components {
         TrialPlan: components["schemas"]["Basics"] & {
             /**
              * Format: double
-             * @description How long the values hold once the nodes have reported them, seconds.
+             * @description Time that the nodes keep the values once they have reported them, seconds.
              * @default 3600
              */
             duration_s: number;
@@ -3108,16 +3107,16 @@ export interface components {
              */
             values: components["schemas"]["Threshold"][];
         };
-        /** @description What a trial measured. */
+        /** @description The result of a trial. */
         TrialResult: {
             /**
              * Format: double
-             * @description Probability that all intervals hold the truth together.
+             * @description Probability that all intervals together contain the true values.
              */
             confidence: number;
-            /** @description From when on clips counted. */
+            /** @description The beginning of the time in which clips counted. */
             from_ms: components["schemas"]["i64"];
-            /** @description Until when. */
+            /** @description The end of that time. */
             until_ms: components["schemas"]["i64"];
             /** @description Each value, in the plan's order. */
             values: components["schemas"]["ArmResult"][];
@@ -3126,19 +3125,19 @@ export interface components {
         Trials: {
             /**
              * Format: int64
-             * @description Give it as `before` for the next page; absent on the last.
+             * @description The `before` of the next page; absent on the last page.
              */
             next?: number | null;
-            /** @description One entry for each. */
+            /** @description One entry per run. */
             trials: components["schemas"]["RunView"][];
         };
         /**
-         * @description What a gate or a stage came to.
+         * @description The verdict of a gate or a stage.
          * @enum {string}
          */
         Verdict: "passed" | "failed" | "undecided" | "not_measured";
         /**
-         * @description What kind of thing happened.
+         * @description The kind of an entry.
          * @enum {string}
          */
         What: "begun" | "stage" | "soaking" | "judged" | "held" | "missed" | "returning" | "returned" | "done" | "paused" | "resumed" | "next" | "return" | "stopped";

@@ -48,7 +48,7 @@ impl Default for DatabaseConfig {
 }
 
 impl DatabaseConfig {
-    /// The URL without its password, which may also stand among its parameters.
+    /// The URL without its password, which may also be among its parameters.
     pub fn shown(&self) -> String {
         let Some((scheme, rest)) = self.url.split_once("://") else {
             return self.url.clone();
@@ -106,9 +106,9 @@ impl DatabaseConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IngestConfig {
-    /// Shortest time between two commits, milliseconds: what comes in between is committed together.
+    /// Shortest time between two commits, milliseconds: reports that arrive in between are committed together.
     pub commit_ms: u64,
-    /// Bytes of reports that a node may send a day for each of its cameras; above it the hub answers when to come again.
+    /// Bytes of reports that a node may send per day and camera; above it the hub answers when to try again.
     pub camera_bytes_per_day: u64,
 }
 
@@ -137,9 +137,9 @@ impl IngestConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PresenceConfig {
-    /// A node is silent when it was not heard for so long, seconds.
+    /// A node that sent nothing for this long is silent, seconds.
     pub silent_after_s: f64,
-    /// A node is offline when it was not heard for so long, seconds.
+    /// A node that sent nothing for this long is offline, seconds.
     pub offline_after_s: f64,
     /// Whether liveliness tokens are watched too: a node that loses its token is offline at once.
     pub tokens: bool,
@@ -175,11 +175,11 @@ impl PresenceConfig {
 pub struct HistoryConfig {
     /// Days that clips are kept one by one.
     pub clips_days: u32,
-    /// Days that sums over five minutes are kept. Sums over days are kept for ever.
+    /// Days that sums over five minutes are kept. Daily sums are kept forever.
     pub five_minutes_days: u32,
     /// Days that events and changes are kept.
     pub events_days: u32,
-    /// Days that reports which could not be read are kept.
+    /// Days that unreadable reports are kept.
     pub set_aside_days: u32,
 }
 

@@ -3,19 +3,19 @@
 use albireo_service::config::Findings;
 use serde::{Deserialize, Serialize};
 
-/// What happens when somebody changes a value at the node that the hub desires otherwise.
+/// What the hub does when somebody changes at a node a value that the hub has set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LocalChange {
-    /// It wins, and is shown as drift.
+    /// The change stays, and the hub lists it as drift.
     #[default]
     Wins,
-    /// The desired value is set again.
+    /// The hub sets its value again.
     SetBack,
 }
 
 impl LocalChange {
-    /// Whether the desired value is set again.
+    /// True if the hub sets its value again.
     pub(crate) const fn is_set_back(self) -> bool {
         matches!(self, Self::SetBack)
     }
@@ -25,9 +25,9 @@ impl LocalChange {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TuningConfig {
-    /// How long a node in reach may take to report a value before it counts as timed out, seconds.
+    /// Time that a reachable node has to report a new value before the order counts as timed out, seconds.
     pub apply_within_s: f64,
-    /// What happens when a value is changed at the node.
+    /// What the hub does when somebody changes a value at the node.
     pub local_change: LocalChange,
 }
 

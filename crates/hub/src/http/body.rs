@@ -1,4 +1,4 @@
-//! Reads the bodies of tuning requests: a threshold as users write it beside other fields.
+//! Reads the bodies of tuning requests, in which users write a threshold as a field under its own name.
 
 use albireo_service::http::Problem;
 use albireo_wire::Threshold;
@@ -24,8 +24,8 @@ pub(super) fn object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     Ok(object)
 }
 
-/// The request in an object, and the fields that are not its own. Requests have others' fields among theirs, so `serde` cannot
-/// refuse those it does not know.
+/// Splits an object into the request and the fields that are not part of it. Requests flatten other types, so `serde` cannot
+/// refuse unknown fields itself.
 fn read<T>(object: Map<String, Value>) -> Result<(T, Map<String, Value>), Problem>
 where
     T: DeserializeOwned + Serialize + Default,
@@ -40,7 +40,7 @@ where
     ))
 }
 
-/// Reads a request that has a threshold beside its own fields, as users write it: `"u": 5e-4`.
+/// Reads a request that has a threshold beside its own fields: `"u": 5e-4`.
 pub(super) fn with_threshold<T>(object: Map<String, Value>) -> Result<(Threshold, T), Problem>
 where
     T: DeserializeOwned + Serialize + Default,
@@ -61,7 +61,7 @@ where
     }
 }
 
-/// Replaces a threshold as users write it, `{"u": 3e-4}`, by its message.
+/// Replaces a threshold as users write it, `{"u": 3e-4}`, by the form that messages have.
 pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
     let fault = || unusable(r#"values: each must be one threshold, such as {"u": 3e-4}"#);
     let fields = written.as_object().filter(|fields| fields.len() == 1);
@@ -71,7 +71,7 @@ pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Reads a request of which every field is known.
+/// Reads a request and refuses unknown fields.
 pub(super) fn rest<T>(object: Map<String, Value>) -> Result<T, Problem>
 where
     T: DeserializeOwned + Serialize + Default,
@@ -83,7 +83,7 @@ where
     }
 }
 
-/// Where the next page begins, if more was found than the `limit` of this one; then only that much is kept.
+/// Cuts `found` to `limit` rows. Returns the cursor of the next page if there is one.
 pub(super) fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
     let more = found.len() as i64 > limit;
     found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));

@@ -1,5 +1,4 @@
-//! Changes of settings: a threshold or a target for selected nodes with the outcome at each, their history, and nodes that have
-//! something else.
+//! Changes of a threshold or a target on selected nodes, their history, and nodes that drifted from what was set.
 
 use super::{HubView, body};
 use crate::store::{ChangeNode, ChangeRow};
@@ -26,26 +25,26 @@ use utoipa::{IntoParams, ToSchema};
 
 /// Most changes of one answer.
 const MOST: i64 = 500;
-/// The media type of outcomes as they come, one JSON object a line.
+/// The media type of a stream of outcomes, one JSON object per line.
 const LINES: &str = "application/x-ndjson";
-/// How long a plain answer waits for the nodes at most: an answer that begins too late is an error.
+/// Longest wait of a plain answer for the nodes, seconds: clients give up on answers that begin too late.
 const LONGEST_WAIT_S: f64 = 8.0;
-/// What of the time of a request is left for the order and the answer.
+/// Time that a request keeps for the order and the answer, seconds.
 const ANSWER_S: f64 = 1.0;
-/// How long a stream of outcomes lasts at most.
+/// Longest stream of outcomes, seconds.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
-/// What a change came to.
+/// The result of a change.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct OrderAnswer {
     /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
     #[serde(skip_serializing_if = "Option::is_none")]
     revision: Option<u64>,
-    /// Whether nothing was done.
+    /// True if nothing was changed.
     dry_run: bool,
-    /// How many nodes have which outcome.
+    /// The number of nodes by outcome.
     counts: BTreeMap<Outcome, usize>,
-    /// Each node.
+    /// The outcome at each node.
     nodes: Vec<OutcomeLine>,
 }
 
@@ -54,7 +53,7 @@ pub(super) struct OrderAnswer {
 pub struct LastLine {
     /// Revision of the order; absent in a dry run, and if no node would change.
     pub revision: Option<u64>,
-    /// How many nodes have which outcome.
+    /// The number of nodes by outcome.
     pub counts: BTreeMap<Outcome, usize>,
 }
 
@@ -62,28 +61,28 @@ pub struct LastLine {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum OrderLine {
-    /// What the order came to at one node.
+    /// The outcome at one node.
     Outcome(OutcomeLine),
-    /// Nothing follows.
+    /// The end of the stream.
     Last(LastLine),
 }
 
 /// A target that selected nodes are to hold.
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub(super) struct NewTarget {
-    /// Such as `{"skip_rate": 0.5}`; null for nothing: the threshold then stays where it is.
+    /// Such as `{"skip_rate": 0.5}`; null for no target: the threshold then keeps its value.
     #[schema(required)]
     target: Option<Target>,
-    /// For whom.
+    /// The selected nodes.
     #[serde(flatten)]
     change: NewChange,
 }
 
 /// Sets a value on selected nodes
 ///
-/// It holds at a node when the node **reports** it. `Accept: application/x-ndjson` streams each node's outcome as it comes; otherwise
-/// the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return. A node that holds a target
-/// holds it no more.
+/// A node has the value when it **reports** the value. `Accept: application/x-ndjson` streams the outcome of each node; otherwise
+/// the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it returns. The value switches
+/// off a node's target.
 /// `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
 #[utoipa::path(
     put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = NewChange,
@@ -102,8 +101,8 @@ pub(super) async fn set_threshold(
 
 /// Sets a target on selected nodes instead of a threshold
 ///
-/// It holds at a node when the node **reports** it; how far it is met is in the node's status. A threshold that is ordered
-/// or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
+/// A node has the target when it **reports** the target; its status says how well it is met. A threshold that is set later,
+/// here or at the node, switches the target off. Otherwise this works as `/api/v1/threshold`.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
 #[utoipa::path(
     put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewTarget,
@@ -120,7 +119,7 @@ pub(super) async fn set_target(
     let target = object.get("target").cloned().ok_or_else(|| {
         names("the body must have a target, such as \"target\": {\"skip_rate\": 0.5}, or null for none".to_owned())
     })?;
-    // For its own words: what is wrong with the rest has nothing to do with the names of targets.
+    // Read by itself, so that only errors of the target list the names of targets.
     serde_json::from_value::<Option<Target>>(target)
         .map_err(|error| names(format!("target: {error}")))?;
     let NewTarget { target, change } = body::rest(object)?;
@@ -130,8 +129,8 @@ pub(super) async fn set_target(
     carry_out(&view, &caller, &headers, setting, change).await
 }
 
-/// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait,
-/// which lasts `wait_s` seconds.
+/// Orders a setting, and answers with the outcomes: as a stream of lines where the caller accepts one, else after `wait_s`
+/// seconds.
 async fn carry_out(
     view: &HubView,
     caller: &Caller,
@@ -196,7 +195,7 @@ async fn carry_out(
     Ok(Json(answer).into_response())
 }
 
-/// These lines as JSON.
+/// The lines as JSON.
 fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
     let texts = lines
         .iter()
@@ -204,15 +203,15 @@ fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
     texts.collect()
 }
 
-/// A change as the history has it.
+/// A change in the history.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ChangeView {
     /// What was ordered.
     #[serde(flatten)]
     pub change: ChangeRow,
-    /// How many nodes have which outcome.
+    /// The number of nodes by outcome.
     pub counts: BTreeMap<Outcome, usize>,
-    /// What became of it at each; absent in a list.
+    /// The outcome at each node; absent in a list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<ChangeNode>,
 }
@@ -222,26 +221,26 @@ pub struct ChangeView {
 pub struct Changes {
     /// One entry for each change.
     pub changes: Vec<ChangeView>,
-    /// Give it as `before` for the next page; absent on the last.
+    /// The `before` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
 
-/// Which changes.
+/// Selects changes.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WhichChanges {
-    /// Only those of this node.
+    /// Only changes of this node.
     node: Option<String>,
-    /// Only those before this number.
+    /// Only changes with a lower number.
     before: Option<i64>,
-    /// How many at most; 50 by default.
+    /// Maximum number; 50 by default.
     limit: Option<i64>,
 }
 
 /// The history of changes
 ///
-/// A change: author, nodes, setting, reason and outcome.
+/// Each change has its author, nodes, setting, reason and outcome.
 #[utoipa::path(
     get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
     responses((status = 200, body = Changes))
@@ -302,7 +301,7 @@ pub(super) async fn change(
 
 /// Nodes whose setting differs from the desired one
 ///
-/// They took it, and it was changed at the node since: another value, another target, or none any more.
+/// These nodes took the desired setting, and somebody changed it at the node since.
 #[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
 pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
     Ok(Json(view.tuner()?.drift()))

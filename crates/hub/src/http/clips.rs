@@ -1,4 +1,4 @@
-//! Clips, as pages of JSON and as CSV, and what was set aside.
+//! Clips, as pages of JSON and as CSV, and the reports that were set aside.
 
 use super::HubView;
 use super::body::next;
@@ -15,14 +15,14 @@ use futures_util::stream;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-/// Most of one page.
+/// Most rows of one page.
 const MOST: i64 = 1000;
 
 /// A page of clips, the last received first.
 #[derive(Serialize, ToSchema)]
 pub(super) struct ClipPage {
     clips: Vec<StoredClip>,
-    /// What to give as `cursor` for the next page; absent on the last.
+    /// The `cursor` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<i64>,
 }
@@ -97,7 +97,7 @@ fn written(clips: &mut [StoredClip], head: bool) -> std::io::Result<Vec<u8>> {
         .has_headers(head)
         .from_writer(Vec::new());
     for clip in clips {
-        // A table has no place for what has fields of its own; the audit's figures are in the pages of JSON.
+        // CSV cannot hold nested fields; the JSON pages have the audit's figures.
         clip.audit = None;
         writer.serialize(clip).map_err(std::io::Error::other)?;
     }
@@ -106,14 +106,14 @@ fn written(clips: &mut [StoredClip], head: bool) -> std::io::Result<Vec<u8>> {
         .map_err(|error| std::io::Error::other(error.to_string()))
 }
 
-/// Which reports that were set aside.
+/// Selects reports that were set aside.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct AsideSelection {
-    /// Of this node.
+    /// Only of this node.
     node: Option<String>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     cursor: Option<i64>,
     /// Maximum number, up to 100; 20 by default.
     limit: Option<i64>,
@@ -123,14 +123,14 @@ pub(super) struct AsideSelection {
 #[derive(Serialize, ToSchema)]
 pub(super) struct AsidePage {
     reports: Vec<StoredSetAside>,
-    /// What to give as `cursor` for the next page; absent on the last.
+    /// The `cursor` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<i64>,
 }
 
-/// Reports that could not be read, with their cause
+/// Reports that could not be read, and why
 ///
-/// They are acknowledged, so that they do not hold up those behind them, and kept here.
+/// The hub acknowledges them, so that they do not hold up the reports behind them, and keeps them here.
 /// `curl http://127.0.0.1:8090/api/v1/set-aside`
 #[utoipa::path(
     get, operation_id = "list_set_aside", path = "/api/v1/set-aside", tag = "history", params(AsideSelection),

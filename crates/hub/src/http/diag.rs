@@ -50,7 +50,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
             unwell.push((Reverse(node.state), Arc::clone(name)));
         }
     });
-    // The worst first.
+    // The worst states come first.
     unwell.sort_by_key(|(state, _)| *state);
     let unwell: Vec<_> = (unwell.iter().take(MOST_NODES))
         .filter_map(|(_, name)| view.fleet.view(name))

@@ -1,4 +1,4 @@
-//! Energy of the fleet's clips.
+//! The energy of the fleet's clips.
 
 use super::HubView;
 use crate::store::{AuditCounts, EnergyGroup, EnergyQuery, Resolution};
@@ -16,16 +16,16 @@ const FIVE_MINUTES: i64 = 300;
 /// Sums by group and quality.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Energy {
-    /// The spans the sums were made from: days where the times asked for begin and end with one, else five minutes.
+    /// The spans that were summed: days where the requested times are whole days, else five minutes.
     pub resolution: Resolution,
-    /// From this time on, milliseconds since the Unix epoch: the beginning of a span.
+    /// The beginning of the first span, milliseconds since the Unix epoch.
     pub since_ms: i64,
-    /// Before this time: the end of a span.
+    /// The end of the last span.
     pub until_ms: i64,
     /// One entry for each group and quality.
     pub groups: Vec<EnergyGroup>,
-    /// What was audited in all these groups together, whatever the quality of their energy; absent where nothing was.
-    /// Against the detector, not against the truth.
+    /// The audit's figures over all these groups, whatever the quality of their energy; absent without an audit.
+    /// They compare with the detector, not with the truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
 }

@@ -1,4 +1,4 @@
-//! What happens in the fleet, as server-sent events with numbers: a reader that comes back gets what it missed.
+//! The fleet's events, as numbered server-sent events: a reader that reconnects gets the events it missed.
 
 use super::HubView;
 use crate::store::{Store, StoredEvent};
@@ -16,23 +16,23 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
-/// Most events that are sent again: a reader that missed more reads the present state instead.
+/// Most events that are replayed: a reader that missed more reads the present state instead.
 const MOST_REPLAYED: i64 = 5000;
-/// Of these, read at a time.
+/// Events that are read from the database at a time.
 const STEP: i64 = 500;
-/// Time between two looks without a notice: other hubs write to the same database.
+/// Time between two reads without a signal: other hubs write to the same database.
 const LOOK: Duration = Duration::from_secs(2);
-/// Pause between a notice and its look.
+/// Pause between a signal and the read, so that events that happen together are read together.
 const GATHER: Duration = Duration::from_millis(100);
 
-/// From where on.
+/// Selects events.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Number of the last event the reader has; the header `Last-Event-ID` says the same.
+    /// Number of the last event that the reader has; the header `Last-Event-ID` does the same.
     last_event_id: Option<i64>,
-    /// Names of the kinds wanted, separated by commas; all without it.
+    /// Only these kinds, separated by commas; all kinds by default.
     types: Option<String>,
 }
 
@@ -60,7 +60,6 @@ impl Reader {
                 () = tokio::time::sleep(LOOK) => {}
                 changed = self.changed.changed() => {
                     changed.ok()?;
-                    // What happens at once is read together.
                     tokio::time::sleep(GATHER).await;
                 }
             }
@@ -73,10 +72,10 @@ fn written(event: StoredEvent) -> Option<sse::Event> {
     written.id(event.id.to_string()).json_data(&event).ok()
 }
 
-/// What happens in the fleet, as server-sent events
+/// The fleet's events, as server-sent events
 ///
-/// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
-/// missed, so read the present state again.
+/// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node),
+/// `forgotten`, and `resync`: more was missed, so read the present state again.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
@@ -92,7 +91,7 @@ pub(super) async fn stream(
         Some(value) => {
             let number = value.to_str().ok().and_then(|text| text.parse().ok());
             Some(number.ok_or_else(|| {
-                let detail = "Last-Event-ID is no number of an event";
+                let detail = "Last-Event-ID must be the number of an event";
                 Problem::new(StatusCode::BAD_REQUEST, detail)
             })?)
         }

@@ -19,12 +19,12 @@ pub(super) struct Health {
     version: &'static str,
 }
 
-/// Whether reports are taken and committed.
+/// Whether the hub takes and commits reports.
 #[derive(Serialize, ToSchema)]
 pub(super) struct HubReadiness {
-    /// Whether everything works.
+    /// True if every part works.
     ready: bool,
-    /// What does not work and why, by part: `database`, `zenoh`.
+    /// Why each broken part does not work: `database`, `zenoh`.
     reasons: BTreeMap<&'static str, String>,
 }
 
@@ -48,7 +48,7 @@ pub(super) async fn healthz() -> Json<Health> {
     })
 }
 
-/// Whether reports are taken: the database can be written, the Zenoh session is open
+/// Whether the hub takes reports: the database can be written, the Zenoh session is open
 ///
 /// `curl http://127.0.0.1:8090/readyz`
 #[utoipa::path(

@@ -1,4 +1,4 @@
-//! The interface in one answer, for a reader without a manual.
+//! The index of the HTTP interface.
 
 use albireo_service::http::Route;
 use axum::{Extension, Json};
@@ -13,9 +13,9 @@ pub(super) struct Index {
     service: &'static str,
     /// The program's version.
     version: &'static str,
-    /// The interface described in full.
+    /// Where the full description is.
     openapi: &'static str,
-    /// What can be asked.
+    /// All routes.
     routes: Vec<Route>,
 }
 

@@ -1,5 +1,5 @@
-//! One node while somebody watches it. A node sends counters and pictures only then: the watcher holds a lease that ends
-//! by itself, so that a page that was closed, a browser that died and a hub that stopped cost no node anything for long.
+//! The live counters and pictures of one node. A node sends them only while somebody holds a lease, which expires by
+//! itself, so that a closed page or a stopped hub does not cost the node anything for long.
 
 use super::HubView;
 use super::nodes::unknown;
@@ -22,20 +22,20 @@ use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
 
-/// Watched nodes at a time, each with a connection.
+/// Most readers of live counters at a time.
 pub(super) const MOST_LIVE: usize = 64;
-/// How long one word holds.
+/// How long a lease lasts.
 const LEASE: Duration = Duration::from_secs(30);
-/// Time between two words.
+/// Time between two renewals of a lease.
 const RENEW: Duration = Duration::from_secs(10);
-/// How long a picture may take: a node on a mobile link pulls its lease first.
+/// How long a picture may take: a node on a mobile link first has to learn of its lease.
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
-/// Counters that wait for a slow reader; more are lost, the next ones say the same.
+/// Messages that wait for a slow reader. Further ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
-/// Which frame a picture is of.
+/// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
-/// Session and notices, once the hub has them.
+/// What the hub reaches nodes through.
 #[derive(Clone, Debug)]
 pub(crate) struct Reach {
     pub(crate) session: Session,
@@ -43,7 +43,7 @@ pub(crate) struct Reach {
 }
 
 impl HubView {
-    /// How a node that is known is reached, and its keys.
+    /// The session and the keys to reach a known node.
     fn way_to(&self, node: &str) -> Result<(Reach, NodeKeys), Problem> {
         let reach = self.reach()?.clone();
         self.fleet.view(node).ok_or_else(|| unknown(node))?;
@@ -51,7 +51,7 @@ impl HubView {
         Ok((reach, keys))
     }
 
-    /// Lets the node send for a while, and notifies it.
+    /// Renews the node's lease, and notifies it.
     fn watch(&self, reach: &Reach, node: &str) {
         self.desires.watch(node, LEASE);
         reach.notifier.notify(node, self.desires.of(node).revision);
@@ -87,7 +87,7 @@ impl Watching {
 
 /// The counters of one node's cameras, once a second, as server-sent events
 ///
-/// The node sends them only while this is read, and for half a minute after. Event `counters`, one per camera and second.
+/// The node sends them only while this stream is read, and for half a minute after. There is one event `counters` per camera and second.
 /// `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
 #[utoipa::path(
     get, operation_id = "watch_node", path = "/api/v1/nodes/{node}/live", tag = "nodes", params(("node" = String, Path, description = "Its name")),
@@ -131,12 +131,12 @@ pub(super) async fn live(
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
 
-/// Zenoh refuses something.
+/// The problem document of an error of Zenoh's.
 fn unavailable(error: zenoh::Error) -> Problem {
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
 }
 
-/// Whether Zenoh itself ended the query, in a session or a router, because no reply came in time.
+/// True if Zenoh itself ended the query, because no reply came in time.
 fn timed_out(reply: &Reply) -> bool {
     let ended = |error: &ReplyError| &*error.payload().to_bytes() == b"Timeout";
     reply.result().is_err_and(ended)
@@ -144,8 +144,7 @@ fn timed_out(reply: &Reply) -> bool {
 
 /// The newest picture of a node's camera
 ///
-/// The node sends it because it is asked for, and sends none otherwise. The header `albireo-frame` has the sequence number
-/// of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+/// The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
 #[utoipa::path(
     get, operation_id = "node_camera_picture", path = "/api/v1/nodes/{node}/cameras/{camera}/frame.jpg", tag = "nodes",
     params(
@@ -178,8 +177,8 @@ pub(super) async fn picture(
             let replies = reach
                 .session
                 .get(&key)
-                // Under congestion the query or its reply may be dropped, so that a second attempt must have time. Reports
-                // go first.
+                // Under congestion the query or its reply may be dropped, so there is time for a second attempt. Reports
+                // have priority.
                 .timeout(PICTURE_WITHIN / 2)
                 .priority(Priority::DataLow)
                 .congestion_control(CongestionControl::Drop)
@@ -190,7 +189,7 @@ pub(super) async fn picture(
             {
                 return Ok::<_, Problem>(reply);
             }
-            // Nobody answers this key yet: the node declares it once it has heard that it is watched.
+            // Nobody answers this key yet: the node declares it once it knows that it is watched.
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
     };

@@ -7,7 +7,7 @@ use albireo_wire::TargetStatus;
 use axum::extract::State;
 use std::sync::atomic::Ordering;
 
-/// Figures of the hub
+/// Metrics of the hub
 ///
 /// `curl http://127.0.0.1:8090/metrics`
 #[utoipa::path(
@@ -19,7 +19,7 @@ pub(super) async fn text(State(view): State<HubView>) -> MetricsPage {
     page(&view, sessions)
 }
 
-/// All figures; `sessions` where the session is open.
+/// All metrics; `sessions` is `None` while the session is not open.
 pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
     let mut page = MetricsPage::default();
     page.gauges(

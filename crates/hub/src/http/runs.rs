@@ -32,36 +32,36 @@ impl From<RunError> for Problem {
     }
 }
 
-/// Which rollouts or trials.
+/// Selects rollouts or trials.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Which {
-    /// Only those with numbers below this.
+    /// Only those with a lower number.
     before: Option<i64>,
-    /// How many at most; 20 by default.
+    /// Maximum number; 20 by default.
     limit: Option<i64>,
 }
 
 /// A stage of a rollout, or a group of a trial.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct StageView {
-    /// Nodes that are new in it.
+    /// The number of nodes that it adds.
     pub nodes: usize,
-    /// How many of them have which outcome.
+    /// The number of them by outcome.
     pub counts: BTreeMap<Outcome, usize>,
 }
 
 /// A rollout or a trial.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct RunView {
-    /// As it is kept.
+    /// Its stored form.
     #[serde(flatten)]
     pub kept: KeptRun,
-    /// Whether it is paused.
+    /// True if it is paused.
     pub paused: bool,
     /// Its stages or groups.
     pub stages: Vec<StageView>,
-    /// How many nodes have which outcome.
+    /// The number of nodes by outcome.
     pub counts: BTreeMap<Outcome, usize>,
 }
 
@@ -87,9 +87,9 @@ impl From<KeptRun> for RunView {
 /// Rollouts, the newest first.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Rollouts {
-    /// One entry for each.
+    /// One entry per run.
     pub rollouts: Vec<RunView>,
-    /// Give it as `before` for the next page; absent on the last.
+    /// The `before` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
@@ -97,14 +97,14 @@ pub struct Rollouts {
 /// Trials, the newest first.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Trials {
-    /// One entry for each.
+    /// One entry per run.
     pub trials: Vec<RunView>,
-    /// Give it as `before` for the next page; absent on the last.
+    /// The `before` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
 
-/// A page of them without their records and nodes, and where the next begins.
+/// A page of runs without their records and nodes, and the cursor of the next page.
 async fn page(
     view: &HubView,
     kind: &str,
@@ -123,7 +123,7 @@ async fn page(
     Ok((shown.collect(), next))
 }
 
-/// One with its record and its nodes.
+/// A run with its record and its nodes.
 async fn one(view: &HubView, kind: &'static str, id: i64) -> Result<Json<RunView>, Problem> {
     Ok(Json(view.tuner()?.run(kind, id).await?.into()))
 }

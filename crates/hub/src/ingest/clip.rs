@@ -1,4 +1,4 @@
-//! Turns a report into the row of a clip: figures in whole microjoules, microseconds and parts per million, each checked.
+//! Turns a report into the row of a clip, and checks every figure: whole microjoules, microseconds and millionths.
 
 use super::plan::Present;
 use crate::store::row::{Row, text};
@@ -8,36 +8,36 @@ use serde_json::{Value, json};
 
 /// Largest energy of a clip, joules: about 3 kWh.
 const MOST_JOULES: f64 = 1e7;
-/// Longest clip, latency, and time of all calls or frames of a clip, milliseconds: more than eleven days.
+/// The longest clip or latency, and the longest sum of latencies in a clip, milliseconds: more than eleven days.
 const MOST_MS: f64 = 1e9;
-/// Most that an audit sums up in a clip: squares, overlaps in millionths.
+/// The largest sum of an audit in a clip: of squares, or of overlaps in millionths.
 const MOST_AUDITED: f64 = 1e13;
-/// Most frames of a clip, and of any other count.
+/// The largest number of frames, and of anything else that is counted.
 const MOST_COUNT: f64 = 1e7;
-/// The range of an energy-delay product: its square is no number that a database refuses.
+/// The range of an energy-delay product; a database can store the square.
 const EDP: std::ops::RangeInclusive<f64> = 1e-9..=1e12;
 /// Longest text, bytes.
 const LONGEST_TEXT: usize = 256;
-/// A clip that began later than this after it was received has a clock that is off, milliseconds.
+/// A clip that claims to begin this long after its receipt has a wrong clock, milliseconds.
 const FUTURE_MS: i64 = 3_600_000;
-/// A clip that began earlier than this before it was received, too.
+/// A clip that claims to begin this long before its receipt has a wrong clock, milliseconds.
 const PAST_MS: i64 = 400 * 86_400_000;
 
-/// What a report says, before its names have numbers.
+/// The figures of a report, before its camera and setup have row ids.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ClipRecord {
     pub(crate) camera: String,
     pub(crate) setup: SetupKey,
-    /// Without its day, camera and setup.
+    /// The row without its day, camera and setup.
     pub(crate) row: Row,
-    /// Whether the node's clock is believed.
+    /// True if the node's clock is believed.
     pub(crate) clock: bool,
 }
 
 /// A figure of a report; the columns hold whole numbers.
 enum Figure {
     Count(u64),
-    /// Of an audit: in millionths, or squared.
+    /// A sum of an audit: in millionths, or squared.
     Audited(Option<u64>),
     /// Stored as microseconds.
     Ms(f64),
@@ -206,7 +206,7 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     })
 }
 
-/// The time that a clip is filed under, milliseconds since the Unix epoch, and whether it is the node's own.
+/// The time under which a clip is stored, milliseconds since the Unix epoch, and true if it is the node's own time.
 fn filed_under(started_ns: u64, present: Present) -> (i64, bool) {
     let now_ms = present.hub_ms;
     let started_ms = i64::try_from(started_ns / 1_000_000).unwrap_or(i64::MAX);
@@ -218,7 +218,7 @@ fn filed_under(started_ns: u64, present: Present) -> (i64, bool) {
     }
 }
 
-/// A text that both databases keep.
+/// A text that both databases can store.
 fn name(what: &str, given: &str) -> Result<String, String> {
     if given.len() > LONGEST_TEXT {
         let length = given.len();

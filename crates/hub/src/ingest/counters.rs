@@ -8,12 +8,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Ages of acknowledgements and commits that the percentiles are of.
+/// Times over which a percentile is taken.
 const KEPT: usize = 4096;
 
 macro_rules! counts {
     ($($name:ident $help:literal $($metric:literal)?;)+) => {
-        /// What ingest counts.
+        /// The counters of ingest.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         pub struct IngestCounts {
             $(#[doc = $help] pub $name: u64,)+
@@ -26,7 +26,7 @@ macro_rules! counts {
         }
 
         impl IngestCounts {
-            /// Name, help and value of those that are a metric by themselves.
+            /// Name, help and value of the counters that are metrics.
             pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> {
                 let all = [$((metric!($($metric)?), $help, self.$name),)+];
                 all.into_iter().filter(|(name, ..)| !name.is_empty())
@@ -69,13 +69,13 @@ counts! {
     refused_unreadable "Batches refused because they cannot be read";
 }
 
-/// What ingest counts and measures, since the hub started.
+/// The counters and times of ingest since the hub started.
 #[derive(Debug, Default)]
 pub struct IngestCounters {
     counts: Mutex<IngestCounts>,
-    /// From the arrivals of batches to their acknowledgements.
+    /// Times from a batch's arrival to its acknowledgement.
     pub(crate) acknowledged_after: Ages,
-    /// How long transactions took.
+    /// Times that transactions took.
     pub(crate) committed_in: Ages,
     queued: AtomicU64,
     queued_bytes: AtomicU64,
@@ -88,7 +88,7 @@ impl IngestCounters {
         *self.counts.lock()
     }
 
-    /// Batches that came and are not answered yet.
+    /// The number of batches that are not answered yet.
     pub fn queued(&self) -> u64 {
         self.queued.load(Ordering::Relaxed)
     }
@@ -111,24 +111,23 @@ impl IngestCounters {
         self.counts.lock().answers_lost += 1;
     }
 
-    /// Notes when the batch that is being written came; `None` once all is written.
+    /// Notes when the batch that is being written arrived; `None` once all are written.
     pub(crate) fn writing(&self, since: Option<Instant>) {
         *self.writing_since.lock() = since;
     }
 
-    /// How long what is being written has waited: a batch that comes now waits as long at least, where as many come as
-    /// before.
+    /// How long the batch that is being written has waited: an estimate of how long a batch that arrives now will wait.
     pub(crate) fn waited(&self) -> Duration {
         let since = *self.writing_since.lock();
         since.map_or(Duration::ZERO, |since| since.elapsed())
     }
 
-    /// Compressed bytes of the batches that wait.
+    /// The compressed bytes of the batches that wait.
     pub(crate) fn queued_bytes(&self) -> u64 {
         self.queued_bytes.load(Ordering::Relaxed)
     }
 
-    /// Counts a batch among those that wait, until what is returned is dropped.
+    /// Counts a batch as waiting until the returned place is dropped.
     pub(crate) fn queue(self: &Arc<Self>, bytes: usize) -> Queued {
         let bytes = bytes as u64;
         self.queued.fetch_add(1, Ordering::Relaxed);
@@ -156,7 +155,7 @@ impl Drop for Queued {
     }
 }
 
-/// The last times of something.
+/// The most recent times of one kind.
 #[derive(Debug, Default)]
 pub(crate) struct Ages(Mutex<VecDeque<Duration>>);
 
@@ -169,7 +168,7 @@ impl Ages {
         ages.push_back(age);
     }
 
-    /// Their 99th percentile, seconds; 0 before the first.
+    /// Their 99th percentile, seconds; 0 if there are none.
     pub(crate) fn p99_s(&self) -> f64 {
         let mut ages: Vec<Duration> = self.0.lock().iter().copied().collect();
         if ages.is_empty() {

@@ -1,4 +1,4 @@
-//! Reads a batch as it came: each report with its figures, or why it is not taken. No database, no network, no clock.
+//! Parses a batch: each report with its figures, or why it is not stored. No database, network or clock.
 
 use super::clip::{ClipRecord, record};
 use super::plan::{Present, key};
@@ -8,16 +8,16 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-/// Most of a report that makes no sense that is kept, bytes.
+/// Most bytes that are kept of an invalid report.
 const KEPT: usize = 2 << 10;
 
-/// A batch that was read.
+/// A parsed batch.
 #[derive(Debug)]
 pub struct Batch {
     pub(crate) node: String,
     /// Bytes of its JSON.
     pub(crate) bytes: usize,
-    /// Whether the node's clock can be believed.
+    /// True if the clocks of hub and node agree.
     pub(crate) clocks_agree: bool,
     pub(crate) reports: Vec<Received>,
 }
@@ -25,13 +25,13 @@ pub struct Batch {
 /// A report of a batch.
 #[derive(Debug)]
 pub(crate) struct Received {
-    /// Its identity, where it has one.
+    /// Its identity, if it has one.
     pub(crate) id: Option<Uuid>,
     pub(crate) count: Option<u64>,
     pub(crate) content: Result<Taken, NotTaken>,
 }
 
-/// A report to be stored, unless it was before.
+/// A report to store, unless it is stored already.
 #[derive(Debug)]
 pub(crate) struct Taken {
     pub(crate) key: ReportKey,
@@ -41,13 +41,13 @@ pub(crate) struct Taken {
 /// Why a report is not stored.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum NotTaken {
-    /// It is older than identities are known.
+    /// It is older than the identities that the hub keeps.
     TooOld(String),
-    /// It makes no sense; with the beginning of what came.
+    /// It is invalid; with the beginning of its text.
     Senseless { cause: String, body: String },
 }
 
-/// A batch whose reports are left as they came: one that cannot be read does not make its batch unreadable.
+/// A batch with unparsed reports: one that is invalid does not make its batch invalid.
 #[derive(Deserialize)]
 struct RawBatch<'a> {
     node: String,
@@ -56,10 +56,10 @@ struct RawBatch<'a> {
     reports: Vec<&'a RawValue>,
 }
 
-/// Reads the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
+/// Parses the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
 ///
 /// # Errors
-/// Why nothing of it is taken. A report in it that makes no sense does not make the batch unreadable.
+/// Why the whole batch is refused. An invalid report in it does not make the batch invalid.
 pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
     let json = decompress_batch(payload).map_err(|error| error.to_string())?;
     let batch: RawBatch<'_> = albireo_wire::read(&json).map_err(|error| error.to_string())?;
@@ -87,7 +87,7 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
     })
 }
 
-/// Reads one report; as far as it goes where it cannot be read.
+/// Parses one report; of an invalid one at least its identity and count, if it has them.
 fn take(node: &str, raw: &str, present: Present) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]

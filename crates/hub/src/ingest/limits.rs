@@ -6,29 +6,29 @@ use parking_lot::Mutex;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
-/// Batches of a node that may wait: it sends one after the other, and one may be on its way from before a restart.
+/// Most batches of a node that may wait: it sends one at a time, and one may be left from before a restart.
 const MOST_WAITING: usize = 2;
 
-/// What a batch costs at least, bytes: many small ones are no less work.
+/// The least that a batch is charged, bytes: many small batches are no less work.
 const LEAST_COST: usize = 1 << 10;
 
-/// When a node may come again that is answered "busy".
+/// When a node that is answered "busy" may try again.
 pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
 
-/// Longest time after which a node that has used up its allowance may come again.
+/// The longest wait for a node that has used up its share.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 
-/// Rows of senseless reports of a node that are kept a day; further ones are only counted.
+/// Most invalid reports of a node that are kept per day; further ones are only counted.
 const SET_ASIDE_PER_DAY: u32 = 100;
 
 const DAY_S: f64 = 86_400.0;
 const MINUTE_MS: i64 = 60_000;
 const DAY_MS: i64 = 86_400_000;
 
-/// What each node has used of what it may send.
+/// The share of each node: how much it may still send.
 #[derive(Debug)]
 pub(crate) struct NodeLimits {
-    /// Bytes of reports a day for each camera of a node.
+    /// Bytes of reports per day and camera.
     camera_bytes: f64,
     waiting: PerNode,
     shares: Mutex<HashMap<String, Share>>,
@@ -38,7 +38,7 @@ pub(crate) struct NodeLimits {
 struct Share {
     /// Cameras of the node.
     cameras: f64,
-    /// Bytes that it may still send; below zero until a batch that was taken is paid for.
+    /// Bytes that it may still send; may be negative after a large batch.
     left: f64,
     refilled_at: Instant,
 }
@@ -55,7 +55,7 @@ impl NodeLimits {
     /// A place for a batch of `node`.
     ///
     /// # Errors
-    /// When to come again, and why.
+    /// How long to wait before the next attempt, and why.
     pub(crate) fn admit(
         &self,
         node: &str,
@@ -80,14 +80,14 @@ impl NodeLimits {
         place.ok_or((BUSY_RETRY, "batches of this node wait already"))
     }
 
-    /// Takes what a batch of `node` costs from its share.
+    /// Charges a batch to the share of `node`.
     pub(crate) fn charge(&self, node: &str, bytes: usize) {
         if let Some(share) = self.shares.lock().get_mut(node) {
             share.left -= bytes.max(LEAST_COST) as f64;
         }
     }
 
-    /// Notes how many cameras a node has; each new one brings its share.
+    /// Notes how many cameras a node has; each new one adds a camera's share.
     pub(crate) fn has_cameras(&self, node: &str, cameras: usize) {
         if let Some(share) = self.shares.lock().get_mut(node) {
             let more = cameras as f64 - share.cameras;
@@ -99,14 +99,14 @@ impl NodeLimits {
     }
 }
 
-/// Events and rows of senseless reports that are written for a node: one event of a kind a minute, some rows a day.
+/// Limits what is written for a node: one event of each kind per minute, and some invalid reports per day.
 #[derive(Debug, Default)]
 pub(crate) struct EventLimits {
     events: Counted,
     set_aside: Counted,
 }
 
-/// How much there was of each kind of a node in the present span of time.
+/// Counts by node and kind in the present span of time.
 #[derive(Debug, Default)]
 struct Counted {
     span: i64,
@@ -140,25 +140,25 @@ impl EventLimits {
         }
     }
 
-    /// Whether it is the first event of its kind of a node in this minute.
+    /// True for a node's first event of that kind in this minute.
     pub(crate) fn is_first(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
         self.events.add(node, kind, at_ms.div_euclid(MINUTE_MS)) == 1
     }
 
-    /// Whether a row of a senseless report of `node` is to be kept.
+    /// True if another invalid report of `node` may be kept.
     pub(crate) fn may_set_aside(&mut self, node: &str, at_ms: i64) -> bool {
         let rows = self.set_aside.add(node, "", at_ms.div_euclid(DAY_MS));
         rows <= SET_ASIDE_PER_DAY
     }
 }
 
-/// Whether the hub's clock may be believed when it says that something is too old. One that jumped, or that was already off
-/// at the start, deletes nothing: nodes know the time too.
+/// Decides if the hub may trust its clock to say that rows are too old. A clock that jumped, or that was wrong from the
+/// start, deletes nothing: the clocks of the nodes are compared with it.
 #[derive(Debug)]
 pub(crate) struct ClockCheck {
     began: Instant,
     began_ms: i64,
-    /// Nodes heard last, and whether their clock agrees with the hub's.
+    /// The most recent nodes, and whether their clocks agree with the hub's.
     votes: VecDeque<(String, bool)>,
 }
 
@@ -174,7 +174,7 @@ impl ClockCheck {
         }
     }
 
-    /// Takes note of a node's clock.
+    /// Notes if a node's clock agrees.
     pub(crate) fn note(&mut self, node: &str, agrees: bool) {
         self.votes.retain(|(name, _)| name != node);
         self.votes.push_back((node.to_owned(), agrees));
@@ -183,7 +183,7 @@ impl ClockCheck {
         }
     }
 
-    /// Whether most of the nodes agree with the hub's clock, or it has run for a day without a step.
+    /// True if most nodes agree with the hub's clock, or if it has run for a day without a jump.
     pub(crate) fn is_believed(&mut self, now: Instant, now_ms: i64) -> bool {
         let ran = i64::try_from((now - self.began).as_millis()).unwrap_or(i64::MAX);
         let expected = self.began_ms.saturating_add(ran);

@@ -1,4 +1,4 @@
-//! Decides which reports of a batch are stored. No clock, no database.
+//! Decides under which key a report is stored, and keeps the running counts of a node. No clock, no database.
 
 use crate::store::ReportKey;
 use crate::store::row::json_text;
@@ -11,13 +11,13 @@ const DAY_MS: i64 = 86_400_000;
 /// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
 const FIRST_MS: i64 = 1_767_225_600_000;
 
-/// How far the hub's clock may be behind that of a node for the node's to be believed.
+/// How far a node's clock may be ahead of the hub's and still be believed.
 const MOST_BEHIND_DAYS: i64 = 366;
 
-/// Ranges of missing counts that are kept of a node; beyond it the oldest are forgotten.
+/// Most ranges of missing counts that are kept per node; beyond that the oldest are forgotten.
 const MOST_RANGES: usize = 32;
 
-/// The largest count that is taken.
+/// Larger counts are ignored.
 const LARGEST_COUNT: u64 = 1 << 53;
 
 /// The present by the clocks of the hub and of the node that sent a batch, milliseconds since the Unix epoch.
@@ -28,18 +28,18 @@ pub(crate) struct Present {
 }
 
 impl Present {
-    /// Whether both are right, as far as can be known.
+    /// True if both clocks agree to a day.
     pub(crate) const fn clocks_agree(self) -> bool {
         self.hub_ms.saturating_sub(self.node_ms).saturating_abs() <= DAY_MS
     }
 }
 
-/// Where a report of that identity is kept. The day is that of the identity itself, unless its clock cannot be believed:
-/// then it is the day of receipt by the later of both clocks. A hub whose clock was behind would forget the identity as soon
-/// as its clock is right.
+/// The key under which a report is stored. The day is that of the identity itself, unless its clock cannot be believed:
+/// then it is the day of receipt by the later of both clocks. With the earlier one, a hub whose clock was behind would
+/// forget the identity as soon as its clock is right.
 ///
 /// # Errors
-/// When it is older than identities are known, in words: it may have been stored before.
+/// When it is older than the identities that the hub keeps, in words: it may have been stored before.
 pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     let today = present.hub_ms.div_euclid(DAY_MS);
     // The first 48 bits of a UUID of version 7 are its time.
@@ -71,44 +71,44 @@ pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     Ok(undated)
 }
 
-/// What a running count says of its node's reports.
+/// What the running count of a report says about the reports of its node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Seen {
     /// It is the next, or one that was missing.
     Expected,
-    /// These did not come, from the first to the last.
+    /// Reports with these counts did not come: the first and the last.
     Gap(u64, u64),
-    /// It was seen before: the node's state is new, older or a copy. Missing ones are counted from here.
+    /// Another report had it: the node's state is new, older or a copy. Missing reports are counted from here.
     Reset,
 }
 
 /// The running counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Counts {
-    /// The first count that came; 0 before it. Whether reports with lower counts exist is not known.
+    /// The first count that came; 0 before it. The hub does not know if reports with lower counts exist.
     base: u64,
-    /// The highest since then.
+    /// The highest count since then.
     highest: u64,
-    /// Ranges that did not come, below `base` too: a database restored from a backup of before the node's first report
-    /// does not know of them.
+    /// Ranges of counts that did not come, also below `base`: a database restored from a backup made before the node's first
+    /// report lacks those.
     #[serde(with = "json_text")]
     missing: Vec<(u64, u64)>,
 }
 
 impl Counts {
-    /// How many never came of those since the first that came.
+    /// The number of missing counts since the first one that came.
     pub(crate) fn missing(&self) -> u64 {
         let since = self.missing.iter().filter(|(first, _)| *first >= self.base);
         since.map(|(first, last)| last - first + 1).sum()
     }
 
-    /// Counts that the node is asked for, in ranges from the first to the last: those that are missing, and those of
-    /// before the first that came.
+    /// The counts that the node should send again, in ranges (first, last): the missing ones, and those before the first
+    /// that came.
     pub(crate) fn wanted(&self) -> &[(u64, u64)] {
         &self.missing
     }
 
-    /// Takes the count of a report, which was `new` or known before.
+    /// Takes the count of a report, which was `new` or stored already.
     pub(crate) fn see(&mut self, count: u64, new: bool) -> Seen {
         if count == 0 || count > LARGEST_COUNT {
             return Seen::Expected;

@@ -1,4 +1,4 @@
-//! Writes groups of batches, each in one transaction, and makes their answers. No thread, no network, no clock.
+//! Writes groups of batches, each in one transaction, and builds their answers. No thread, network or clock.
 
 use super::counters::IngestCounts;
 use super::decode::{Batch, NotTaken, Taken};
@@ -18,10 +18,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
-/// Interval of looking for what is too old, when nothing was found.
+/// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// The tables of sums, and the length of their spans in seconds; days are those of UTC.
+/// The tables of sums, and the length of their spans, seconds; days are in UTC.
 const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
 
 const DAY_MS: i64 = 86_400_000;
@@ -33,7 +33,7 @@ const MOST_CAMERAS: usize = 64;
 pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
-    /// That of the database; known once a first transaction has succeeded.
+    /// The identity of the database; known once a first transaction has succeeded.
     identity: Option<Uuid>,
     history: HistoryConfig,
     event_limits: EventLimits,
@@ -41,16 +41,16 @@ pub struct Recorder {
     retention_due: Instant,
 }
 
-/// What was committed.
+/// The result of a commit.
 #[derive(Debug, Default)]
 pub struct Recorded {
-    /// The answer to each batch, in order. There is none before the commit.
+    /// The answer to each batch, in order.
     pub answers: Vec<ReportAnswer>,
-    /// How many cameras the node of each batch has, in order.
+    /// The number of cameras of each batch's node, in order.
     pub(crate) cameras: Vec<usize>,
-    /// What is counted of it.
+    /// What it adds to the counters.
     pub(crate) counts: IngestCounts,
-    /// What happened, that is worth an event.
+    /// The events that it wrote.
     pub(crate) events: Vec<EventRow>,
 }
 
@@ -68,18 +68,17 @@ impl Recorder {
         }
     }
 
-    /// Whether a transaction has succeeded.
+    /// True once a transaction has succeeded.
     pub(crate) const fn is_proven(&self) -> bool {
         self.identity.is_some()
     }
 
-    /// Whether it is time to look for what is too old.
+    /// True if it is time to delete old rows.
     pub fn retention_is_due(&self, now: Instant) -> bool {
         self.retention_due <= now
     }
 
-    /// Stores these batches and `news` in one transaction, and before it deletes some of what is too old if `retention` is
-    /// due.
+    /// Stores batches and `news` in one transaction. If `retention` is due, first deletes some old rows.
     ///
     /// # Errors
     /// When the database refuses it: then nothing was stored.
@@ -98,7 +97,7 @@ impl Recorder {
             let pause = if more { Duration::ZERO } else { RETENTION };
             self.retention_due = now.at + pause;
         }
-        // Dropped after an error, which rolls back what it began.
+        // After an error the connection is dropped, which rolls the transaction back.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let database_id = match self.identity {
             Some(identity) => identity,
@@ -129,7 +128,7 @@ impl Recorder {
         Ok(recorded)
     }
 
-    /// Deletes some of what is too old, and returns whether there is more.
+    /// Deletes some old rows. Returns true if there are more.
     fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let is_believed = self.clock.is_believed(now.at, now.unix_ms);
@@ -138,7 +137,7 @@ impl Recorder {
         Ok(more)
     }
 
-    /// Writes `batches` into the transaction: ids of reports, clips, sums, counts, what is set aside.
+    /// Writes `batches` into the transaction: identities of reports, clips, sums, counts, and invalid reports.
     fn write(
         &mut self,
         database: &mut dyn Database,
@@ -181,7 +180,7 @@ impl Recorder {
             for report in &batch.reports {
                 let mut is_new = false;
                 let not_taken = match &report.content {
-                    // The same twice in one group is stored once.
+                    // It was stored before, or earlier in this group.
                     Ok(taken) if !new.remove(&taken.key.id) => {
                         counts.again += 1;
                         None
@@ -272,11 +271,10 @@ impl Recorder {
 }
 
 fn lost(what: &str) -> StoreError {
-    StoreError::Statement(format!("{what} has no number after it was written"))
+    StoreError::Statement(format!("{what} has no id after it was written"))
 }
 
-/// The numbers of the cameras of these nodes, by node and name; `wanted` ones that are new are added, as far as the node may
-/// have them.
+/// The ids of the cameras of these nodes, by node and name. New cameras of `wanted` are added, up to the limit per node.
 fn cameras(
     database: &mut dyn Database,
     nodes: &[&str],
@@ -291,7 +289,7 @@ fn cameras(
     for (node, name) in wanted {
         let known = cameras.entry(node).or_default();
         if known.len() < MOST_CAMERAS && !known.contains_key(name) {
-            // Its number follows.
+            // The database gives the id below.
             known.insert(name.to_owned(), 0);
             new.push((node, name));
         }
@@ -316,12 +314,12 @@ fn clip(taken: &Taken, camera: i64, setup: i64, now_ms: i64) -> Row {
     row
 }
 
-/// A number of a clip; nothing counts as 0.
+/// A number of a clip; null counts as 0.
 fn number(clip: &Row, column: &str) -> i64 {
     clip.get(column).and_then(Value::as_i64).unwrap_or(0)
 }
 
-/// What is counted of a clip that is written.
+/// What a stored clip adds to the counters.
 fn counted(clip: &Row) -> IngestCounts {
     let count = |column: &str| number(clip, column).unsigned_abs();
     IngestCounts {
@@ -338,8 +336,8 @@ fn counted(clip: &Row) -> IngestCounts {
     }
 }
 
-/// The sums of these clips over spans of that many seconds, in the order of their keys: of each camera, and under camera 0 of
-/// the fleet. A clip without a value adds nothing; a long clip is counted at its first part.
+/// The sums of clips over spans of `seconds`, in the order of their keys: for each camera, and under camera 0 for the fleet.
+/// A clip without a value adds nothing; a long clip is counted at its first part.
 fn sums(clips: &[Row], seconds: i64) -> Vec<Row> {
     let mut sums: BTreeMap<[i64; 4], [i64; SUMMED.len()]> = BTreeMap::new();
     for clip in clips {

@@ -11,9 +11,9 @@ use std::time::Duration;
 use zenoh::Wait;
 use zenoh::query::Query;
 
-/// Answers that may wait. One more is dropped: the node sees no answer, and asks again.
+/// Most answers that may wait. A further one is dropped: the node gets no answer, and asks again.
 const QUEUE: usize = 16_384;
-/// Those of one node: one that asks and does not read its answers fills no queue of the others.
+/// Most answers to one node that may wait: one that does not read its answers cannot fill the queue of the others.
 const MOST_OF_A_NODE: usize = 16;
 
 struct Reply {
@@ -23,7 +23,7 @@ struct Reply {
     _place: Place,
 }
 
-/// Where answers go.
+/// Queues answers to nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct Replies {
     sender: SyncSender<Reply>,
@@ -35,7 +35,7 @@ impl Replies {
     /// Starts the thread; it ends when the last sender is dropped.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// When the thread cannot be started.
     pub(crate) fn start(counters: Arc<IngestCounters>) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (sender, replies) = sync_channel(QUEUE);
         let counted = Arc::clone(&counters);
@@ -50,12 +50,12 @@ impl Replies {
         Ok((replies, thread))
     }
 
-    /// Answers.
+    /// Answers a query.
     pub(crate) fn answer(&self, query: Query, answer: &impl Serialize) {
         self.hand_over(query, answer, false);
     }
 
-    /// Refuses what was asked; after `wait` it may be asked again.
+    /// Refuses a query; the node may repeat it after `wait`.
     pub(crate) fn refuse(
         &self,
         query: Query,

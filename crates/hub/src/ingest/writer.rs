@@ -1,4 +1,4 @@
-//! The threads of ingest: one reads what waits, the other commits it and lets the answers go.
+//! The threads of ingest: one parses batches, the other commits them and sends the answers.
 
 use super::counters::IngestCounts;
 use super::decode::{Batch, decode};
@@ -16,31 +16,31 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// Presence is written also when no report comes.
+/// Longest time between two looks for changes of presence, also without reports.
 const IDLE: Duration = Duration::from_millis(250);
 
-/// Pause after the database could not be used.
+/// Pause after a failure of the database.
 const DATABASE_PAUSE: Duration = Duration::from_millis(500);
 
-/// Batches that are read and wait to be committed.
+/// Most parsed batches that wait to be committed.
 const READY: usize = 16;
 
-/// What a batch that cannot be read costs its node, bytes.
+/// What a node is charged for an unreadable batch, bytes.
 const UNREADABLE_COST: usize = 64 << 10;
 
-/// When a node comes again after the database could not be written.
+/// When a node may try again after a failure of the database.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(5);
 
-/// Reports of one commit.
+/// Most reports of one commit.
 const COMMIT_REPORTS: usize = 4000;
 
-/// Bytes of JSON of the batches of one commit.
+/// Most bytes of JSON of one commit.
 const COMMIT_BYTES: usize = 16 << 20;
 
-/// Starts the threads. They end when the queue is dropped and empty; what is returned beside it is ready then.
+/// Starts the threads, which end once the queue is dropped and empty. The returned future is ready then.
 ///
 /// # Errors
-/// When the system gives no thread.
+/// When a thread cannot be started.
 pub(crate) fn start(
     config: &HubConfig,
     view: &HubView,
@@ -93,7 +93,7 @@ fn thread(
     Ok(ended)
 }
 
-/// Reads batches.
+/// Parses batches.
 struct Reader {
     limits: Arc<NodeLimits>,
     replies: Replies,
@@ -128,7 +128,7 @@ impl Reader {
     }
 }
 
-/// Commits batches, and what presence has for the database.
+/// Commits batches, and changes of presence.
 struct Writer {
     recorder: Recorder,
     /// Shortest time between two commits.
@@ -139,7 +139,7 @@ struct Writer {
 }
 
 impl Writer {
-    /// Runs until nothing is read any more.
+    /// Runs until the reader has ended.
     fn run(mut self, ready: &Receiver<(Waiting, Batch)>) {
         loop {
             let first = ready.recv_timeout(IDLE.max(self.pause));
@@ -166,10 +166,10 @@ impl Writer {
         }
     }
 
-    /// Commits a group of batches; where the database takes no group, each batch alone.
+    /// Commits a group of batches; if the database refuses the group, each batch by itself.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let retention = self.recorder.retention_is_due(Instant::now());
-        // Until a first transaction has succeeded an empty one is tried: a database that only reads is found at the start.
+        // Until a first transaction has succeeded, an empty one is tried: that finds a read-only database at the start.
         if self.recorder.is_proven()
             && batches.is_empty()
             && !retention

@@ -1,4 +1,4 @@
-//! The state that the hub keeps of one node.
+//! The hub's state of one node.
 
 use super::fleet::NodeView;
 use super::state::PresenceState;
@@ -8,7 +8,7 @@ use albireo_wire::{HealthState, NodeStatus, StatusMessage};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A node is not notified more often.
+/// Shortest time between two notices to a node.
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 
 /// One run of a node's process.
@@ -35,12 +35,12 @@ pub(crate) struct Entry {
     pub(super) why: String,
     pub(super) heard: Option<Instant>,
     pub(crate) heard_ms: Option<i64>,
-    /// Its liveliness token went, and it was not heard since.
+    /// True if its liveliness token disappeared, and no status came since.
     pub(super) token_gone: bool,
     pub(super) run: Option<Run>,
-    /// The run heard before the present one, and when.
+    /// The run before the present one, and when its last status came.
     other: Option<(Run, Instant)>,
-    /// Why the identity is not one node's alone, and until when that holds.
+    /// Why several nodes seem to use the name, and until when that counts.
     pub(super) identity: Option<(String, Instant)>,
     pub(super) seq: u64,
     pub(super) health: HealthState,
@@ -55,7 +55,7 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
-    /// A node of which nothing is known.
+    /// A node that sent no status yet.
     pub(super) fn new(now_ms: i64) -> Self {
         Self {
             state: PresenceState::Silent,
@@ -100,7 +100,7 @@ impl Entry {
         entry
     }
 
-    /// Whether the node is to be asked for a full status: it is missing, and the last notice was a while ago.
+    /// True if the node should be asked for a full status: the status is missing, and the last notice was a while ago.
     pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
         let due = |notified: Instant| now.saturating_duration_since(notified) >= NOTIFY_EVERY;
         let notice = self.needs_full && self.notified.is_none_or(due);
@@ -110,8 +110,8 @@ impl Entry {
         notice
     }
 
-    /// Another run than before. One after the other is a restart; a run that comes back after another was heard lives
-    /// beside it.
+    /// Notes another run than before. A new run is a restart; a run that comes back after another one means that two nodes
+    /// have this name.
     pub(super) fn another_run(&mut self, run: Run, now: Instant, silent: Duration) {
         let Some(before) = self.run.replace(run) else {
             return;
@@ -129,7 +129,7 @@ impl Entry {
         self.other = Some((before, self.heard.unwrap_or(now)));
     }
 
-    /// Takes a full status; whether it differs from the last.
+    /// Stores a full status. Returns true if it differs from the last.
     pub(super) fn take_status(&mut self, status: &NodeStatus) -> bool {
         let reasons: Vec<String> = status
             .health
@@ -145,13 +145,13 @@ impl Entry {
         changed
     }
 
-    /// What is to be written.
+    /// The row to write.
     pub(super) fn row(&self, name: &str) -> NodeRow {
         let run = self.run.as_ref();
         let status = self.status.as_deref();
         NodeRow {
             name: name.to_owned(),
-            // Of a node that is new.
+            // Used only for a new node.
             first_seen_ms: self.since_ms,
             state: self.state.name().to_owned(),
             since_ms: self.since_ms,
@@ -164,7 +164,7 @@ impl Entry {
         }
     }
 
-    /// The node as it is shown.
+    /// The node as the HTTP interface shows it.
     pub(super) fn view(&self, name: &str) -> NodeView {
         let status = self.status.as_deref();
         NodeView {

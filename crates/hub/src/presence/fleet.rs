@@ -23,25 +23,25 @@ const MOST_NEWS: usize = 2000;
 /// Most events that wait for the database; further ones are dropped.
 const MOST_EVENTS: usize = 1000;
 
-/// A node as it is shown.
+/// A node, as the HTTP interface shows it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeView {
     /// Its name.
     pub node: String,
-    /// How it is.
+    /// Its state.
     pub state: PresenceState,
-    /// Since when, milliseconds since the Unix epoch.
+    /// When that state began, milliseconds since the Unix epoch.
     pub since_ms: i64,
-    /// Why; empty when online.
+    /// The reason for the state; empty when online.
     pub why: String,
     /// When the last status came, milliseconds since the Unix epoch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heard_ms: Option<i64>,
     /// Reports that wait in its outbox.
     pub waiting: u64,
-    /// Revision of the desired value in force.
+    /// The revision in force at the node.
     pub revision: u64,
-    /// What its clips of today (UTC) used and saved.
+    /// The energy and skip rate of its clips of today (UTC).
     pub today: TodaysEnergy,
     /// The last full status.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -49,16 +49,16 @@ pub struct NodeView {
     pub status: Option<serde_json::Value>,
 }
 
-/// What all nodes are counted by, beside their states.
+/// Counts over all nodes, beside those of their states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FleetTallies {
     /// Names that more than one node uses.
     pub twins: u64,
-    /// Nodes that are heard and have not taken yet what is desired of them.
+    /// Online or degraded nodes that do not have their desired setting yet.
     pub behind: u64,
-    /// Reports that wait in their outboxes, as far as they reported.
+    /// Reports that wait in the nodes' outboxes.
     pub waiting: u64,
-    /// Nodes that are heard and hold a target, by its status, in the order of [`TargetStatus::ALL`].
+    /// Online or degraded nodes that hold a target, by its status, in the order of [`TargetStatus::ALL`].
     pub targets: [u64; TargetStatus::ALL.len()],
 }
 
@@ -67,14 +67,14 @@ pub struct FleetTallies {
 pub struct Fleet {
     limits: Limits,
     nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
-    /// Nodes to be written.
+    /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<Arc<str>>>,
     events: Mutex<Vec<EventRow>>,
     statuses: AtomicU64,
 }
 
 impl Fleet {
-    /// Nobody yet.
+    /// A fleet without nodes.
     pub fn new(config: &PresenceConfig) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
         Self {
@@ -89,8 +89,8 @@ impl Fleet {
         }
     }
 
-    /// Takes what the database remembers; the number of nodes. Who was heard then has until the silent limit from `now` on to be
-    /// heard again.
+    /// Loads the nodes from the database, and returns their number. A node that was online has the silent limit from `now` on
+    /// to send a status again.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -109,7 +109,7 @@ impl Fleet {
         }
     }
 
-    /// Takes a status; whether the node should be asked for a full status.
+    /// Takes a status. Returns true if the node should be asked for a full status.
     pub fn apply_status(
         &self,
         node: &str,
@@ -144,12 +144,12 @@ impl Fleet {
         })
     }
 
-    /// Takes a heartbeat: all but its numbers is as in the last status of its run. Whether the node should be asked for a full
-    /// status.
+    /// Takes a heartbeat, which repeats the last status of its run but for its numbers. Returns true if the node should be
+    /// asked for a full status.
     pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
         self.heard(node, now, now_ms, |entry| {
             if entry.run.is_none_or(|run| run.number != heartbeat.run) {
-                // A hub that has just started, or messages that were lost: it is not taken for the run that is known.
+                // The hub has just started, or messages were lost: the heartbeat is not of the known run.
                 entry.needs_full = true;
                 return None;
             }
@@ -163,8 +163,8 @@ impl Fleet {
         })
     }
 
-    /// Hands a node's entry to `take`, which says whether it is to be written, and `None` where nothing was heard of its present
-    /// run. Whether the node should be asked for a full status.
+    /// Updates a node's entry by `take`, which returns whether the row has to be written, or `None` if the message says
+    /// nothing of the present run. Returns true if the node should be asked for a full status.
     fn heard(
         &self,
         node: &str,
@@ -193,7 +193,7 @@ impl Fleet {
         entry.ask_for_all(now)
     }
 
-    /// Takes what happened to a liveliness token.
+    /// Notes that a liveliness token appeared or disappeared.
     pub(crate) fn token(&self, node: &str, present: bool, now: Instant, now_ms: i64) {
         let mut nodes = self.nodes.write();
         let Some(name) = nodes.get_key_value(node).map(|(name, _)| Arc::clone(name)) else {
@@ -205,7 +205,7 @@ impl Fleet {
         }
     }
 
-    /// Drops a node, unless it is online or degraded: it would be back at once. Returns whether it was dropped.
+    /// Drops a node, unless it is online or degraded: it would be back at once. Returns true if it was dropped.
     pub(crate) fn forget(&self, node: &str) -> bool {
         let mut nodes = self.nodes.write();
         if nodes.get(node).is_some_and(|entry| entry.state.is_heard()) {
@@ -215,7 +215,7 @@ impl Fleet {
         true
     }
 
-    /// Makes a node known that has sent reports and no status yet.
+    /// Adds a node that has sent reports and no status yet.
     pub(crate) fn reported(&self, node: &str, now_ms: i64) {
         if self.nodes.read().contains_key(node) {
             return;
@@ -226,28 +226,28 @@ impl Fleet {
             .or_insert_with(|| Entry::new(now_ms));
     }
 
-    /// Takes what the nodes' clips of today used; a node that is not named used nothing.
+    /// Sets the energy of the nodes' clips of today; a node that is absent used none.
     pub(super) fn set_today(&self, mut today: HashMap<String, TodaysEnergy>) {
         for (name, entry) in self.nodes.write().iter_mut() {
             entry.today = today.remove(&**name).unwrap_or_default();
         }
     }
 
-    /// Looks for nodes that time made silent or offline.
+    /// Finds the nodes that have become silent or offline.
     pub fn sweep(&self, now: Instant, now_ms: i64) {
         for (name, entry) in self.nodes.write().iter_mut() {
             self.settle(name, entry, now, now_ms);
         }
     }
 
-    /// Gives every node that time more to be heard: the hub could hear none meanwhile.
+    /// Gives every node `time` more, during which the hub could receive nothing.
     pub(crate) fn pass_over(&self, time: Duration) {
         for entry in self.nodes.write().values_mut() {
             entry.heard = entry.heard.map(|heard| heard + time);
         }
     }
 
-    /// Judges, and notes a change.
+    /// Judges a node's state, and notes a change of it.
     fn settle(&self, name: &Arc<str>, entry: &mut Entry, now: Instant, now_ms: i64) {
         if entry
             .identity
@@ -259,7 +259,7 @@ impl Fleet {
         let heard_ago = match (entry.heard, entry.heard_ms) {
             (Some(heard), _) => Some(now.saturating_duration_since(heard)),
             (None, None) => None,
-            // Remembered as silent or offline, and not heard since: it stays so, but for the time that goes on.
+            // It was silent or offline when the hub started, and sent nothing since: a silent one can become offline.
             (None, Some(_)) if entry.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
                 let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
@@ -284,18 +284,18 @@ impl Fleet {
         }
     }
 
-    /// Notes that a node is to be written.
+    /// Notes that a node's row has to be written.
     fn mark(&self, name: &Arc<str>) {
         self.dirty.lock().insert(Arc::clone(name));
     }
 
-    /// Whether a full status is missing.
+    /// True if the node's full status is missing.
     pub fn needs_full_status(&self, node: &str) -> bool {
         let nodes = self.nodes.read();
         nodes.get(node).is_some_and(|entry| entry.needs_full)
     }
 
-    /// Notes a batch that cannot be read.
+    /// Notes that a batch of a node cannot be read.
     pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
         let detail = json!({ "reason": reason });
         let mut events = self.events.lock();
@@ -304,12 +304,12 @@ impl Fleet {
         }
     }
 
-    /// Whether there is something to be written.
+    /// True if rows wait to be written.
     pub(crate) fn has_news(&self) -> bool {
         !self.dirty.lock().is_empty() || !self.events.lock().is_empty()
     }
 
-    /// Takes what is to be written, at most as much as one transaction may have.
+    /// Takes the rows that wait, at most as many as one transaction may have.
     pub fn take_news(&self) -> News {
         let nodes = self.nodes.read();
         let mut dirty = self.dirty.lock();
@@ -321,14 +321,14 @@ impl Fleet {
         }
     }
 
-    /// Takes back what was not written.
+    /// Takes back rows that were not written.
     pub fn give_back(&self, news: News) {
         let names = news.nodes.into_iter().map(|node| node.name.into());
         self.dirty.lock().extend(names);
         self.events.lock().extend(news.events);
     }
 
-    /// How many nodes have each state, in the order of [`PresenceState::ALL`].
+    /// The number of nodes in each state, in the order of [`PresenceState::ALL`].
     pub(crate) fn by_state(&self) -> [u64; 4] {
         let mut counts = [0; 4];
         for entry in self.nodes.read().values() {
@@ -339,7 +339,7 @@ impl Fleet {
         counts
     }
 
-    /// Counts the nodes; `desired` is the revision desired of one.
+    /// Counts the nodes; `desired` gives the desired revision of a node.
     pub(crate) fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
@@ -370,7 +370,7 @@ impl Fleet {
         nodes.get(node).map(|entry| entry.view(node))
     }
 
-    /// What is known of a node's settings.
+    /// The settings of a node.
     pub(crate) fn settings(&self, node: &str) -> Option<NodeSettings> {
         let nodes = self.nodes.read();
         let (name, entry) = nodes.get_key_value(node)?;
@@ -386,7 +386,7 @@ impl Fleet {
             .collect()
     }
 
-    /// Shows every node to `each`, in the order of their names.
+    /// Calls `each` for every node, in the order of their names.
     pub(crate) fn each(&self, mut each: impl FnMut(&Arc<str>, &Entry)) {
         for (name, entry) in self.nodes.read().iter() {
             each(name, entry);

@@ -1,7 +1,7 @@
-//! Hears status messages and tokens, answers pulls, notifies nodes.
+//! Receives status messages and liveliness tokens, answers pulls, and notifies nodes.
 //!
-//! Zenoh's threads only hand over to bounded queues. A status that finds its queue full is dropped: the next one shows a
-//! gap in the numbers, and the hub asks for all.
+//! Zenoh's threads only put messages into bounded queues. A status that finds its queue full is dropped: the next one shows a
+//! gap in the numbers, and the hub asks for a full status.
 
 use crate::config::HubConfig;
 use crate::error::HubError;
@@ -28,13 +28,13 @@ use zenoh::query::Queryable;
 use zenoh::sample::SampleKind;
 use zenoh::{Session, Wait};
 
-/// Messages that may wait.
+/// Most messages that may wait.
 const QUEUE: usize = 65_536;
-/// Those of one node: it sends one every half a minute, and a few when it starts.
+/// Most messages of one node that may wait: it sends one every half a minute, and a few when it starts.
 const MOST_OF_A_NODE: usize = 16;
 /// Largest status, bytes: with as many cameras as a node may have it is half of that.
 const LARGEST_STATUS: usize = 64 << 10;
-/// Notices that may wait; one more is not sent, and the next status finds out anyway.
+/// Most notices that may wait. Further ones are dropped: the node's next status or report leads to the same answer.
 const NOTICES: usize = 65_536;
 /// Interval at which the nodes are checked.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -50,11 +50,11 @@ struct Message {
 
 enum What {
     Status(Bytes),
-    /// Whether the liveliness token is there.
+    /// True if the liveliness token appeared.
     Token(bool),
 }
 
-/// Where Zenoh's threads put what they hear.
+/// The queue into which Zenoh's threads put messages.
 #[derive(Clone)]
 struct Inbox {
     queue: mpsc::Sender<Message>,
@@ -63,7 +63,7 @@ struct Inbox {
 }
 
 impl Inbox {
-    /// Puts it into the queue. Never waits: what finds no place is dropped.
+    /// Queues a message, or drops it when there is no place. Never waits.
     fn put(&self, node: &str, what: What) {
         let message = self.places.place(node).map(|place| Message {
             node: node.to_owned(),
@@ -76,35 +76,34 @@ impl Inbox {
     }
 }
 
-/// What is declared; undeclared when dropped.
+/// The hub's declarations; dropping them undeclares them.
 pub(crate) struct Listening {
     _status: Subscriber<()>,
     _tokens: Option<Subscriber<()>>,
     _pulls: Queryable<()>,
-    /// Says which node should ask now what is desired.
+    /// Notifies nodes that they should pull their setting.
     pub(crate) notifier: Notifier,
 }
 
-/// Where notices go.
+/// Sends notices to nodes.
 #[derive(Clone, Debug)]
 pub struct Notifier(SyncSender<(String, u64)>);
 
 impl From<SyncSender<(String, u64)>> for Notifier {
-    /// Notices go there: the node, and the revision that it may pull.
+    /// A notice is the node, and the revision that it may pull.
     fn from(sender: SyncSender<(String, u64)>) -> Self {
         Self(sender)
     }
 }
 
 impl Notifier {
-    /// Tells `node` that there is something to pull. Never waits.
+    /// Notifies `node` that it has something to pull. Never waits.
     pub(crate) fn notify(&self, node: &str, revision: u64) {
-        // The next status or report finds out without it.
         let _ = self.0.try_send((node.to_owned(), revision));
     }
 }
 
-/// Counts of what was heard and could not be taken.
+/// Counters of messages from nodes.
 #[derive(Debug, Default)]
 pub struct ListenCounters {
     /// Status messages that found their queue full.
@@ -115,7 +114,7 @@ pub struct ListenCounters {
     pub pulls: AtomicU64,
 }
 
-/// Declares everything. What it gives beside is the task that takes what is heard, until the shutdown.
+/// Declares everything. Also returns the task that handles the messages until the shutdown.
 pub(crate) async fn listen(
     config: &HubConfig,
     view: &HubView,
@@ -157,7 +156,7 @@ pub(crate) async fn listen(
             statuses.put(node, What::Status(payload));
         })
         .await
-        .map_err(HubError::at("status messages cannot be heard"))?;
+        .map_err(HubError::at("status messages cannot be subscribed to"))?;
     let tokens = if config.presence.tokens {
         let subscriber = session
             .liveliness()
@@ -165,7 +164,7 @@ pub(crate) async fn listen(
             .history(true)
             .callback(move |sample| {
                 if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-                    // A token that is not taken costs time only: the status has the rest.
+                    // A token that is dropped costs only time: the age of the status decides without it.
                     inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
                 }
             })
@@ -195,7 +194,7 @@ pub(crate) async fn listen(
             }
         })
         .await
-        .map_err(HubError::at("what is desired cannot be answered"))?;
+        .map_err(HubError::at("pulls cannot be answered"))?;
     let listening = Listening {
         _status: status,
         _tokens: tokens,
@@ -237,19 +236,19 @@ fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier>
     Ok(sender.into())
 }
 
-/// Most messages taken at once.
+/// Most messages handled at once.
 const TAKEN_AT_ONCE: usize = 1024;
-/// Pause after them: thousands of messages a second would wake this task, and Zenoh's threads would pay for each waking.
+/// Pause after them: otherwise each of thousands of messages per second would wake this task, at the expense of Zenoh's threads.
 const TAKEN_EVERY: Duration = Duration::from_millis(5);
 
-/// Takes what is heard.
+/// Handles the queued messages.
 struct Receiver {
     messages: mpsc::Receiver<Message>,
     view: HubView,
     notifier: Notifier,
-    /// The session, where all nodes are heard through one router.
+    /// The session, if all nodes are reached through one router.
     router: Option<Session>,
-    /// Nodes whose token went since the last sweep. All of them go with a lost router, which says nothing of the nodes.
+    /// Nodes whose token disappeared since the last sweep. When the router is lost all tokens do, which says nothing about the nodes.
     tokens_gone: HashSet<String>,
     /// When the router was lost.
     alone_since: Option<Instant>,
@@ -280,7 +279,7 @@ impl Receiver {
         }
     }
 
-    /// Looks for nodes that became silent or offline; while the router is away none does.
+    /// Finds nodes that became silent or offline; none does while the router is away.
     async fn sweep(&mut self) {
         let (now, now_ms) = (Instant::now(), unix_milliseconds());
         let gone = std::mem::take(&mut self.tokens_gone);
@@ -291,7 +290,7 @@ impl Receiver {
         match (is_alone, self.alone_since) {
             (true, since) => {
                 if since.is_none() {
-                    tracing::warn!("the router is lost: no node is heard until it is back");
+                    tracing::warn!("the router is lost: no node can be reached until it is back");
                     self.alone_since = Some(now);
                 }
                 self.view

@@ -1,4 +1,4 @@
-//! Changes of presence that are to be stored: nodes, and events of them.
+//! Changes of presence that wait to be stored: rows of nodes, and events.
 
 use super::PresenceState;
 use crate::store::row::read_all;
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use serde_json::json;
 use std::collections::HashMap;
 
-/// What is to be written.
+/// The rows that wait to be written.
 #[derive(Debug, Default)]
 pub struct News {
     pub(super) nodes: Vec<NodeRow>,
@@ -16,8 +16,8 @@ pub struct News {
 }
 
 impl News {
-    /// Writes the nodes, and returns the events to be written with them. Of several hubs that see the same change of a node,
-    /// one writes it.
+    /// Writes the nodes, and returns the events to write with them. If several hubs see the same change of a node, one
+    /// of them writes the event.
     pub(crate) fn write(&self, database: &mut dyn Database) -> Result<Vec<EventRow>, StoreError> {
         #[derive(Deserialize)]
         struct Before {
@@ -35,7 +35,7 @@ impl News {
         let before: HashMap<&str, &Before> = (before.iter())
             .map(|node| (node.name.as_str(), node))
             .collect();
-        // A node that was forgotten since stays so.
+        // A node that was forgotten meanwhile stays forgotten.
         let stays = |row: &&NodeRow| {
             (before.get(row.name.as_str()))
                 .is_none_or(|node| node.state != "forgotten" || node.since_ms < row.since_ms)
@@ -44,7 +44,7 @@ impl News {
         database.insert(
             "nodes",
             &rows,
-            // What is not known now stays as it was.
+            // Columns that are not known now keep their values.
             "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
              since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
              why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \

@@ -1,18 +1,18 @@
-//! What is known of a node's settings, from its last full status.
+//! The settings of a node, from its last full status.
 
 use super::entry::Entry;
 use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What the hub knows of a node's settings.
+/// The settings of a node, as far as the hub knows them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NodeSettings {
     /// Its name.
     pub(crate) name: Arc<str>,
-    /// Whether it is in reach: online or degraded.
+    /// True if it is in reach: online or degraded.
     pub(crate) reachable: bool,
-    /// Revision in force that it reported last.
+    /// The revision that it last reported as in force.
     pub(crate) revision: u64,
     status: Option<Arc<NodeStatus>>,
 }
@@ -27,7 +27,7 @@ impl NodeSettings {
         }
     }
 
-    /// Whether it ever sent a full status.
+    /// True if it ever sent a full status.
     pub(crate) const fn is_known(&self) -> bool {
         self.status.is_some()
     }
@@ -37,14 +37,14 @@ impl NodeSettings {
         labels(self.status.as_deref())
     }
 
-    /// The threshold in force on all of its cameras; `None` when they differ, have none, or nothing is known.
+    /// The threshold in force on all of its cameras; `None` if they differ, have none, or are not known.
     pub(crate) fn threshold(&self) -> Option<Threshold> {
         let cameras = &self.status.as_ref()?.cameras;
         let first = cameras.first()?.threshold;
         first.filter(|_| cameras.iter().all(|camera| camera.threshold == first))
     }
 
-    /// Name of its policy's threshold, when a camera reports it.
+    /// The name of its policy's threshold, if a camera reports one.
     pub(crate) fn threshold_name(&self) -> Option<ThresholdName> {
         let mut cameras = self.status.as_ref()?.cameras.iter();
         cameras.find_map(|camera| Some(camera.threshold?.name))
@@ -55,7 +55,7 @@ impl NodeSettings {
         Some(self.status.as_ref()?.target?.target)
     }
 
-    /// Whether it reported that setting. A threshold that a target has moved to is on its way elsewhere, and does not count.
+    /// True if it reported that setting. A threshold does not count while a target moves it.
     pub(crate) fn has(&self, setting: DesiredSetting) -> bool {
         self.is_known()
             && match setting {
@@ -66,7 +66,7 @@ impl NodeSettings {
             }
     }
 
-    /// What it has: its target, or its threshold where it holds none.
+    /// Its target, or its threshold if it holds no target.
     pub(crate) fn setting(&self) -> Option<DesiredSetting> {
         let target = self
             .target()
@@ -74,7 +74,7 @@ impl NodeSettings {
         target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
     }
 
-    /// Why it holds no target any more, in its own words.
+    /// Why it no longer holds a target, in the node's words.
     pub(crate) fn target_off(&self) -> Option<String> {
         self.status.as_ref()?.target_off.clone()
     }
@@ -87,7 +87,7 @@ impl NodeSettings {
 
     /// Why it cannot hold a target, as far as its status shows.
     pub(crate) fn cannot_hold(&self) -> Option<String> {
-        // Before its cameras have reported, the node itself knows.
+        // Until its cameras have reported, only the node itself knows.
         let name = self.threshold_name()?;
         let policy = &self.status.as_ref()?.policy;
         (!matches!(name.as_str(), "u" | "lambda"))

@@ -1,25 +1,25 @@
-//! The state of a node as a function of what is known. Pure: docs/fleet.md has the same predicates in words.
+//! Judges the state of a node. docs/fleet.md has the same rules in words.
 
 use crate::named::named;
 use albireo_wire::HealthState;
 use std::time::Duration;
 
 named! {
-    /// How a node is.
+    /// The state of a node.
     pub enum PresenceState {
-        /// It is heard, and everything works.
+        /// It sends status messages, and every part works.
         Online = "online",
-        /// It is heard, and something does not work.
+        /// It sends status messages, and a part does not work.
         Degraded = "degraded",
-        /// It was not heard for a while.
+        /// It sent no status for a while.
         Silent = "silent",
-        /// It is gone.
+        /// It sent no status for long, or its liveliness token disappeared.
         Offline = "offline",
     }
 }
 
 impl PresenceState {
-    /// Whether it is heard.
+    /// True if it sends status messages.
     pub(crate) const fn is_heard(self) -> bool {
         matches!(self, Self::Online | Self::Degraded)
     }
@@ -28,19 +28,19 @@ impl PresenceState {
 /// What is known of a node.
 #[derive(Clone, Copy, Debug)]
 pub struct PresenceInput<'a> {
-    /// Since the last status; `None` when none ever came.
+    /// Time since the last status; `None` if none ever came.
     pub heard_ago: Option<Duration>,
-    /// Whether its liveliness token went, and nothing was heard since.
+    /// True if its liveliness token disappeared, and no status came since.
     pub token_gone: bool,
-    /// What the last status says.
+    /// The health in the last status.
     pub health: HealthState,
-    /// Its reasons, in words; may be empty while the full status is on its way.
+    /// The reasons for that health, in words; may be empty while the full status is on its way.
     pub reasons: &'a str,
-    /// Why the name or the instance is not one node's alone.
+    /// Why several nodes seem to use the name.
     pub identity: Option<&'a str>,
 }
 
-/// From when on a node counts as silent and as offline.
+/// The time without a status after which a node is silent or offline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Silent after.
@@ -49,7 +49,7 @@ pub struct Limits {
     pub offline: Duration,
 }
 
-/// The state, and why.
+/// The state of a node, and why.
 pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, String) {
     let Some(ago) = facts.heard_ago else {
         return (PresenceState::Silent, "no status has come yet".to_owned());

@@ -1,4 +1,4 @@
-//! What a node's clips of today used and skipped, read from the database, so that a fleet can be sorted by it.
+//! Reads the energy and skip rate of each node's clips of today, so that a fleet can be sorted by them.
 
 use super::Fleet;
 use crate::store::Store;
@@ -8,14 +8,15 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 use utoipa::ToSchema;
 
-/// Pause between two readings, and how many times as long as a reading it lasts at least: a large fleet is read less often.
+/// Pause between two reads: at least this long, and this many times as long as a read, so that a large fleet is read
+/// less often.
 const PAUSE: Duration = Duration::from_secs(10);
 const PAUSE_TIMES: u32 = 50;
 
-/// What a node's clips of today used. Measured and estimated energy are never added.
+/// The energy and skip rate of a node's clips of today. Measured and estimated energy are never added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TodaysEnergy {
-    /// Joules read from a meter, also where it was read for a part of the time.
+    /// Joules read from a meter, also where it covers only part of the time.
     pub measured_joules: f64,
     /// Joules computed from utilisation.
     pub estimated_joules: f64,
@@ -28,14 +29,14 @@ pub struct TodaysEnergy {
 }
 
 impl TodaysEnergy {
-    /// What nodes are sorted by, microjoules: the larger of the two, for they are not added.
+    /// The sort key, microjoules: the larger of the two, since they are never added.
     pub(crate) fn largest_uj(&self) -> i64 {
         (self.measured_joules.max(self.estimated_joules) * 1e6) as i64
     }
 }
 
 impl Fleet {
-    /// Reads again and again what the clips of this day, UTC, used.
+    /// Reads the energy of this day's clips (UTC), again and again.
     pub(crate) async fn follow_today(&self, store: &Store) {
         loop {
             let begun = Instant::now();

@@ -13,41 +13,41 @@ use uuid::Uuid;
 pub(crate) trait Database: Send {
     fn kind(&self) -> Kind;
 
-    /// Whether it may be used again: a server that restarted has closed it.
+    /// True if it can be used again: a server that restarted has closed it.
     fn is_open(&mut self) -> bool;
 
-    /// Begins a transaction that writes. One at a time does, whichever hub's it is: two would wait for each other's rows.
+    /// Begins a transaction that writes. Only one does at a time, across all hubs: two would wait for each other's rows.
     fn begin(&mut self) -> Result<(), StoreError>;
 
-    /// Commits; what was written then survives a power loss.
+    /// Commits. The rows then survive a power loss.
     fn commit(&mut self) -> Result<(), StoreError>;
 
-    /// Runs a statement, and gives the rows that it returns. Its parameters are `$1`, `$2`, …
+    /// Runs a statement and returns its rows. Its parameters are `$1`, `$2`, …
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError>;
 
-    /// Runs a statement for rows with the same columns, in order, and gives the rows that it returns. In SQLite the columns
-    /// are the parameters `:column`; PostgreSQL is given all rows at once, as the JSON array `$1`.
+    /// Runs a statement for rows with the same columns, in order, and returns its rows. In SQLite the columns are the
+    /// parameters `:column`; PostgreSQL gets all rows at once, as the JSON array `$1`.
     fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError>;
 
     /// Runs several statements without parameters.
     fn script(&mut self, text: &'static str) -> Result<(), StoreError>;
 
-    /// The one whole number that a statement gives, if it gives any.
+    /// The whole number that a statement returns, if any.
     fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
         let rows = self.query(text, values)?;
         Ok((rows.first()).and_then(|row| row.values().next()?.as_i64()))
     }
 }
 
-/// The key of a report: nothing of it is stored twice.
+/// The unique key of a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub(crate) struct ReportKey {
-    /// The day that it is kept under: that of its identity, or that of receipt, negative, where that cannot be believed.
+    /// The day it is stored under: that of its identity, or the day of receipt, negative, if the identity's is not believed.
     pub(crate) day: i64,
     /// Its identity.
     #[serde(with = "uuid::serde::compact")]
     pub(crate) id: Uuid,
-    /// The day of the identity's own time, whether it is believed or not.
+    /// The day of the identity's own time, believed or not.
     pub(crate) own_day: i64,
 }
 
@@ -95,7 +95,7 @@ impl dyn Database + '_ {
         )
     }
 
-    /// The rows of a query that ends with a column of text and `IN`: those where it is one of these texts.
+    /// Runs a query that ends with a text column and `IN`, for these texts.
     pub(crate) fn among(&mut self, query: &str, texts: &[&str]) -> Result<Vec<Row>, StoreError> {
         let list = match self.kind() {
             Kind::Sqlite => "(SELECT value FROM json_each($1))",
@@ -107,7 +107,7 @@ impl dyn Database + '_ {
         )
     }
 
-    /// These nodes by name, with what is known of their reports; a node that is new is added.
+    /// The report counts of nodes, by name; new nodes are added.
     pub(crate) fn reporting_nodes(
         &mut self,
         names: &[&str],
@@ -141,7 +141,7 @@ impl dyn Database + '_ {
         read_all(self.among(text, nodes)?)
     }
 
-    /// Adds cameras, given by node and name.
+    /// Adds cameras, each given by node id and name.
     pub(crate) fn add_cameras(
         &mut self,
         cameras: &[(i64, &str)],
@@ -151,7 +151,7 @@ impl dyn Database + '_ {
         read_all(self.insert("cameras", &new, "RETURNING id, node_id, name")?)
     }
 
-    /// The numbers of setups; one that is new is added.
+    /// The ids of setups; new setups are added.
     pub(crate) fn setups(
         &mut self,
         setups: &BTreeSet<&SetupKey>,
@@ -163,7 +163,7 @@ impl dyn Database + '_ {
             setup: SetupKey,
         }
         let setups: Vec<_> = setups.iter().collect();
-        // Changes nothing, and returns the row.
+        // The update changes nothing; it makes the statement return the row.
         let conflict = "ON CONFLICT (policy, knob, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
         let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
@@ -171,7 +171,7 @@ impl dyn Database + '_ {
         Ok(numbered.collect())
     }
 
-    /// Notes reports; those of them that were not known before.
+    /// Stores the identities of reports, and returns those that are new.
     pub(crate) fn new_reports(
         &mut self,
         keys: &BTreeSet<ReportKey>,
@@ -193,7 +193,7 @@ impl dyn Database + '_ {
         Ok(new.into_iter().map(|one| one.id).collect())
     }
 
-    /// Writes what is known of the reports of nodes.
+    /// Writes the report counts of nodes.
     pub(crate) fn write_report_counts(
         &mut self,
         mut rows: Vec<ReportCountsRow>,

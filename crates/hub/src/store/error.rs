@@ -1,30 +1,30 @@
 //! Errors of the database.
 
-/// Why the database did not do what was asked.
+/// An error of the database.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// It holds something else, or was written by a newer program.
+    /// It holds other data, or was written by a newer program.
     #[error("{0}")]
     Refused(String),
-    /// It cannot be reached or written now: it is not there, full, locked, read-only.
+    /// It cannot be reached or written now: it is absent, full, locked or read-only.
     #[error("{0}")]
     Unavailable(String),
-    /// It does not take what it was given.
+    /// It refuses a statement.
     #[error("the database refuses a statement: {0}")]
     Statement(String),
 }
 
 impl StoreError {
-    /// Whether the same may succeed later, without anything else being changed by the caller.
+    /// True if the same statement may succeed later.
     pub(crate) fn passes(&self) -> bool {
         matches!(self, Self::Unavailable(_))
     }
 }
 
-/// Classes of PostgreSQL's error codes that say something of its state and nothing of the statement: connection,
-/// transaction rollback, resources, operator intervention, system, and a read-only transaction.
+/// Classes of PostgreSQL's error codes that concern its state and not the statement: connection, transaction rollback,
+/// resources, operator intervention, system, and a read-only transaction.
 const STATES: [&str; 6] = ["08", "40", "53", "57", "58", "25"];
-/// Lock not available, cancelled by time-out.
+/// A lock that could not be had in time.
 const LOCKED: [&str; 1] = ["55P03"];
 
 impl From<sqlx::Error> for StoreError {
@@ -67,7 +67,7 @@ impl From<rusqlite::Error> for StoreError {
                 | Code::OperationInterrupted,
             ) => Self::Unavailable(format!("the database cannot be used now: {error}")),
             Some(Code::NotADatabase) => Self::Refused(
-                "the file is no SQLite database; nothing of it was changed: give the hub another file in \
+                "the file is not an SQLite database and was left as it is: set another file in \
                  database.url"
                     .to_owned(),
             ),

@@ -1,11 +1,11 @@
-//! Creates the tables. A database that is not a hub's, or of another version, is refused and left as it is.
+//! Creates the tables. A database of something else, or of another version, is refused and left as it is.
 
 use super::row::{read, read_all};
 use super::{Database, Kind, StoreError};
 use serde::Deserialize;
 use uuid::Uuid;
 
-/// The version of the tables that this program creates. Up to 5 were those of 0.1.0; 6 to 8 were never released.
+/// The version of the tables. Version 5 was that of albireo 0.1.0; 6 to 8 were never released.
 const VERSION: i64 = 9;
 
 /// The program's name in the table `hub_meta` of a hub's database.
@@ -31,10 +31,10 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.commit()
 }
 
-/// The id of the database, which a copy of it keeps.
+/// The identity of the database, which a copy of it keeps.
 ///
 /// # Errors
-/// [`StoreError::Refused`] where it is not a hub's, or of another version.
+/// [`StoreError::Refused`] if it is not a hub's, or of another version.
 pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> {
     #[derive(Default, Deserialize)]
     struct Meta {

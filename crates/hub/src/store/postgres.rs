@@ -1,4 +1,4 @@
-//! PostgreSQL: each statement is waited for, no longer than the configuration says.
+//! A connection to PostgreSQL; every statement has a time limit.
 
 use super::row::{Row, bytes, text};
 use super::{Database, Kind, StoreError};
@@ -20,7 +20,7 @@ pub(super) struct PostgresServer {
     waiter: Waiter,
 }
 
-/// Waits for what is asked of the server, on a thread that is none of the runtime's.
+/// Waits for the server's answers, on a thread outside the runtime.
 struct Waiter {
     runtime: Handle,
     limit: Duration,
@@ -40,7 +40,7 @@ impl Waiter {
 }
 
 impl PostgresServer {
-    /// Connects; not to be called on a thread of the runtime.
+    /// Connects. Must not be called on a thread of the runtime.
     pub(super) fn open(url: &str, timeout_ms: u64, runtime: Handle) -> Result<Self, StoreError> {
         let waiter = Waiter {
             runtime,
@@ -111,19 +111,19 @@ fn bound<'q>(
             None => query.bind(number.as_f64()),
         },
         Value::String(text) => query.bind(text),
-        // No statement has a parameter of another type that may be null.
+        // All parameters that may be null are whole numbers.
         _ => query.bind(None::<i64>),
     }
 }
 
-/// Rows as one parameter, however many they are.
+/// Any number of rows as one parameter.
 fn recordset(rows: Vec<Row>) -> String {
     let storable = |row: Row| row.into_iter().map(|(name, value)| (name, storable(value)));
     let rows = rows.into_iter().map(|row| storable(row).collect());
     Value::Array(rows.map(Value::Object).collect()).to_string()
 }
 
-/// A value as the server takes it: no NUL in texts, bytes in hexadecimal digits.
+/// A value in the server's form: texts without NUL, bytes as hexadecimal digits.
 fn storable(value: Value) -> Value {
     match value {
         Value::String(given) if given.contains('\0') => text(&given).into(),

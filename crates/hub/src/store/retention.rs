@@ -1,5 +1,5 @@
-//! Deletes what is too old: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never
-//! waits long for it.
+//! Deletes old rows: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never waits
+//! long for it.
 
 use super::row::Row;
 use super::{Database, Kind, StoreError};
@@ -10,12 +10,12 @@ use albireo_wire::IDENTITY_DAYS;
 pub(crate) const STEP: usize = 2000;
 
 const DAY_MS: i64 = 86_400_000;
-/// No day is before it.
+/// Earlier than any day of a row.
 const NO_DAY: i64 = -1_000_000;
 
 const EVENTS: &str = "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE at_ms < $1 \
     AND id < (SELECT COALESCE(min(id), 0) FROM events) + $2) RETURNING 1 AS gone";
-// What is desired stays: a node that returns after years still finds it.
+// Desired settings stay: a node that returns after years still gets its setting.
 const ORDER_NODES: &str = "DELETE FROM order_nodes WHERE (revision, node) IN (SELECT n.revision, n.node \
     FROM order_nodes n JOIN orders o ON o.revision = n.revision WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2) \
     RETURNING 1 AS gone";
@@ -24,8 +24,8 @@ const ORDERS: &str = "DELETE FROM orders WHERE revision IN (SELECT o.revision FR
 const SET_ASIDE: &str = "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
     AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2) RETURNING 1 AS gone";
 
-/// Clips, ids of reports, ids without a day of their own, five-minute sums. The day of a clip is at most a day after its
-/// receipt, in the order of which their ids grow.
+/// Clips, identities of reports, identities without a day of their own, five-minute sums. The ids of clips grow in the
+/// order of receipt, and a clip's day is at most a day after that.
 const BY_DAY_SQLITE: [&str; 4] = [
     "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE day < $1 \
      AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2) RETURNING 1 AS gone",
@@ -37,7 +37,7 @@ const BY_DAY_SQLITE: [&str; 4] = [
      quality FROM sums_5m WHERE camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1 LIMIT $2) \
      RETURNING 1 AS gone",
 ];
-/// The same for PostgreSQL, where only the default partitions hold rows to delete one by one.
+/// The same for PostgreSQL, where only rows of the default partitions are deleted one by one.
 const BY_DAY_POSTGRES: [&str; 4] = [
     "DELETE FROM clips_other WHERE (day, id) IN (SELECT day, id FROM clips_other WHERE day < $1 LIMIT $2) \
      RETURNING 1 AS gone",
@@ -49,8 +49,8 @@ const BY_DAY_POSTGRES: [&str; 4] = [
      setup_id, quality FROM sums_5m_other WHERE bucket_s < $1 LIMIT $2) RETURNING 1 AS gone",
 ];
 
-/// Deletes at most [`STEP`] rows of each table that are older than is kept at `now_ms`, and whole partitions; only makes
-/// the partitions of the next days where the clock `is_believed` not. Whether there is more to delete.
+/// Deletes at most [`STEP`] rows of each table that are too old at `now_ms`, and whole partitions. If the clock is not
+/// believed (`is_believed`), it only creates the partitions of the next days. Returns true if there are more old rows.
 pub(crate) fn retain(
     database: &mut dyn Database,
     history: &HistoryConfig,
@@ -62,12 +62,12 @@ pub(crate) fn retain(
         true => today - i64::from(days),
         false => NO_DAY,
     };
-    // Reports of the day before are still taken.
+    // A report of the day before is still accepted.
     let (clips, ids) = (first(history.clips_days), first(IDENTITY_DAYS + 1));
     let sums = first(history.five_minutes_days);
     if database.kind() == Kind::Postgres {
-        // A table is locked for a moment where a partition is made or goes: one after the other, so that nobody waits for one
-        // while it holds another.
+        // Creating or dropping a partition locks its table for a moment. One table at a time, so that nobody waits for one
+        // table while holding another.
         for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
             database.begin()?;
             // A long read delays the drop of a partition, and a waiting drop blocks everything else.
@@ -99,10 +99,10 @@ pub(crate) fn retain(
     Ok(most >= STEP)
 }
 
-/// The tables that PostgreSQL keeps by day, and how many of the key are a day.
+/// The tables that PostgreSQL partitions by day, and the units of their keys per day.
 pub(super) const DAILY: [(&str, i64); 3] = [("clips", 1), ("report_ids", 1), ("sums_5m", 86_400)];
 
-/// Makes and drops partitions of a table in PostgreSQL, of which what is older than the day `first` is not kept.
+/// Creates and drops partitions of a table in PostgreSQL; days before `first` are dropped.
 pub(super) fn keep_days(
     database: &mut dyn Database,
     (table, unit): (&str, i64),

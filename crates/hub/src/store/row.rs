@@ -8,12 +8,12 @@ use serde_json::{Map, Value};
 /// A row: its columns by name. The id of a report is an array of 16 bytes.
 pub(crate) type Row = Map<String, Value>;
 
-/// What is in a row.
+/// Reads a struct from a row.
 pub(crate) fn read<T: DeserializeOwned>(row: Row) -> Result<T, StoreError> {
     Ok(serde_json::from_value(Value::Object(row))?)
 }
 
-/// What is in these rows.
+/// Reads a struct from each row.
 pub(crate) fn read_all<T: DeserializeOwned>(rows: Vec<Row>) -> Result<Vec<T>, StoreError> {
     rows.into_iter().map(read).collect()
 }
@@ -32,12 +32,12 @@ pub(super) fn bytes(numbers: &[Value]) -> Vec<u8> {
     numbers.iter().filter_map(byte).collect()
 }
 
-/// Text that PostgreSQL stores: it takes no NUL.
+/// Text without NUL characters, which PostgreSQL cannot store.
 pub(crate) fn text(text: &str) -> String {
     text.replace('\0', "\u{fffd}")
 }
 
-/// A column of text that holds JSON.
+/// A text column that holds JSON.
 pub(crate) mod json_text {
     use super::*;
 
@@ -57,7 +57,7 @@ pub(crate) mod json_text {
         serde_json::from_str(text).map_err(serde::de::Error::custom)
     }
 
-    /// Reads a value from such a column, or from its place in a message.
+    /// Reads a value from such a column, or from a message that holds it as it is.
     pub(crate) fn or_value<'de, D: Deserializer<'de>, T: DeserializeOwned>(
         from: D,
     ) -> Result<T, D::Error> {
@@ -69,7 +69,7 @@ pub(crate) mod json_text {
     }
 }
 
-/// A whole number that a database added up as a floating-point one.
+/// A whole number that the database summed as a floating-point number.
 pub(crate) fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i64, D::Error> {
     f64::deserialize(from).map(|number| number as i64)
 }

@@ -7,7 +7,7 @@ use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
 use serde_json::Value;
 use std::time::{Duration, Instant};
 
-/// What a connection is for.
+/// The purpose of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Access {
     /// Creating the file and its tables.
@@ -21,7 +21,7 @@ pub(crate) enum Access {
 /// A database in one file.
 pub(super) struct Sqlite {
     connection: Connection,
-    /// Longest time of a query, where it only reads.
+    /// Time limit of a query, on a connection that only reads.
     limit: Option<Duration>,
 }
 
@@ -60,7 +60,7 @@ impl Sqlite {
         })
     }
 
-    /// Runs a query, and hands over its rows one by one.
+    /// Runs a query, and calls `take` for each row.
     pub(super) fn stream(
         &mut self,
         text: &str,
@@ -81,7 +81,7 @@ impl Database for Sqlite {
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {
-        // SQLite begins a transaction on a read-only file too, and only refuses the first statement that writes.
+        // SQLite also begins a transaction on a read-only file; it only refuses the first statement that writes.
         if self.connection.is_readonly(MAIN_DB)? {
             return Err(StoreError::Unavailable("the database is readonly".into()));
         }
@@ -129,7 +129,7 @@ impl Database for Sqlite {
     }
 }
 
-/// Gives a statement the values of its parameters, by their names without the first letter.
+/// Binds the parameters of a statement, by their names without the first character.
 fn bind<'v>(
     statement: &mut Statement<'_>,
     value: impl Fn(&str) -> Option<&'v Value>,
@@ -144,7 +144,7 @@ fn bind<'v>(
     Ok(())
 }
 
-/// Runs a statement whose parameters have their values, and hands over its rows.
+/// Runs a statement whose parameters are bound, and calls `take` for each row.
 fn found(
     statement: &mut Statement<'_>,
     take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
@@ -173,7 +173,7 @@ fn read(value: ValueRef<'_>) -> Result<Value, StoreError> {
     })
 }
 
-/// A value that a statement is given.
+/// A value of a parameter.
 struct Cell<'v>(&'v Value);
 
 impl ToSql for Cell<'_> {

@@ -1,4 +1,4 @@
-//! The rows that are read back, and what is summed. `docs/fleet.md` lists the tables.
+//! The rows of tables, and the columns that are summed. `docs/fleet.md` lists the tables.
 
 use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
@@ -45,10 +45,10 @@ pub(crate) const SUMMED: [&str; 34] = [
 /// setup; quality.
 pub(crate) const SUM_KEY: [&str; 4] = ["camera_id", "bucket_s", "setup_id", "quality"];
 
-/// The largest sum: there it stays, so that no sum is ever too large for a column.
+/// The largest sum. Sums stop there, so that none is too large for its column.
 pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 
-/// Something that happened.
+/// An event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct EventRow {
     pub(crate) at_ms: i64,
@@ -58,7 +58,7 @@ pub(crate) struct EventRow {
 }
 
 impl EventRow {
-    /// Something that happened to a node.
+    /// An event of a node.
     pub(crate) fn new(at_ms: i64, kind: &str, node: &str, detail: serde_json::Value) -> Self {
         Self {
             at_ms,
@@ -69,10 +69,10 @@ impl EventRow {
     }
 }
 
-/// What is known of the reports of a node.
+/// Counts of a node's reports.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ReportCountsRow {
-    /// The node's name, where it was asked for.
+    /// The node's name, if the query returns it.
     #[serde(default, skip_serializing)]
     pub(crate) name: String,
     pub(crate) node_id: i64,
@@ -86,7 +86,7 @@ pub(crate) struct ReportCountsRow {
     pub(crate) counts: Counts,
 }
 
-/// What is known of a node between reports.
+/// The stored state of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NodeRow {
     pub(crate) name: String,
@@ -101,7 +101,7 @@ pub(crate) struct NodeRow {
     pub(crate) status: Option<String>,
 }
 
-/// With what a clip was made: clips with the same share one number. Texts that a clip has not are empty.
+/// The setup that a clip was made with: clips with the same setup share its id. A missing text is empty.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub(crate) struct SetupKey {
     pub(crate) policy: String,

@@ -8,10 +8,10 @@ use albireo_service::clock::unix_milliseconds;
 use serde_json::Value;
 use uuid::Uuid;
 
-/// Rows of one statement.
+/// Rows per statement.
 const BATCH: usize = 500;
 
-/// The tables of both databases, each after those that it refers to; `hub_meta` is taken over by itself.
+/// The tables of both databases, each after those that it refers to; `hub_meta` is copied separately.
 const TABLES: [&str; 15] = [
     "nodes",
     "report_counts",
@@ -30,20 +30,20 @@ const TABLES: [&str; 15] = [
     "runs",
 ];
 
-/// How far a transfer has come.
+/// The progress of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     /// The table being copied.
     pub table: &'static str,
-    /// Rows copied, of all tables.
+    /// Rows copied so far, over all tables.
     pub rows: u64,
-    /// Rows to copy, of all tables.
+    /// Rows to copy, over all tables.
     pub of: u64,
 }
 
 /// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports, revisions,
-/// and the identity of the database itself. All of it is there afterwards, or nothing. The file is locked meanwhile and
-/// stays as it is. `progress` is called after each batch. Gives the number of rows.
+/// and the identity of the database itself. It copies all or nothing. The file is locked meanwhile and stays as it is.
+/// `progress` is called after each batch. Returns the number of rows.
 ///
 /// # Errors
 /// [`StoreError::Refused`] when `from` is not the file of a hub of this version or `to` is not an empty PostgreSQL database;
@@ -65,13 +65,13 @@ pub async fn to_postgres(
     let source = super::blocking(move || {
         let mut source = Sqlite::open(&from, timeout_ms, Access::Write)
             .map_err(|error| refused(&from, &error.to_string()))?;
-        // Nothing is written to the file meanwhile.
+        // Locks the file against writers.
         source.begin()?;
         let identity = identity(&mut source).map_err(|error| refused(&from, &error.to_string()))?;
         Ok((source, identity))
     });
     let (source, identity) = source.await?;
-    // Makes the tables where there are none.
+    // Creates the tables if there are none.
     let store = Store::open(&opening).await?;
     let copied = super::blocking(move || {
         let mut target = store.connect(Access::Write, None)?;
@@ -128,7 +128,7 @@ fn copy(
             }
         })?;
         send(&mut batch)?;
-        // Ids that were given once are not given again, those of removed rows included.
+        // No id is given twice, also not that of a deleted row.
         let last = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
         if let Some(last) = source.number(&last, &[])?.filter(|last| *last > 0) {
             let values: [Value; 2] = [table.into(), last.into()];

@@ -1,4 +1,4 @@
-//! Orders, desired values and what became of them; rollouts and trials.
+//! Stores orders, desired settings and outcomes, and rollouts and trials.
 
 use super::row::{json_text, read, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
@@ -20,21 +20,21 @@ pub struct ChangeRow {
     pub revision: i64,
     /// When, milliseconds since the Unix epoch.
     pub at_ms: i64,
-    /// Who: the name of the token.
+    /// The name of the caller's token.
     pub who: String,
-    /// Why.
+    /// The reason.
     pub why: String,
-    /// `hand`, `rollout 3`, `trial 4`, `drift`.
+    /// Where it came from: `hand`, `rollout 3`, `trial 4`, `drift`.
     pub origin: String,
-    /// Who was selected; empty where a rollout or trial chose.
+    /// The selector; empty for a rollout or trial.
     #[serde(rename = "select")]
     pub selector: String,
-    /// What was ordered: a threshold, or a target (null switches it off).
+    /// The ordered setting: a threshold, or a target (null switches it off).
     #[serde(rename = "to", deserialize_with = "json_text::or_value")]
     pub setting: DesiredSetting,
 }
 
-/// What became of a change at one node.
+/// The outcome of a change at one node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ChangeNode {
     /// The number of the change.
@@ -44,16 +44,16 @@ pub struct ChangeNode {
     /// Its setting before, if that was known: a threshold or a target.
     #[serde(rename = "from", deserialize_with = "json_text::or_value")]
     pub setting_before: Option<DesiredSetting>,
-    /// What became of it.
+    /// The outcome.
     pub outcome: Outcome,
-    /// When that was known, milliseconds since the Unix epoch.
+    /// When the hub knew the outcome, milliseconds since the Unix epoch.
     pub at_ms: i64,
-    /// Why, where there is something to say.
+    /// The reason, if there is one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub detail: String,
 }
 
-/// What is desired of a node.
+/// The desired setting of a node.
 #[derive(Deserialize)]
 pub(crate) struct DesiredRow {
     pub(crate) node: String,
@@ -61,7 +61,7 @@ pub(crate) struct DesiredRow {
     pub(crate) value: DesiredValue,
 }
 
-/// Rollouts and trials, with their state beside the other columns.
+/// Reads rollouts and trials; their state is JSON in one column.
 fn kept_runs(rows: Vec<Row>) -> Result<Vec<KeptRun>, StoreError> {
     let kept = |mut row: Row| {
         if let Some(Value::String(state)) = row.remove("state") {
@@ -78,8 +78,8 @@ impl dyn Database + '_ {
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
-    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is greater than
-    /// any before, whatever hub gave it, and than `above`.
+    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is above
+    /// that of any hub before, and above `above`.
     pub(crate) fn order(
         &mut self,
         change: &ChangeRow,
@@ -121,7 +121,7 @@ impl dyn Database + '_ {
         Ok(revision)
     }
 
-    /// Takes a node off the list and drops what is desired of it; its clips and its history stay.
+    /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
     pub(crate) fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
         self.query(
             "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
@@ -136,7 +136,7 @@ impl dyn Database + '_ {
         Ok(())
     }
 
-    /// Stores what became of orders; an order that has ended meanwhile, as of a node that was forgotten, keeps its outcome.
+    /// Stores outcomes of orders. An order that has ended meanwhile, as by forgetting its node, keeps its outcome.
     pub(crate) fn outcomes(&mut self, nodes: &[ChangeNode]) -> Result<(), StoreError> {
         let row = |node: &ChangeNode| {
             json!({
@@ -180,7 +180,8 @@ impl dyn Database + '_ {
         Ok(id)
     }
 
-    /// Stores a rollout or trial if `driver` still drives it; with `until_ms` it does from now on, also one that had ended.
+    /// Stores a rollout or trial if `driver` still drives it. With `until_ms`, `driver` drives it from now on, also if it had
+    /// ended.
     pub(crate) fn save_run(
         &mut self,
         kept: &KeptRun,
@@ -203,7 +204,7 @@ impl dyn Database + '_ {
         Ok(())
     }
 
-    /// Takes the rollouts and trials whose driver did not renew its claim by `free_ms`, and renews those of `driver`.
+    /// Claims the rollouts and trials whose claims ended before `free_ms`, and renews the claims of `driver`.
     pub(crate) fn claim_runs(
         &mut self,
         driver: &str,
@@ -220,7 +221,7 @@ impl dyn Database + '_ {
 }
 
 impl Store {
-    /// Claims made before this time may be taken over at `now_ms`. A SQLite file has one hub: no other drives anything.
+    /// The `free_ms` of `claim_runs` at `now_ms`. A SQLite file has only one hub, which takes all.
     pub(crate) fn claims_free_before(&self, now_ms: i64) -> i64 {
         match self.0.kind {
             Kind::Sqlite => i64::MAX,
@@ -228,26 +229,26 @@ impl Store {
         }
     }
 
-    /// What is desired of nodes with higher revisions than `after`.
+    /// Desired settings with revisions above `after`.
     pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<DesiredRow>, StoreError> {
         let text = "SELECT * FROM desired WHERE revision > $1";
         read_all(self.query(text, vec![after.into()]).await?)
     }
 
-    /// What became of a change at each node.
+    /// The outcome of a change at each node.
     pub(crate) async fn change_nodes(&self, revision: i64) -> Result<Vec<ChangeNode>, StoreError> {
         let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o WHERE revision = $1 ORDER BY node";
         read_all(self.query(text, vec![revision.into()]).await?)
     }
 
-    /// Orders whose outcome is open at some nodes.
+    /// Orders to nodes whose outcome is open.
     pub(crate) async fn open_order_nodes(&self) -> Result<Vec<ChangeNode>, StoreError> {
         let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o \
                     WHERE outcome IN ('pending', 'waiting', 'timed_out')";
         read_all(self.query(text, Vec::new()).await?)
     }
 
-    /// The newest changes below revision `before`; those of one node only, if it is given.
+    /// The newest changes below revision `before`; only those of `node`, if it is given.
     pub(crate) async fn changes(
         &self,
         before: i64,
@@ -261,7 +262,7 @@ impl Store {
         read_all(self.query(text, values).await?)
     }
 
-    /// How many nodes have which outcome, by change, from revision `from` to `to`.
+    /// The number of nodes by outcome, for each change from revision `from` to `to`.
     pub(crate) async fn outcome_counts(
         &self,
         from: i64,
@@ -296,7 +297,7 @@ impl Store {
         kept_runs(self.query(text, values).await?)
     }
 
-    /// The rollouts and trials that have not ended, whichever hub drives them.
+    /// The rollouts and trials that have not ended, of all hubs.
     pub(crate) async fn open_runs(&self) -> Result<Vec<KeptRun>, StoreError> {
         let text = "SELECT * FROM runs WHERE ended_ms IS NULL";
         kept_runs(self.query(text, Vec::new()).await?)

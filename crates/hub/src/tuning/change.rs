@@ -1,4 +1,4 @@
-//! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
+//! Changes by hand: a threshold or a target for selected nodes, and the outcomes.
 
 use super::member::{Millis, Outcome};
 use super::selector::Selector;
@@ -11,19 +11,19 @@ use std::collections::{BTreeMap, HashSet};
 use tokio::time::{Instant, timeout_at};
 use utoipa::ToSchema;
 
-/// A setting for selected nodes: a threshold beside these fields under the policy's name for it, `"u": 5e-4`, or a target.
+/// A change of selected nodes. The threshold is a further field under the policy's name for it, `"u": 5e-4`, or a target.
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct NewChange {
-    /// Which nodes: names, globs, labels, `all`.
+    /// Selects the nodes: names, globs, labels, `all`.
     #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
     pub select: Selector,
-    /// Only say who would change.
+    /// Only report which nodes would change.
     #[serde(default)]
     pub dry_run: bool,
-    /// Why; kept in the history.
+    /// The reason, for the history.
     #[serde(default)]
     pub why: String,
-    /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+    /// Time to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
     #[serde(default)]
     pub wait_s: Option<f64>,
 }
@@ -34,9 +34,9 @@ pub struct Change {
     setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
-    /// What is known and not reported yet.
+    /// Outcomes that were not reported to the caller yet.
     pub(crate) lines: Vec<OutcomeLine>,
-    /// Nodes whose answer is awaited, with what they have.
+    /// Nodes whose answers are awaited, with their present settings.
     pub(crate) awaited: BTreeMap<String, Option<DesiredSetting>>,
 }
 
@@ -126,8 +126,8 @@ impl Tuner {
         Ok(change)
     }
 
-    /// Waits until nodes have an outcome that was not reported yet, or until the time is up, when all have one. Nothing when every
-    /// node was reported.
+    /// Waits for outcomes that were not returned yet; at `until` all other nodes get the outcome "pending". Returns nothing once
+    /// every node was returned.
     pub(crate) async fn outcomes(&self, change: &mut Change, until: Instant) -> Vec<OutcomeLine> {
         loop {
             let looked = self.looked.notified();
@@ -153,8 +153,8 @@ impl Tuner {
         }
     }
 
-    /// Whether the node has it, and nothing else is desired that would take it away. Where no target is wanted, a desired
-    /// threshold stays.
+    /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
+    /// any desired threshold.
     fn has_it(&self, node: &NodeSettings, setting: DesiredSetting) -> bool {
         let desired = self
             .desired_value(&node.name)
@@ -169,7 +169,7 @@ impl Tuner {
     }
 }
 
-/// Why the node cannot have that, according to its status.
+/// Why the node cannot have the setting, according to its status; `None` if it can.
 fn unable(node: &NodeSettings, setting: DesiredSetting) -> Option<String> {
     match setting {
         DesiredSetting::Threshold(wanted) => {

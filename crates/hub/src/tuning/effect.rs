@@ -1,21 +1,22 @@
-//! Estimates what a change did: nodes that got it beside nodes that did not, over the same hours.
+//! Estimates the effect of a change: compares nodes that got it with nodes that did not, over the same hours.
 //!
-//! Gates of rollouts and trials use this one estimator. It works in four steps.
+//! The gates of rollouts and the trials share this estimator. It works in four steps.
 //!
 //! 1. **One number per node.** A node's change is `ln(after / before)` of its mean over a window before and a window after, or
-//!    `after - before` for a figure that is a share. The logarithm matters: where a node's level varies by σ from hour to hour, the
-//!    mean of `after / before` is `exp(σ²)` without any effect, 17 % too much at σ = 0.4. The mean of the logarithm is 0. The
-//!    clips of a node never count one by one, because neighbouring clips show the same road.
-//! 2. **Less what happened anyway.** The same number is taken of nodes that were not asked yet, over the same hours. Their
-//!    typical change is subtracted, and with it rush hour, weather and season.
+//!    `after - before` for a figure that is a share. The logarithm matters: if a node's level varies by σ from hour to hour,
+//!    the mean of `after / before` is `exp(σ²)` without any effect, 17 % too much at σ = 0.4; the mean of the logarithm is 0.
+//!    The clips of a node are never counted as independent, because neighbouring clips show the same road.
+//! 2. **Minus the change of the others.** The same number is computed for nodes that were not asked yet, over the same hours,
+//!    and their typical change is subtracted. This removes rush hour, weather and season.
 //! 3. **Typical, not mean.** A node that reports nonsense must not decide. The typical change of a group is its mean without
-//!    the lowest and highest fifth. Its variance is the winsorised one (those fifths pulled in to their neighbours), after
-//!    Tukey and McLaughlin; the difference of two groups is judged by Yuen's t, degrees of freedom after Welch. With more
-//!    liars than the fifth holds the variance explodes and nothing is decided, which is the safe side.
-//! 4. **Nodes that fall silent** report nothing to step 1, so they are compared by themselves: how many of the nodes that were in
-//!    reach when they were asked are silent now, and how many of the others, by Fisher's exact test.
+//!    the lowest and highest fifth. Its variance is the winsorised one (those fifths moved to their neighbours), after
+//!    Tukey and McLaughlin; the difference of two groups is tested by Yuen's t with Welch's degrees of freedom. If more than a
+//!    fifth of the nodes lie, the variance grows and the verdict is undecided, which is the safe side.
+//! 4. **Nodes that fall silent** contribute nothing to step 1, so they are compared separately: Fisher's exact test compares
+//!    how many changed and how many unchanged nodes are silent, of those that were in reach when the change began.
 //!
-//! With fewer than [`FEWEST_NODES`] measured nodes in a group there is no estimate: the variance between nodes cannot be known.
+//! With fewer than [`FEWEST_NODES`] measured nodes in a group there is no estimate, because the variance between nodes is not
+//! known.
 
 use super::metric::{BeforeAfter, Figure};
 use serde::{Deserialize, Serialize};
@@ -28,7 +29,7 @@ pub(crate) const FEWEST_NODES: usize = 8;
 /// Share of a group's nodes that is left out at each end.
 const TRIMMED: f64 = 0.2;
 
-/// How the change of one node is taken.
+/// How the change of one node is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// `ln(after / before)`.
@@ -38,7 +39,7 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// The change of one node from its means; `None` where it is not defined.
+    /// The change of one node from its means; `None` if it is not defined.
     pub fn change(self, before: f64, after: f64) -> Option<f64> {
         let change = match self {
             Self::Relative if before > 0.0 && after > 0.0 => (after / before).ln(),
@@ -48,7 +49,7 @@ impl Scale {
         change.is_finite().then_some(change)
     }
 
-    /// An estimate on this scale as people read it: a share of the value before, or the figure's unit.
+    /// Converts an estimate to a share of the value before, or to the figure's unit.
     fn shown(self, change: f64) -> f64 {
         match self {
             Self::Relative => change.exp_m1(),
@@ -57,7 +58,7 @@ impl Scale {
     }
 }
 
-/// Where a change lies: a share of the value before, or in the figure's unit.
+/// The confidence interval of a change: a share of the value before, or in the figure's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Interval {
     /// The estimate.
@@ -68,7 +69,7 @@ pub struct Interval {
     pub upper: f64,
 }
 
-/// The typical change of one group over that of another.
+/// The difference between the typical changes of two groups.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effect {
     scale: Scale,
@@ -80,8 +81,7 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Compares the changes of nodes that got the new value with those of nodes that did not. `None` with fewer than
-    /// [`FEWEST_NODES`] in either group.
+    /// Compares the changes of two groups of nodes. `None` if either has fewer than [`FEWEST_NODES`].
     pub fn of(scale: Scale, changed: &[f64], unchanged: &[f64]) -> Option<Self> {
         let (a, b) = (Typical::of(changed)?, Typical::of(unchanged)?);
         let variance = a.variance + b.variance;
@@ -98,7 +98,7 @@ impl Effect {
         })
     }
 
-    /// The interval that leaves out the truth with a probability of `miss` on each side.
+    /// The interval that misses the true value with a probability of `miss` on each side.
     pub fn interval(&self, miss: f64) -> Interval {
         let t = StudentsT::new(0.0, 1.0, self.freedom)
             .map_or(f64::INFINITY, |t| t.inverse_cdf(1.0 - miss));
@@ -115,16 +115,16 @@ impl Effect {
     }
 }
 
-/// One figure of nodes that got the new value beside nodes that did not, over the same hours.
+/// One figure of changed nodes compared with unchanged ones, over the same hours.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Comparison {
-    /// Nodes that got it with enough clips before and after.
+    /// The number of changed nodes with enough clips before and after.
     pub(crate) nodes: usize,
-    /// Nodes that did not with enough clips over the same hours.
+    /// The number of unchanged nodes with enough clips over the same hours.
     pub(crate) compared: usize,
-    /// Mean over the nodes that got it, before and after.
+    /// Means over the changed nodes, before and after.
     pub(crate) means: Option<(f64, f64)>,
-    /// The change; absent with too few nodes.
+    /// The effect; `None` with too few nodes.
     pub(crate) effect: Option<Effect>,
 }
 
@@ -186,18 +186,18 @@ impl Typical {
     }
 }
 
-/// How many nodes of a group are silent, of those that were in reach when the change began.
+/// The silent nodes of a group, of those that were in reach when the change began.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Silence {
-    /// Nodes in reach at the beginning.
+    /// The number of nodes in reach at the beginning.
     pub(crate) nodes: u64,
-    /// Of these, silent now.
+    /// The number of these that are silent now.
     pub(crate) silent: u64,
 }
 
 impl Silence {
-    /// The probability that this many of this group are silent, or more, if the change has nothing to do with it: Fisher's
-    /// exact test, one side. 1 without nodes to compare with.
+    /// The probability that at least this many nodes of the group are silent by chance: Fisher's exact test, one-sided. It
+    /// is 1 without nodes to compare with.
     pub(crate) fn by_chance(self, others: Self) -> f64 {
         if self.silent == 0 || others.nodes == 0 {
             return 1.0;

@@ -1,8 +1,8 @@
-//! Bounds what a change may cost, and judges whether it did.
+//! Gates: bounds on what a change may cost, and their verdicts.
 //!
 //! A gate bounds the change of a metric: `joules<=+5%` (relative), `skip_rate>=-0.05` (absolute). The change is estimated as
-//! [`effect`](super::effect) describes. Its whole interval within the bound: passed. Its whole interval beyond the bound:
-//! failed. Otherwise undecided: more has to be measured.
+//! [`effect`](super::effect) describes. If its whole interval is within the bound, the gate passes; if it is beyond the
+//! bound, the gate fails; otherwise it is undecided, and more clips are needed.
 
 use super::effect::{Comparison, Effect, Interval, Scale};
 use super::metric::{BeforeAfter, Figure, Metric};
@@ -12,24 +12,23 @@ use std::fmt;
 use std::str::FromStr;
 use utoipa::ToSchema;
 
-/// The most that a change may cost in one metric.
+/// A bound on the change of one metric.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Gate {
-    /// What is bounded.
+    /// The metric.
     pub metric: Metric,
-    /// The bound on the change, as it is written: percent of the value before when relative, else in the metric's unit.
+    /// The bound as written: percent of the value before if relative, else in the metric's unit.
     pub number: f64,
-    /// Whether the change is taken relative to the value before.
+    /// True if the bound is relative to the value before.
     pub relative: bool,
-    /// Whether the gate holds only where the metric is measured. Without it, a metric that no node reports leaves the gate
-    /// undecided.
+    /// True if the gate passes when no node reports the metric; otherwise it is undecided then.
     pub where_measured: bool,
 }
 
 impl Gate {
-    /// The gates of a rollout that names none: the skip rate may fall by 0.05, a clip may cost 5 % more energy, the latency's 99th
-    /// percentile may rise by 10 %, the share of degraded frames by 0.01.
+    /// The default gates: the skip rate may fall by 0.05, the energy of a clip may rise by 5 %, the 99th percentile of the
+    /// latency by 10 %, the share of degraded frames by 0.01.
     pub fn defaults() -> Vec<Self> {
         let gate = |metric, number, relative, where_measured| Self {
             metric,
@@ -45,7 +44,7 @@ impl Gate {
         ]
     }
 
-    /// The bound on the change: a share of the value before when relative, else in the metric's unit.
+    /// The bound: a share of the value before if relative, else in the metric's unit.
     fn bound(&self) -> f64 {
         match self.relative {
             true => self.number / 100.0,
@@ -60,7 +59,7 @@ impl FromStr for Gate {
     fn from_str(text: &str) -> Result<Self, String> {
         let fault = |reason: String| {
             format!(
-                "`{text}` is no gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`"
+                "`{text}` is not a gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`"
             )
         };
         let (rest, where_measured) = match text.trim().strip_suffix('?') {
@@ -89,7 +88,7 @@ impl FromStr for Gate {
             .parse()
             .ok()
             .filter(|number: &f64| number.is_finite());
-        let number = number.ok_or_else(|| fault(format!("`{bound}` is no number")))?;
+        let number = number.ok_or_else(|| fault(format!("`{bound}` is not a number")))?;
         Ok(Self {
             metric,
             number,
@@ -111,13 +110,13 @@ impl fmt::Display for Gate {
 as_text!(Gate);
 
 named! {
-    /// What a gate or a stage came to.
+    /// The verdict of a gate or a stage.
     pub enum Verdict {
         /// The change is within the bound.
         Passed = "passed",
         /// The change is beyond the bound.
         Failed = "failed",
-        /// What was measured leaves both possible.
+        /// The interval contains the bound.
         Undecided = "undecided",
         /// Too few nodes were measured to estimate the change.
         NotMeasured = "not_measured",
@@ -132,21 +131,21 @@ pub struct GateResult {
     pub gate: Gate,
     /// The figure; absent when no node reports the metric.
     pub figure: Option<Figure>,
-    /// Changed nodes with enough clips before and after.
+    /// The number of changed nodes with enough clips before and after.
     pub nodes: usize,
-    /// Nodes not changed yet with enough clips over the same hours.
+    /// The number of unchanged nodes with enough clips over the same hours.
     pub compared: usize,
-    /// Mean over the changed nodes before; absent without any.
+    /// Mean over the changed nodes before; absent if there are none.
     pub before: Option<f64>,
-    /// Mean over the changed nodes after; absent without any.
+    /// Mean over the changed nodes after; absent if there are none.
     pub after: Option<f64>,
-    /// The change beyond that of the other nodes: a share of the value before when the gate is relative.
+    /// The change beyond that of the unchanged nodes: a share of the value before if the gate is relative.
     pub change: Option<Interval>,
     /// The verdict.
     pub verdict: Verdict,
 }
 
-/// How often one look at one figure may be wrong.
+/// The probabilities that one look at one figure is wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorRates {
     /// Probability of a failure without cause.
@@ -155,8 +154,8 @@ pub struct ErrorRates {
     pub pass: f64,
 }
 
-/// Judges every gate on every figure it has: nodes that got the new value beside nodes that did not, each with at least
-/// `fewest_clips` before and after.
+/// Judges every gate on each of its figures: compares changed with unchanged nodes, each with at least `fewest_clips` before
+/// and after.
 pub(crate) fn judge(
     gates: &[Gate],
     changed: &[&BeforeAfter],
@@ -210,7 +209,7 @@ pub(crate) fn judge(
     results
 }
 
-/// All gates together: one failed is failed, one undecided is undecided, one not measured is not measured.
+/// The verdict of all gates together: the worst one, in the order failed, undecided, not measured, passed.
 pub(crate) fn overall(results: &[GateResult]) -> Verdict {
     [Verdict::Failed, Verdict::Undecided, Verdict::NotMeasured]
         .into_iter()

@@ -1,4 +1,4 @@
-//! Follows what nodes were asked for: what each is to have, and what became of it.
+//! The nodes of a rollout or trial: what each is asked for, and the outcome.
 
 use crate::named::named;
 use crate::presence::NodeSettings;
@@ -13,35 +13,35 @@ use utoipa::ToSchema;
 pub(crate) type Millis = i64;
 
 named! {
-    /// What became of a setting at a node.
+    /// The outcome of an order at a node.
     pub enum Outcome {
         /// Nothing was asked of it.
         Untouched = "untouched",
-        /// Asked; it has not answered yet.
+        /// It was asked and has not answered yet.
         Pending = "pending",
-        /// It is out of reach; it will find the setting when it returns.
+        /// It is out of reach; it gets the setting when it returns.
         Waiting = "waiting",
         /// It reported the setting.
         Applied = "applied",
-        /// It reported that it does not take the setting.
+        /// It refused the setting.
         Refused = "refused",
-        /// It is in reach and did not report the setting in time; it may still.
+        /// It is in reach and did not report the setting in time; it still may.
         TimedOut = "timed_out",
-        /// It was forgotten, or stayed out of reach until a rollout's deadline; the setting was withdrawn.
+        /// It was forgotten, or stayed out of reach until a rollout's deadline; the order was withdrawn.
         Missed = "missed",
-        /// Something newer was asked of it before it answered.
+        /// A newer order replaced this one before it answered.
         Superseded = "superseded",
         /// It has the setting already.
         Unchanged = "unchanged",
-        /// It would be asked, if this were no dry run.
+        /// It would be asked without `dry_run`.
         WouldChange = "would_change",
     }
 }
 
-/// How many nodes have which outcome.
+/// The number of nodes by outcome.
 pub(crate) type Counts = BTreeMap<Outcome, usize>;
 
-/// Counts nodes by their outcome; those that nothing was asked of are left out.
+/// Counts nodes by outcome, without those that were asked nothing.
 pub(crate) fn counts(outcomes: impl IntoIterator<Item = Outcome>) -> Counts {
     let mut counts = Counts::new();
     for outcome in outcomes {
@@ -52,24 +52,24 @@ pub(crate) fn counts(outcomes: impl IntoIterator<Item = Outcome>) -> Counts {
     counts
 }
 
-/// What is known of a setting that a node was asked for.
+/// An order to one node, and its outcome.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Ask {
     /// Its revision.
     pub revision: u64,
-    /// When the node was asked; one that was away has its time again from its return.
+    /// When the node was asked; for a node that was out of reach, when it returned.
     pub asked_ms: Millis,
-    /// What became of it.
+    /// The outcome.
     pub outcome: Outcome,
-    /// When the hub heard that it is applied; 0 before.
+    /// When the node reported the setting; 0 before.
     pub at_ms: Millis,
-    /// Why the node refuses it.
+    /// Why the node refused it.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
 }
 
 impl Ask {
-    /// Asked at that time, with that revision.
+    /// An order of `asked_ms`, with that revision.
     pub(crate) const fn new(revision: u64, asked_ms: Millis, outcome: Outcome) -> Self {
         Self {
             revision,
@@ -80,7 +80,7 @@ impl Ask {
         }
     }
 
-    /// Takes in what is known of the node that was asked for `wanted`. Returns whether the outcome changed.
+    /// Updates the outcome of an order for `wanted` by the node's state. Returns true if it changed.
     pub(crate) fn observe(
         &mut self,
         node: &NodeSettings,
@@ -93,7 +93,7 @@ impl Ask {
             return false;
         }
         let has_it = node.revision >= self.revision && node.has(wanted);
-        // A program without targets takes the revision and ignores the target.
+        // A node whose policy has no targets takes the revision and ignores the target.
         let unable = match wanted {
             DesiredSetting::Target(Some(_)) if node.reachable => node.cannot_hold(),
             _ => None,
@@ -132,21 +132,21 @@ pub struct Member {
     pub group: usize,
     /// Its value at the beginning.
     pub before: Threshold,
-    /// What it is to have; absent where nothing is asked of it.
+    /// The value that it should have; absent if nothing is asked of it.
     pub wanted: Option<Threshold>,
-    /// What it was asked for last.
+    /// The value of the last order.
     pub asked: Option<Threshold>,
-    /// What became of that.
+    /// The last order.
     #[serde(flatten)]
     pub ask: Ask,
-    /// Whether it is in reach.
+    /// True if it is in reach.
     pub reachable: bool,
-    /// Whether it was in reach when the stage that is measured began.
+    /// True if it was in reach when the present stage began.
     pub was_reachable: bool,
 }
 
 impl Member {
-    /// A node that nothing is asked of.
+    /// A node that is asked nothing.
     pub(crate) const fn new(node: String, before: Threshold, reachable: bool) -> Self {
         Self {
             node,
@@ -160,14 +160,14 @@ impl Member {
         }
     }
 
-    /// It is to have that value.
+    /// Sets the value that it should have.
     pub(crate) fn want(&mut self, value: Threshold) {
         self.wanted = Some(value);
-        // Open until it is asked, so that nothing is over before it has begun.
+        // Pending until it is asked, so that a phase cannot end before it has begun.
         self.ask.outcome = Outcome::Pending;
     }
 
-    /// It is to have its value before again. One that was never asked for anything has nothing to go back from.
+    /// Returns it to its value before. A node that was never asked keeps what it has.
     pub(crate) fn give_back(&mut self) {
         if self.asked.is_some() {
             self.wanted = Some(self.before);
@@ -176,22 +176,22 @@ impl Member {
         }
     }
 
-    /// Nothing is asked of it any more.
+    /// Asks nothing of it any more.
     pub(crate) fn leave(&mut self) {
         (self.wanted, self.asked) = (None, None);
         self.ask.outcome = Outcome::Untouched;
     }
 
-    /// What it has to be asked for, and whether that is its old value.
+    /// The value that it has to be asked for, if any, and true if that is its old value.
     pub(crate) fn due(&self) -> Option<(Threshold, bool)> {
         let wanted = self.wanted.filter(|_| self.wanted != self.asked)?;
         Some((wanted, self.asked.is_some() && wanted == self.before))
     }
 
-    /// Notes that it was asked for what it is to have.
+    /// Notes that it was asked.
     pub(crate) fn asked(&mut self, revision: u64, now: Millis) {
         self.asked = self.wanted;
-        // A node whose value was withdrawn stays named as one that missed it.
+        // A node that missed its order stays listed as such.
         let outcome = match self.ask.outcome {
             Outcome::Missed => Outcome::Missed,
             _ => Outcome::Pending,
@@ -199,7 +199,7 @@ impl Member {
         self.ask = Ask::new(revision, now, outcome);
     }
 
-    /// Takes in what is known of the node. Returns whether the outcome changed.
+    /// Updates the outcome by the node's state. Returns true if it changed.
     pub(crate) fn observe(
         &mut self,
         node: &NodeSettings,
@@ -215,23 +215,23 @@ impl Member {
         }
     }
 
-    /// When it reported the value that it was asked for.
+    /// When it reported the value, if it did.
     pub(crate) fn applied_ms(&self) -> Option<Millis> {
         (self.ask.outcome == Outcome::Applied).then_some(self.ask.at_ms)
     }
 
-    /// Whether it was asked for everything and answered, or is out of reach.
+    /// True if it was asked, and has answered or is out of reach.
     pub(crate) fn is_settled(&self) -> bool {
         self.due().is_none() && self.ask.outcome != Outcome::Pending
     }
 }
 
-/// Nodes to ask for a value.
+/// An order that is due: nodes to ask for a value.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Order {
     /// The value.
     pub(crate) knob: Threshold,
-    /// Whether it is the old value that returns.
+    /// True if it returns the old value.
     pub(crate) is_return: bool,
     /// The nodes.
     pub(crate) nodes: Vec<String>,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 named! {
-    /// What a person asks about.
+    /// What a gate bounds.
     pub enum Metric {
         /// Share of a clip's frames that skipped the detector.
         SkipRate = "skip_rate",
@@ -26,7 +26,7 @@ named! {
 }
 
 impl Metric {
-    /// Whether more of it is worse.
+    /// True if a higher value is worse.
     pub(crate) const fn more_is_worse(self) -> bool {
         !matches!(self, Self::SkipRate | Self::Recall | Self::Precision)
     }
@@ -36,14 +36,14 @@ impl Metric {
         if self.more_is_worse() { "<=" } else { ">=" }
     }
 
-    /// What is compared: the figures whose names begin with its own. Measured and estimated energy are two.
+    /// The figures that are compared, whose names begin with its own. Measured and estimated energy are separate figures.
     pub(crate) fn figures(self) -> impl Iterator<Item = Figure> {
         (Figure::ALL.into_iter()).filter(move |figure| figure.name().starts_with(self.name()))
     }
 }
 
 named! {
-    /// One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
+    /// A number that clips have. Energy that was metered over only a part of the clip is in no figure.
     pub enum Figure {
         /// Share of frames that skipped the detector.
         SkipRate = "skip_rate",
@@ -67,7 +67,7 @@ named! {
 }
 
 impl Figure {
-    /// How a node's change is taken: shares by their difference, all else by its ratio.
+    /// How a node's change is measured: as a difference for shares, else as a ratio.
     pub const fn scale(self) -> Scale {
         match self {
             Self::SkipRate | Self::Degraded | Self::Recall | Self::Precision => Scale::Absolute,
@@ -86,32 +86,32 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// The mean, with at least `fewest` clips.
+    /// The mean, if there are at least `fewest` clips.
     pub(crate) fn of_at_least(self, fewest: u64) -> Option<f64> {
         (self.clips >= fewest.max(1)).then(|| self.sum / self.clips as f64)
     }
 }
 
-/// A node's clips over a window: each figure over the clips that have it.
+/// The figures of a node's clips in a window, each over the clips that have it.
 pub type Figures = BTreeMap<Figure, Mean>;
 
-/// A node's clips before a change and after it. For a node that was not asked to change, the same two times.
+/// A node's figures before and after a change; of a node that did not change, in the same two windows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BeforeAfter {
-    /// Over the baseline before the change.
+    /// In the baseline before the change.
     pub before: Figures,
     /// Since the change.
     pub after: Figures,
 }
 
 impl BeforeAfter {
-    /// The means of `figure` before and after, with at least `fewest` clips in both.
+    /// The means of `figure` before and after, if both windows have at least `fewest` clips.
     pub(crate) fn means(&self, figure: Figure, fewest: u64) -> Option<(f64, f64)> {
         let mean = |figures: &Figures| figures.get(&figure)?.of_at_least(fewest);
         Some((mean(&self.before)?, mean(&self.after)?))
     }
 
-    /// Whether the node made clips before and none since.
+    /// True if the node made clips before the change and none since.
     pub(crate) fn fell_silent(&self) -> bool {
         let clips = |figures: &Figures| figures.values().map(|mean| mean.clips).max();
         clips(&self.before) > Some(0) && clips(&self.after).unwrap_or(0) == 0

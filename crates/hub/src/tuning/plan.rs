@@ -11,20 +11,20 @@ use std::str::FromStr;
 use utoipa::ToSchema;
 
 const DAY_S: f64 = 86_400.0;
-/// Longest of the times in a plan, seconds.
+/// The longest time in a plan, seconds.
 const LONGEST_S: f64 = 90.0 * DAY_S;
 /// Most stages, and most values of a trial.
 const MOST: usize = 20;
 /// Longest reason, bytes.
 const LONGEST_WHY: usize = 500;
 
-/// How many nodes have the new value once a stage has begun: a number, or a share of all, rounded up.
+/// The number of nodes that have the new value once a stage has begun: a number, or a share of all, rounded up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum StageSize {
-    /// That many.
+    /// A number of nodes.
     Nodes(usize),
-    /// That share of all, above 0 and at most 1.
+    /// A share of all nodes, above 0 and at most 1.
     Share(f64),
 }
 
@@ -33,7 +33,7 @@ impl StageSize {
     pub fn of(self, all: usize) -> usize {
         let wanted = match self {
             Self::Nodes(nodes) => nodes,
-            // A little less, so that 10 % of 30 is three and not, by the product's last digit, four.
+            // A little less, so that a rounding error does not make 10 % of 30 four nodes.
             Self::Share(share) => (share * all as f64 - 1e-9).ceil() as usize,
         };
         wanted.clamp(1, all.max(1))
@@ -53,7 +53,7 @@ impl FromStr for StageSize {
                 .filter(|nodes| *nodes > 0)
                 .map(Self::Nodes),
             Some(percent) => {
-                // As many digits as are written of it.
+                // Rounded to the digits that `Display` writes.
                 let percent = percent.trim().parse::<f64>().ok();
                 let percent = percent.map(|percent| (percent * 1e4).round() / 1e4);
                 (percent.filter(|percent| *percent > 0.0 && *percent <= 100.0))
@@ -61,7 +61,7 @@ impl FromStr for StageSize {
             }
         };
         size.ok_or_else(|| {
-            format!("stages: `{text}` is no size of a stage; write `1`, `10%` or `all`")
+            format!("stages: `{text}` is not the size of a stage; write `1`, `10%` or `all`")
         })
     }
 }
@@ -77,37 +77,37 @@ impl fmt::Display for StageSize {
 
 as_text!(StageSize);
 
-/// What happens when a gate fails.
+/// What a rollout does when a gate fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFailure {
     /// Every node of the rollout gets its old value back.
     #[default]
     Return,
-    /// Nothing changes until a person decides, or the plan's `held_for_s` is over.
+    /// It waits until a person decides, or the plan's `held_for_s` is over.
     Hold,
 }
 
-/// What the plans of rollouts and trials have in common.
+/// The fields that the plans of rollouts and trials share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct Basics {
-    /// Which nodes.
+    /// Selects the nodes.
     #[schema(value_type = Vec<String>)]
     pub select: Selector,
-    /// How far back the measurements before the change go, seconds.
+    /// The length of the baseline before the change, seconds.
     pub baseline_s: f64,
-    /// How long a node in reach may take to report the value, seconds.
+    /// Time that a reachable node has to report the value, seconds.
     pub apply_within_s: f64,
-    /// Fewest clips of a node before and after; those with fewer are left out.
+    /// Fewest clips of a node before and after; nodes with fewer are left out.
     pub fewest_clips: u64,
-    /// How sure verdicts are. With 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
-    /// and looks together, and at most one of twenty changes beyond a bound passes its stage. Of a trial it is the probability
-    /// that all intervals hold the truth together.
+    /// The confidence of verdicts. With 0.95, at most one of twenty rollouts without any effect fails, over all gates, stages
+    /// and looks together, and at most one of twenty changes beyond a bound passes its stage. For a trial it is the
+    /// probability that all intervals together contain the true values.
     pub confidence: f64,
-    /// Draws the order of the nodes, or the groups; chosen by the hub when it is not given.
+    /// The seed that draws the order of the nodes, or the groups; by default the hub chooses one.
     pub seed: Option<u64>,
-    /// Why.
+    /// The reason, for the history.
     pub why: String,
 }
 
@@ -115,7 +115,7 @@ impl Default for Basics {
     fn default() -> Self {
         Self {
             select: Selector::default(),
-            // Nodes vary from hour to hour; a week covers that.
+            // A node's figures vary over the day and the week.
             baseline_s: 7.0 * DAY_S,
             apply_within_s: 120.0,
             fewest_clips: 5,
@@ -130,27 +130,27 @@ impl Default for Basics {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct RolloutPlan {
-    /// What a trial has too.
+    /// The fields that a trial has too.
     #[serde(flatten)]
     pub basics: Basics,
-    /// How many nodes have the new value in each stage, all stages before included. Where the last leaves some out, they keep
-    /// the old value, and the last stage is measured against them.
+    /// The number of nodes that have the new value in each stage, earlier stages included. Nodes that the last stage leaves
+    /// out keep the old value, and the last stage is compared with them.
     #[schema(value_type = Vec<String>)]
     pub stages: Vec<StageSize>,
-    /// How long a stage is held before its gates are judged, seconds.
+    /// Time that a stage soaks before its gates are judged, seconds.
     pub soak_s: f64,
-    /// How much longer a stage is held when its gates could not be judged at the end of the soak, seconds.
+    /// Further time that a stage soaks if its gates are undecided at the end of the soak, seconds.
     pub patience_s: f64,
-    /// What the change may cost.
+    /// The gates: what the change may cost.
     #[schema(value_type = Vec<String>)]
     pub gates: Vec<Gate>,
-    /// What happens when a gate fails.
+    /// What a rollout does when a gate fails.
     pub on_failure: OnFailure,
     /// How long the rollout is held for a person to decide before the old value returns, seconds.
     pub held_for_s: f64,
-    /// Share of a stage's nodes in reach that must have reported the value; with fewer the stage has failed.
+    /// Share of a stage's reachable nodes that must report the value; with fewer the stage fails.
     pub fewest_applied: f64,
-    /// How long a node out of reach may stay away, seconds; then its value is withdrawn and it is named.
+    /// Time that a node may stay out of reach, seconds; then its order is withdrawn, and the record names it.
     pub offline_deadline_s: f64,
 }
 
@@ -160,7 +160,7 @@ impl Default for RolloutPlan {
         Self {
             basics: Basics::default(),
             stages: vec![Nodes(1), Share(0.1), Share(0.5), Share(1.0)],
-            // A day has enough different hours to see a change.
+            // A day covers all hours.
             soak_s: DAY_S,
             patience_s: 2.0 * DAY_S,
             gates: Gate::defaults(),
@@ -176,12 +176,12 @@ impl Default for RolloutPlan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct TrialPlan {
-    /// What a rollout has too.
+    /// The fields that a rollout has too.
     #[serde(flatten)]
     pub basics: Basics,
     /// The values, two or more of one threshold; each is compared with the first.
     pub values: Vec<Threshold>,
-    /// How long the values hold once the nodes have reported them, seconds.
+    /// Time that the nodes keep the values once they have reported them, seconds.
     pub duration_s: f64,
 }
 
@@ -195,7 +195,7 @@ impl Default for TrialPlan {
     }
 }
 
-/// Whether `value` lies in `range`; written so that NaN does not.
+/// Checks that `value` is in `range`, which NaN never is.
 fn check<T: PartialOrd + fmt::Display>(
     field: &'static str,
     value: T,
@@ -220,7 +220,7 @@ impl Basics {
     }
 }
 
-/// Whether a reason can be kept.
+/// Checks the length of a reason.
 pub(crate) fn check_why(why: &str) -> Result<(), String> {
     match why.len() {
         0..=LONGEST_WHY => Ok(()),
@@ -229,10 +229,10 @@ pub(crate) fn check_why(why: &str) -> Result<(), String> {
 }
 
 impl RolloutPlan {
-    /// Whether it can be followed.
+    /// Checks the plan.
     ///
     /// # Errors
-    /// The first field that makes no sense.
+    /// The first invalid field.
     pub fn check(&self) -> Result<(), String> {
         check("soak_s", self.soak_s, 1.0..=LONGEST_S)?;
         check("patience_s", self.patience_s, 0.0..=LONGEST_S)?;
@@ -246,8 +246,8 @@ impl RolloutPlan {
         self.basics.check()
     }
 
-    /// How many of `all` nodes have the new value once each stage has begun. A stage that has none new, in a small fleet, is left
-    /// out.
+    /// The number of `all` nodes that have the new value once each stage has begun. A stage that adds no node, as in a small
+    /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {
         let mut ends: Vec<usize> = Vec::new();
         for end in self.stages.iter().map(|size| size.of(all)) {
@@ -260,7 +260,7 @@ impl RolloutPlan {
 }
 
 impl TrialPlan {
-    /// Whether it can be followed.
+    /// Checks the plan.
     pub(crate) fn check(&self) -> Result<(), String> {
         if !(2..=MOST).contains(&self.values.len()) {
             return Err(format!("values: must be from 2 to {MOST} values"));

@@ -1,9 +1,8 @@
-//! Gives values to nodes and measures what they do: a rollout to more and more nodes, a trial to random groups over the same time.
+//! A rollout, which gives a value to more and more nodes, or a trial, which gives values to random groups at the same time.
 //!
-//! A state machine without clock, network or database. The caller passes in what it knows of nodes ([`Run::observe`]), the time
-//! ([`Run::tick`]), the measurements it was asked for ([`Run::measured`]) and people's commands ([`Run::command`]), and reads
-//! off which nodes must be asked for which value ([`Run::due`]). The whole state is serialised; a run read from the database
-//! continues where it was.
+//! It is a state machine without clock, network or database. The caller passes in the nodes' states ([`Run::observe`]), the
+//! time ([`Run::tick`]), measurements that were requested ([`Run::measured`]) and commands ([`Run::command`]), and gets the
+//! orders that are due ([`Run::due`]). The whole state is serialised; a run that is read from the database continues.
 
 mod measured;
 mod record;
@@ -25,47 +24,47 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use utoipa::ToSchema;
 
-/// How often at most a stage's gates are judged: half-way (only a failure counts), at the end of the soak, at the
-/// end of the patience.
+/// How often a stage's gates are judged at most: half-way (when they can only fail), at the end of the soak, and at the end
+/// of the patience.
 const LOOKS: u8 = 3;
-/// Attempts to measure before a rollout is held and a trial ends without a result.
+/// Failed measurements after which a rollout is held, and a trial ends without a result.
 const ATTEMPTS: u8 = 20;
-/// Most entries of a record; the oldest beyond are left out.
+/// Most entries of a record; older ones are dropped.
 const MOST_ENTRIES: usize = 500;
 
 named! {
-    /// Where a rollout or a trial is.
+    /// The phase of a rollout or a trial.
     pub enum Phase {
-        /// Its nodes, or those of the stage, were asked for the new value; their reports are awaited.
+        /// Its nodes, or those of the stage, were asked for the new value; it waits for their reports.
         Applying = "applying",
-        /// The stage's nodes have the new value; measuring.
+        /// The stage's nodes have the new value, and are measured.
         Soaking = "soaking",
-        /// Every node of a trial has its value; measuring.
+        /// Every node of a trial has its value, and is measured.
         Running = "running",
-        /// Held for a person to decide; after the plan's `held_for_s` the old value returns.
+        /// It waits for a person to decide; after the plan's `held_for_s` the old value returns.
         Held = "held",
-        /// All stages have passed; nodes out of reach are awaited until their deadline.
+        /// All stages have passed; it waits for nodes out of reach until their deadline.
         Finishing = "finishing",
-        /// All nodes are getting their old values back.
+        /// All nodes get their old values back.
         Returning = "returning",
         /// Every stage has passed, or the trial is over.
         Done = "done",
-        /// Every node in reach has its old value back; the others find it when they return.
+        /// Every node in reach has its old value back; the others get it when they return.
         Returned = "returned",
-        /// Ended by hand, values as they were.
+        /// A person ended it; every node kept its value.
         Stopped = "stopped",
     }
 }
 
 impl Phase {
-    /// Whether it is over: only a return is still possible.
+    /// True if it is over: only a return is still possible.
     const fn has_ended(self) -> bool {
         matches!(self, Self::Done | Self::Returned | Self::Stopped)
     }
 }
 
 named! {
-    /// What a person may ask of a rollout.
+    /// A command to a rollout.
     pub enum Command {
         /// Its time stops.
         Pause = "pause",
@@ -80,7 +79,7 @@ named! {
     }
 }
 
-/// Clips to measure: those that a node made with this value in force and that were received in this span.
+/// Clips to measure: those of a node with this value in force that were received in this time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Window {
     pub(crate) node: String,
@@ -104,7 +103,7 @@ impl Window {
     }
 }
 
-/// What was measured, by node.
+/// Measurements, by node.
 pub(crate) type Measured = HashMap<String, BeforeAfter>;
 
 /// A rollout or a trial, with its plan.
@@ -115,12 +114,12 @@ pub enum Kind {
     Rollout {
         /// The new value.
         to: Threshold,
-        /// How.
+        /// The plan.
         plan: RolloutPlan,
     },
     /// A comparison of values on random groups.
     Trial {
-        /// How.
+        /// The plan.
         plan: TrialPlan,
     },
 }
@@ -134,7 +133,7 @@ impl Kind {
         }
     }
 
-    /// What both have in their plans.
+    /// The fields that both plans have.
     pub const fn basics(&self) -> &Basics {
         match self {
             Self::Rollout { plan, .. } => &plan.basics,
@@ -142,7 +141,7 @@ impl Kind {
         }
     }
 
-    /// The values that nodes get.
+    /// The values that the nodes get.
     pub(crate) fn values(&self) -> &[Threshold] {
         match self {
             Self::Rollout { to, .. } => std::slice::from_ref(to),
@@ -150,7 +149,7 @@ impl Kind {
         }
     }
 
-    /// Whether its plan can be followed.
+    /// Checks the plan.
     pub(crate) fn check(&self) -> Result<(), String> {
         match self {
             Self::Rollout { plan, .. } => plan.check(),
@@ -159,57 +158,57 @@ impl Kind {
     }
 }
 
-/// A rollout or a trial: its plan, its nodes, where it is, and its record.
+/// A rollout or a trial: its plan, nodes, phase and record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Run {
-    /// What it is, and how.
+    /// Its kind and plan.
     #[serde(flatten)]
     pub kind: Kind,
     /// The seed that drew the order of the nodes, or the groups.
     pub seed: u64,
-    /// Where it is.
+    /// Its phase.
     pub phase: Phase,
-    /// Since when.
+    /// When the phase began.
     pub since_ms: Millis,
-    /// How often the gates of this stage were judged.
+    /// How often this stage's gates were judged.
     #[serde(default)]
     pub looks: u8,
-    /// Why it is held, or why the old values return or have returned.
+    /// Why it is held, or why the old values return.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
     /// The stage it is in, from 1.
     pub stage: usize,
-    /// How often this stage was soaked: once, and once more each time a person resumed it after a hold.
+    /// How often this stage has soaked: once, and once more after each resumed hold.
     pub soaks: u8,
-    /// Since when it is paused.
+    /// When it was paused; absent unless it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused_ms: Option<Millis>,
     /// Who ended a trial before its time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ended_by: Option<String>,
-    /// What a trial measured, once it is over; absent when it could not be measured.
+    /// The result of a trial, once it is over; absent if it could not be measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub result: Option<TrialResult>,
-    /// What happened, oldest first; absent in a list.
+    /// Its record, oldest entry first; absent in a list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub record: Vec<Entry>,
     /// Its nodes, in the order of their stages; absent in a list.
     #[serde(rename = "nodes", default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<Member>,
-    /// Attempts to measure that failed since the last that did not.
+    /// Failed measurements in a row.
     #[serde(skip)]
     failed_attempts: u8,
-    /// Whether it changed since it was saved.
+    /// True if it changed since it was saved.
     #[serde(skip)]
     pub(crate) unsaved: bool,
 }
 
 impl Run {
-    /// Begins on `nodes`, in the order that the seed draws: a rollout with those in reach first, a trial with those in reach
-    /// only, since the others would not be measured.
+    /// Begins with `nodes`, in the order that the seed draws: a rollout with the reachable ones first, a trial only with
+    /// those, since the others would not be measured.
     ///
     /// # Errors
-    /// When the plan makes no sense, or there are too few nodes.
+    /// When the plan is invalid, or there are too few nodes.
     pub(crate) fn begin(
         kind: Kind,
         mut nodes: Vec<Member>,
@@ -230,7 +229,7 @@ impl Run {
                 }
                 let ends = plan.stage_ends(members.len());
                 for (place, member) in members.iter_mut().enumerate() {
-                    // Nodes that no stage includes keep the old value: their group is one more than the last stage.
+                    // Nodes in no stage keep the old value; their group is one more than the last stage.
                     member.group = ends.iter().filter(|end| **end <= place).count();
                 }
             }
@@ -268,16 +267,16 @@ impl Run {
         Ok(run)
     }
 
-    /// The nodes that have to be asked, by value. Once the request is in the database, [`Run::asked`] notes it.
+    /// The orders that are due. The caller calls [`Run::asked`] once an order is in the database.
     pub(crate) fn due(&self) -> Vec<Order> {
-        // At its end there may be some too: nodes that missed their deadline get the old value.
+        // Also after its end: nodes that missed their deadline get the old value.
         if self.paused_ms.is_some() || self.phase == Phase::Stopped {
             return Vec::new();
         }
         member::due(&self.members)
     }
 
-    /// Notes that the nodes of `order` were asked, with that revision.
+    /// Notes that `order` was given, with that revision.
     pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         self.unsaved = true;
         for member in &mut self.members {
@@ -287,12 +286,12 @@ impl Run {
         }
     }
 
-    /// Whether nothing is left to do.
+    /// True if nothing is left to do.
     pub(crate) fn has_ended(&self) -> bool {
         self.phase.has_ended() && self.due().is_empty()
     }
 
-    /// How many stages or groups it has.
+    /// The number of its stages or groups.
     pub(crate) fn stages(&self) -> usize {
         match &self.kind {
             Kind::Rollout { plan, .. } => plan.stage_ends(self.members.len()).len(),
@@ -300,9 +299,9 @@ impl Run {
         }
     }
 
-    /// Takes in what is known of nodes.
+    /// Updates the members by the states of their nodes.
     pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeSettings>) {
-        // Time stops in a pause: what nodes report meanwhile is taken as of then.
+        // Time stops in a pause: later reports count as of its beginning.
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();
         for member in &mut self.members {
@@ -312,7 +311,7 @@ impl Run {
         }
     }
 
-    /// Lets time pass. Returns what has to be measured, before and after, if something has.
+    /// Lets time pass. Returns the windows to measure, before and after, if it is time.
     pub(crate) fn tick(&mut self, now: Millis) -> Option<Vec<[Window; 2]>> {
         if self.paused_ms.is_some() || self.phase.has_ended() {
             return None;
@@ -326,7 +325,7 @@ impl Run {
                 return Some(self.windows(now));
             }
             Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, now),
-            // A node that comes and goes must not keep the return open forever.
+            // A node that comes and goes must not keep the return open for ever.
             Phase::Returning if all(Member::is_settled) || waited >= self.lasts() => {
                 self.end(
                     match self.kind {
@@ -364,7 +363,7 @@ impl Run {
         let stage = self.stage;
         if let Kind::Rollout { plan, .. } = &self.kind {
             if applied == 0 && failed == 0 {
-                // Nobody is there to measure.
+                // There is no node to measure.
                 if waited >= milliseconds(plan.offline_deadline_s) {
                     self.hold(format!("no node of stage {stage} came back in time"), now);
                 }
@@ -389,7 +388,7 @@ impl Run {
         self.enter(phase, now);
     }
 
-    /// How long the phase lasts, or until it is measured next.
+    /// How long the phase lasts, or how long until the next measurement.
     fn lasts(&self) -> Millis {
         match (&self.kind, self.phase) {
             (Kind::Trial { plan }, Phase::Running) => milliseconds(plan.duration_s),
@@ -403,15 +402,15 @@ impl Run {
         }
     }
 
-    /// The clips of the nodes that have their new value, before they were asked and since, and over the same hours those of
-    /// the nodes that were not asked yet.
+    /// The windows to measure: of the nodes with their new value, before they were asked and since; of the nodes that were not
+    /// asked yet, over the same hours.
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.measured_from(now);
         let asked = self.members.iter().filter(|m| self.is_in_stage(m));
         let asked = asked.map(|m| m.ask.asked_ms).min().unwrap_or(since);
         let windows = self.members.iter().filter_map(|member| {
-            // After a resumption only what came after it counts.
+            // After a resumption only later clips count.
             let (asked, value, from) = match member.applied_ms() {
                 Some(applied) if self.is_in_stage(member) => {
                     (member.ask.asked_ms, member.asked?, applied.max(since))
@@ -434,8 +433,8 @@ impl Run {
         }
     }
 
-    /// The measurements failed: they are asked for again at the next tick. After many attempts a rollout is held, and a trial ends
-    /// without a result.
+    /// Notes that a measurement failed; the next tick asks for it again. After many failures a rollout is held, and a trial
+    /// ends without a result.
     pub(crate) fn not_measured(&mut self, now: Millis) {
         self.failed_attempts += 1;
         if self.failed_attempts >= ATTEMPTS {
@@ -448,7 +447,7 @@ impl Run {
         }
     }
 
-    /// Takes the measurements that were asked for: a rollout goes on, back, or waits, a trial is over.
+    /// Takes the requested measurements: a rollout advances, returns or waits; a trial ends.
     pub(crate) fn measured(&mut self, found: &Measured, now: Millis) {
         self.failed_attempts = 0;
         match &self.kind {
@@ -470,7 +469,7 @@ impl Run {
         }
     }
 
-    /// Ends a trial with what was measured of its [`windows`](Self::windows); the old values return.
+    /// Ends a trial with the measurements of its [`windows`](Self::windows); the old values return.
     pub(crate) fn end_trial(&mut self, found: &Measured, who: Option<&str>, now: Millis) {
         let Kind::Trial { plan } = &self.kind else {
             return;
@@ -485,10 +484,10 @@ impl Run {
         }
     }
 
-    /// Follows a person's command on a rollout.
+    /// Follows a command to a rollout.
     ///
     /// # Errors
-    /// Why it makes no sense where the rollout is.
+    /// Why it is not possible in this phase.
     pub(crate) fn command(
         &mut self,
         command: Command,
@@ -532,7 +531,7 @@ impl Run {
         Ok(())
     }
 
-    /// Ends a pause, which does not count as time of what began before it.
+    /// Ends a pause: moves the times of all that began before it by its length.
     fn wake(&mut self, now: Millis) {
         let Some(paused) = self.paused_ms.take() else {
             return;
@@ -614,13 +613,13 @@ impl Run {
         self.unsaved = true;
     }
 
-    /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
+    /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
         let asked = self.members.iter_mut().filter(|m| m.asked.is_some());
         asked.filter(|m| changed_since(m)).for_each(Member::leave);
     }
 
-    /// A node that stayed away beyond its deadline does not get the value when it returns: it would not be judged.
+    /// Withdraws the orders of nodes that missed their deadline: a node that got its value later would not be judged.
     fn withdraw_the_missed(&mut self, now: Millis) {
         let deadline = match &self.kind {
             Kind::Rollout { plan, .. } if self.phase != Phase::Returning => {
@@ -641,12 +640,12 @@ impl Run {
         }
     }
 
-    /// Whether a member has the new value in this stage; in a trial all have theirs.
+    /// True if the member gets its value in this stage; true for all members of a trial.
     fn is_in_stage(&self, member: &Member) -> bool {
         matches!(self.kind, Kind::Trial { .. }) || member.group + 1 == self.stage
     }
 
-    /// Whether a member was not asked yet.
+    /// True if the member was not asked yet.
     fn is_later(&self, member: &Member) -> bool {
         matches!(self.kind, Kind::Rollout { .. }) && member.group >= self.stage
     }
@@ -655,7 +654,7 @@ impl Run {
         milliseconds(self.kind.basics().apply_within_s)
     }
 
-    /// A new entry of the record.
+    /// Adds an entry to the record.
     fn noted(&mut self, at_ms: Millis, what: What) -> &mut Entry {
         self.unsaved = true;
         if self.record.len() >= MOST_ENTRIES {
@@ -674,7 +673,7 @@ impl Run {
     }
 }
 
-/// Whether the time of a member runs: the node was asked and has not answered.
+/// True if the node was asked and has not answered.
 const fn is_open(member: &Member) -> bool {
     matches!(member.ask.outcome, Outcome::Pending | Outcome::Waiting)
 }
@@ -683,7 +682,7 @@ pub(crate) fn milliseconds(seconds: f64) -> Millis {
     (seconds * 1000.0) as Millis
 }
 
-/// The first names of a list, and how many more.
+/// The first names of a list, and the number of the others.
 fn list(names: &[String]) -> String {
     const SHOWN: usize = 10;
     let mut text = names[..names.len().min(SHOWN)].join(", ");

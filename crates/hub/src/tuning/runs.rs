@@ -1,4 +1,4 @@
-//! Drives rollouts and trials: asks nodes for values, brings the measurements, keeps the state in the database.
+//! Drives rollouts and trials: orders their values, measures the clips, and stores their state in the database.
 
 use super::member::{Member, Millis};
 use super::metric::BeforeAfter;
@@ -18,7 +18,7 @@ const CLAIM_MS: Millis = 20_000;
 /// Time between two claims.
 const CLAIM_EVERY_MS: Millis = 4_000;
 
-/// A rollout or trial as it is kept, and shown.
+/// A stored rollout or trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct KeptRun {
     /// Its number, among those of its kind.
@@ -27,12 +27,12 @@ pub struct KeptRun {
     pub who: String,
     /// When, milliseconds since the Unix epoch.
     pub begun_ms: Millis,
-    /// When it ended.
+    /// When it ended; absent while it runs.
     pub ended_ms: Option<Millis>,
     /// The rollout or trial.
     #[serde(flatten)]
     pub run: Run,
-    /// Selected nodes that take no part; only in the answer to its begin.
+    /// Selected nodes that take no part; only in the answer that begins it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
 }
@@ -42,7 +42,7 @@ pub struct KeptRun {
 pub struct LeftOut {
     /// The node.
     pub node: String,
-    /// Why.
+    /// The reason.
     pub why: String,
 }
 
@@ -55,14 +55,14 @@ impl KeptRun {
     }
 }
 
-/// What a rollout or trial is named by.
+/// Identifies a rollout or trial.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub(crate) struct RunKey {
     kind: String,
     id: i64,
 }
 
-/// What this hub drives.
+/// The rollouts and trials that this hub drives.
 #[derive(Debug, Default)]
 pub(crate) struct Runs {
     running: BTreeMap<RunKey, KeptRun>,
@@ -70,7 +70,7 @@ pub(crate) struct Runs {
 }
 
 impl Runs {
-    /// A kept run as it is now: from memory where this hub drives it.
+    /// The present state of a stored run: from memory if this hub drives it.
     fn as_it_is(&self, kept: KeptRun) -> KeptRun {
         self.running.get(&kept.key()).cloned().unwrap_or(kept)
     }
@@ -79,13 +79,13 @@ impl Runs {
 /// Why a rollout or trial cannot be begun or commanded.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The plan makes no sense.
+    /// The plan is invalid.
     #[error("{0}")]
     Plan(String),
-    /// It makes no sense as things are.
+    /// It is not possible now.
     #[error("{0}")]
     Conflict(String),
-    /// There is none.
+    /// It does not exist.
     #[error("there is no {0} {1}")]
     Unknown(&'static str, i64),
     /// The database cannot be used.
@@ -101,7 +101,7 @@ impl RunError {
 }
 
 impl Tuner {
-    /// The nodes that take part in a rollout or trial, whichever hub drives it, and in which.
+    /// The nodes that take part in a rollout or trial of any hub, with its name.
     pub(super) async fn taken(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut taken = HashMap::new();
         for KeptRun { id, run, .. } in self.store.open_runs().await? {
@@ -115,7 +115,7 @@ impl Tuner {
         Ok(taken)
     }
 
-    /// Drops what is desired of a node and takes it off the database's list; its clips and its history stay.
+    /// Forgets a node: drops its desired setting, and removes it from the list. Its clips and its history stay.
     ///
     /// # Errors
     /// While it takes part in a rollout or trial, and when the database cannot be written.
@@ -139,7 +139,7 @@ impl Tuner {
     /// Begins a rollout or trial on the selected nodes that can take part.
     ///
     /// # Errors
-    /// When its plan makes no sense, too few nodes can take part, or the database cannot be written.
+    /// When its plan is invalid, too few nodes can take part, or the database cannot be written.
     pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<KeptRun, RunError> {
         kind.check().map_err(RunError::Plan)?;
         let mut runs = self.runs.lock().await;
@@ -192,7 +192,7 @@ impl Tuner {
         Ok(kept.into_iter().map(|kept| runs.as_it_is(kept)).collect())
     }
 
-    /// One that a person wants to change: this hub's, or a rollout that has ended, which can still be returned.
+    /// A run that a person wants to change: one that this hub drives, or an ended rollout, which can still be returned.
     async fn own(
         &self,
         runs: &Runs,
@@ -222,10 +222,10 @@ impl Tuner {
         Ok(kept)
     }
 
-    /// Follows a person's command on a rollout.
+    /// Follows a command to a rollout.
     ///
     /// # Errors
-    /// When it makes no sense where the rollout is, another hub drives it, or the database cannot be written.
+    /// When it is not possible in its phase, another hub drives it, or the database cannot be written.
     pub async fn command_rollout(
         &self,
         id: i64,
@@ -249,7 +249,7 @@ impl Tuner {
         Ok(())
     }
 
-    /// Ends a trial before its time, with what was measured until now.
+    /// Ends a trial before its time, with the measurements until now.
     pub(crate) async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
         let mut kept = self.own(&runs, "trial", id, false).await?;
@@ -260,10 +260,10 @@ impl Tuner {
         Ok(())
     }
 
-    /// Goes on with everything that this hub drives.
+    /// Advances everything that this hub drives.
     ///
     /// # Errors
-    /// When the database cannot be used: what was not done is done at the next time.
+    /// When the database cannot be used; the next call does what was left.
     pub async fn drive(&self, now: Millis) -> Result<(), StoreError> {
         let mut runs = self.runs.lock().await;
         if now - runs.claimed_ms >= CLAIM_EVERY_MS {
@@ -271,7 +271,7 @@ impl Tuner {
         }
         let mut failed = None;
         for kept in runs.running.values_mut() {
-            // One that cannot go on does not keep the others from it; what it has done by then is saved.
+            // One that fails does not stop the others; what it did before is saved.
             let went = self.go_on(kept, now).await;
             let saved = match kept.run.unsaved {
                 true => self.save(kept, false, now).await,
@@ -302,7 +302,7 @@ impl Tuner {
                     runs.running.insert(key, kept);
                 }
                 Ok(None) => {}
-                // It does not keep the others from going on.
+                // It does not stop the others.
                 Err(error) => {
                     tracing::error!(%error, kind = key.kind, id = key.id, "cannot be resumed");
                 }
@@ -311,7 +311,7 @@ impl Tuner {
         Ok(())
     }
 
-    /// Goes on with one.
+    /// Advances one run.
     async fn go_on(&self, kept: &mut KeptRun, now: Millis) -> Result<(), StoreError> {
         let KeptRun { id, who, run, .. } = kept;
         for order in run.due() {
@@ -347,7 +347,7 @@ impl Tuner {
         Ok(())
     }
 
-    /// Keeps it as it is, with the time of its end. `take` makes this hub its driver.
+    /// Stores a run, with the time of its end. `take` makes this hub its driver.
     async fn save(&self, kept: &mut KeptRun, take: bool, now: Millis) -> Result<(), StoreError> {
         kept.ended_ms = kept.run.has_ended().then(|| kept.ended_ms.unwrap_or(now));
         let (row, driver) = (kept.clone(), self.driver.clone());
@@ -360,7 +360,7 @@ impl Tuner {
         Ok(())
     }
 
-    /// The clips of each node in its two windows.
+    /// Measures the clips of each node in its two windows.
     async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
         let side = |side: usize| -> Vec<_> { windows.iter().map(|both| &both[side]).collect() };
         let mut before = self.store.clip_sums(&side(0)).await?;
@@ -376,7 +376,7 @@ impl Tuner {
     }
 }
 
-/// The value that a node has, when it can take part; otherwise why not.
+/// The present value of a node that can take part; else why it cannot.
 fn able(
     node: &NodeSettings,
     kind: &Kind,

@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// Most terms of a selector; a longer list of names should be a label.
+/// Most terms of a selector; for more nodes there are labels.
 const MOST_TERMS: usize = 1_000;
 
-/// Which nodes are meant. In JSON it is a list of terms.
+/// Selects nodes. In JSON it is a list of terms.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<String>", into = "Vec<String>")]
 pub struct Selector(Vec<String>);
@@ -28,7 +28,7 @@ impl Selector {
     /// A selector of the given terms.
     ///
     /// # Errors
-    /// When there is none, or one cannot be read.
+    /// When there is no term, or one is malformed.
     pub fn new<T: AsRef<str>>(terms: &[T]) -> Result<Self, String> {
         let fault = |term: &str, reason| {
             format!(
@@ -51,7 +51,7 @@ impl Selector {
         Ok(Self(terms.iter().map(read).collect::<Result<_, _>>()?))
     }
 
-    /// Whether a node of that name and those labels is meant.
+    /// True if it selects a node with that name and those labels.
     pub fn selects(&self, name: &str, labels: &BTreeMap<String, String>) -> bool {
         let holds = |part: Part<'_>| {
             let found = match part.key {
@@ -63,7 +63,7 @@ impl Selector {
         self.0.iter().any(|term| parts(term).all(holds))
     }
 
-    /// The names in it without a glob: a caller who names a node wants to hear when there is none of that name.
+    /// The plain names in it: a caller who names a node wants to know if no node has that name.
     pub fn named(&self) -> impl Iterator<Item = &str> {
         let plain = |term: &&String| *term != "all" && !term.contains(['*', '?', '=', '!', '&']);
         self.0.iter().filter(plain).map(String::as_str)
@@ -73,7 +73,7 @@ impl Selector {
 /// One of the parts of a term that must all match.
 struct Part<'a> {
     negated: bool,
-    /// The name of a label; without it the pattern is of nodes' names.
+    /// The name of a label; `None` if the pattern is for nodes' names.
     key: Option<&'a str>,
     pattern: &'a str,
 }
@@ -110,11 +110,11 @@ impl Part<'_> {
     }
 }
 
-/// Whether `text` matches `pattern`, where `*` matches any characters and `?` one. Linear in the product of the lengths,
-/// whatever the pattern.
+/// True if `text` matches `pattern`, where `*` matches any characters and `?` matches one. It takes time linear in the
+/// product of the lengths, whatever the pattern.
 fn glob(pattern: &str, text: &str) -> bool {
     let text = text.as_bytes();
-    // Whether the pattern up to here matches the first characters of the text, by their number.
+    // `matches[n]`: the pattern so far matches the first `n` bytes of the text.
     let mut matches = vec![false; text.len() + 1];
     matches[0] = true;
     for wanted in pattern.bytes() {

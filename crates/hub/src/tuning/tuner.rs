@@ -1,4 +1,4 @@
-//! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
+//! Carries out orders: stores them, notifies the nodes, and follows their reports.
 
 use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
@@ -20,43 +20,43 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
-/// How long after a notice that was not followed a node is notified again.
+/// Time after which a node that did not react to a notice is notified again.
 const NOTIFY_AGAIN_MS: Millis = 5_000;
 
-/// How often a node is set back at most after one change: two hands on one value do not fight for ever.
+/// How often a node is set back at most after one change, so that two people do not fight over a value for ever.
 const SET_BACK_TIMES: u32 = 3;
 
 /// The origin of the order that sets a node back.
 const SET_BACK: &str = "drift";
 
-/// How far beyond this database's revisions a node's may be. A database that was restored or is empty knows none of the
-/// revisions that nodes have; a node that reports nonsense must not use them up.
+/// How far a node's revision may be beyond those of this database. A restored or empty database lacks revisions that nodes
+/// have; but a node that reports nonsense must not use up the numbers.
 const FARTHEST_AHEAD: u64 = 1 << 32;
 
-/// What an order came to at one node.
+/// The outcome of an order at one node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct OutcomeLine {
     /// The node.
     pub node: String,
-    /// What became of it.
+    /// The outcome.
     pub outcome: Outcome,
     /// Its setting before, if that was known: a threshold or a target.
     pub from: Option<DesiredSetting>,
-    /// What was ordered: a threshold or a target.
+    /// The ordered setting: a threshold or a target.
     pub to: DesiredSetting,
-    /// Why, where there is something to say.
+    /// The reason, if there is one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub detail: String,
 }
 
-/// What was ordered of a node last.
+/// The last order to a node.
 #[derive(Clone, Debug)]
 struct OpenOrder {
     ask: Ask,
     setting: DesiredSetting,
     from: Option<DesiredSetting>,
     notified_ms: Millis,
-    /// How often the node was set back since somebody else ordered something of it.
+    /// How often the node was set back since the last order by somebody else.
     set_back: u32,
 }
 
@@ -74,18 +74,18 @@ impl OpenOrder {
     }
 }
 
-/// A node that took what is desired of it and has something else now.
+/// A node that took its desired setting, and has another one now.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Drift {
     /// The node.
     pub node: String,
-    /// Since when the hub knows, milliseconds since the Unix epoch.
+    /// When the hub noticed, milliseconds since the Unix epoch.
     pub since_ms: Millis,
-    /// What is desired: a threshold or a target.
+    /// The desired setting: a threshold or a target.
     pub desired: DesiredSetting,
-    /// What it has; absent where the cameras differ.
+    /// The setting in force; absent if the cameras differ.
     pub in_force: Option<DesiredSetting>,
-    /// Why it holds its target no more, in its own words.
+    /// Why it no longer holds its target, in the node's words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
     /// How often it was set back.
@@ -97,29 +97,30 @@ pub struct Drift {
 pub struct Tuner {
     pub(super) store: Store,
     pub(super) fleet: Arc<Fleet>,
-    /// Where pulls and acknowledgements are answered from.
+    /// The desired settings that answers to nodes contain.
     desires: Arc<Desires>,
     notifier: Notifier,
     pub(super) config: TuningConfig,
-    /// This hub among several on one database.
+    /// The name of this hub among several on one database.
     pub(super) driver: String,
-    /// Highest revision that was read from the database: what this hub orders itself says nothing of the others'.
+    /// The highest revision that was read from the database. Orders of this hub do not count: other hubs may have given lower
+    /// ones meanwhile.
     learned: AtomicU64,
-    /// What was ordered of each node last, as far as this hub saw it.
+    /// The last order to each node, as far as this hub knows.
     open: Mutex<HashMap<String, OpenOrder>>,
     drift: Mutex<BTreeMap<String, Drift>>,
-    /// Notified after each look at what the nodes reported.
+    /// Signals that the nodes' reports were read.
     pub(super) looked: Notify,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
 }
 
-/// Interval at which reports of nodes are read.
+/// Interval at which the nodes' reports are read.
 const LOOK: Duration = Duration::from_millis(250);
-/// Such intervals between two checks of rollouts, trials and other hubs' changes, and of drift.
+/// Checks of rollouts, trials and other hubs' orders, and of drift: once in so many intervals.
 const DRIVE_EVERY: u64 = 4;
 const DRIFT_EVERY: u64 = 20;
 
-/// Follows orders, rollouts and trials until `shutdown`. A database that is away is tried again at the next look.
+/// Follows orders, rollouts and trials until `shutdown`. After an error of the database it tries again at the next interval.
 pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
     let mut every = tokio::time::interval(LOOK);
     every.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -153,7 +154,7 @@ pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
 }
 
 impl Tuner {
-    /// Reads what is desired and what is open from the database.
+    /// Reads the desired settings and the open orders from the database.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -198,12 +199,12 @@ impl Tuner {
         Ok(tuner)
     }
 
-    /// What is desired of a node.
+    /// The desired setting of a node.
     pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
         self.desires.get(node)
     }
 
-    /// Why nothing can be ordered of a node that reports `revision`, if nothing can.
+    /// Why a node that reports `revision` can get no order; `None` if it can.
     pub(super) fn implausible(&self, revision: u64) -> Option<String> {
         let most = (self.learned.load(Ordering::Relaxed)).saturating_add(FARTHEST_AHEAD);
         (revision > most).then(|| {
@@ -214,7 +215,7 @@ impl Tuner {
         })
     }
 
-    /// Takes what other hubs on the same database have ordered.
+    /// Reads the orders of other hubs on the same database.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -227,16 +228,16 @@ impl Tuner {
         Ok(())
     }
 
-    /// Orders a setting of nodes, given with what they have: when this returns it is in the database, pulls are answered with it,
-    /// and the nodes were notified.
+    /// Orders a setting for nodes, each given with its present setting. When this returns, the order is in the database, pulls
+    /// are answered with it, and the nodes are notified.
     pub(super) async fn order(
         &self,
         change: ChangeRow,
         nodes: Vec<(String, Option<DesiredSetting>)>,
     ) -> Result<u64, StoreError> {
         let (now, setting) = (change.at_ms, change.setting);
-        // A restored database does not know what it ordered after its backup, nor what a node has that is away: so that none of
-        // those revisions is given again, they begin at the time, in seconds, and above what the nodes report.
+        // A restored database lacks the revisions given after its backup, and offline nodes may have them. So that none is given
+        // twice, revisions start at the time, in seconds, and above those that the nodes report.
         let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
         let mut orders = Vec::new();
         for (node, from) in nodes {
@@ -275,19 +276,19 @@ impl Tuner {
         Ok(revision)
     }
 
-    /// Forgets in memory what was ordered of a node.
+    /// Drops the orders to a node from memory.
     pub(super) fn stop_following(&self, node: &str) {
         self.desires.remove(node);
         self.drift.lock().remove(node);
         self.open.lock().remove(node);
     }
 
-    /// How often a node was set back since somebody else ordered something of it, as far as this hub saw it.
+    /// How often a node was set back since the last order by somebody else, as far as this hub knows.
     fn set_back_times(&self, node: &str) -> u32 {
         self.open.lock().get(node).map_or(0, |order| order.set_back)
     }
 
-    /// What became of the order of `revision` at `node`.
+    /// The outcome of the order of `revision` at `node`, and the reason.
     pub(crate) fn outcome(&self, node: &str, revision: u64) -> (Outcome, String) {
         match self.open.lock().get(node) {
             Some(order) if order.ask.revision == revision => {
@@ -298,10 +299,10 @@ impl Tuner {
         }
     }
 
-    /// Looks at what the nodes with open orders have reported.
+    /// Reads the reports of nodes with open orders.
     ///
     /// # Errors
-    /// When the outcomes cannot be kept; they are then found again at the next look.
+    /// When the outcomes cannot be stored; the next call finds them again.
     pub async fn look(&self, now: Millis) -> Result<(), StoreError> {
         let patience = milliseconds(self.config.apply_within_s);
         let mut answered = Vec::new();
@@ -340,11 +341,11 @@ impl Tuner {
         Ok(())
     }
 
-    /// Looks for nodes that were changed after they took what is desired; sets them back where the configuration says
-    /// so.
+    /// Finds nodes that drifted: somebody changed them after they took their desired setting. Sets them back if the
+    /// configuration says so.
     ///
     /// # Errors
-    /// When the database cannot be written: they are found again at the next look.
+    /// When the database cannot be written; the next call finds them again.
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.all() {
@@ -355,7 +356,7 @@ impl Tuner {
                 && settings.revision == desired.revision
                 && !settings.has(desired.setting);
             if !drifted {
-                // One that was set back stays listed until it has taken the value again.
+                // A node that was set back stays listed until it has taken the value again.
                 if settings.revision >= desired.revision {
                     self.drift.lock().remove(&node);
                 }
@@ -384,7 +385,7 @@ impl Tuner {
                 .write(move |writing| writing.insert("events", &events, ""))
                 .await?;
         }
-        // Known is only what is in the history: after an error it is found again.
+        // Only after the event is stored: after an error it is found again.
         self.list_drift(&found);
         if self.config.local_change.is_set_back() {
             found.retain(|drift| drift.set_back < SET_BACK_TIMES);
@@ -401,7 +402,7 @@ impl Tuner {
         self.drift.lock().extend(found);
     }
 
-    /// Orders again what is desired of these nodes, the same of all.
+    /// Orders the desired setting of these nodes again; it is the same for all of them.
     async fn set_back(&self, drifted: &mut [Drift], now: Millis) -> Result<(), StoreError> {
         let change = ChangeRow {
             revision: 0,

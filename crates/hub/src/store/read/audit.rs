@@ -1,22 +1,22 @@
-//! The audit of a row of sums or of a clip.
+//! The audit's counts of a clip, or of a row of sums.
 
 use crate::store::row::Row;
 use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
 use serde_json::Value;
 
-/// What an audit counted.
+/// The counts of an audit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AuditCounts {
-    /// What was compared.
+    /// The sums over the compared frames.
     pub sums: AuditSums,
-    /// Times the detector looked.
+    /// Calls of the detector.
     pub calls: u64,
-    /// Its time for that, microseconds.
+    /// Time of these calls, microseconds.
     pub detector_us: u64,
 }
 
 impl AuditCounts {
-    /// That of a row with those columns; nulls count as nothing.
+    /// The counts of a row with these columns; null counts as 0.
     pub(super) fn of(row: &Row) -> Self {
         let number = |name: &str| row.get(name).and_then(Value::as_f64).unwrap_or(0.0) as u64;
         let sums = AuditSums {
@@ -48,7 +48,7 @@ impl AuditCounts {
         self.detector_us = self.detector_us.saturating_add(more.detector_us);
     }
 
-    /// In figures; `None` where nothing was drawn.
+    /// The audit's figures; `None` if no frame was drawn.
     pub fn figures(&self) -> Option<AuditFigures> {
         (!self.sums.is_empty()).then(|| AuditFigures::new(&self.sums, self.calls, self.detector_us))
     }

@@ -9,7 +9,7 @@ use serde_json::json;
 use std::ops::Range;
 use utoipa::{IntoParams, ToSchema};
 
-/// What sums are grouped by.
+/// How sums are grouped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EnergyBy {
@@ -26,11 +26,11 @@ pub enum EnergyBy {
     Policy,
     /// Policy and value of its knob.
     Knob,
-    /// Camera and name of the clip: the parts of a long clip are added. Of clips that are still kept one by one.
+    /// Camera and name of the clip: the parts of a long clip are added. Only clips that are still kept one by one.
     Clip,
 }
 
-/// How long the spans are that the sums were made from.
+/// The length of the spans that were summed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Resolution {
@@ -40,7 +40,7 @@ pub enum Resolution {
     Day,
 }
 
-/// Which group comes first.
+/// The order of the groups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sort {
@@ -51,19 +51,19 @@ pub enum Sort {
     Joules,
 }
 
-/// Which clips, and how they are grouped.
+/// Selects clips, and says how they are grouped.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct EnergyQuery {
-    /// `all`, `node`, `camera`, `day`, `policy` or `knob`.
+    /// `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`.
     #[serde(default)]
     pub by: EnergyBy,
     /// Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default.
     pub since_ms: Option<i64>,
     /// Clips begun before this time; now by default.
     pub until_ms: Option<i64>,
-    /// Of this node only.
+    /// Only of this node.
     pub node: Option<String>,
     /// `group`, or `joules`: the groups with the most energy first. A group has a line for each quality.
     #[serde(default)]
@@ -88,7 +88,7 @@ pub struct EnergyGroup {
     /// Frames.
     #[serde(deserialize_with = "whole")]
     pub frames: i64,
-    /// Frames answered without the detector, degraded ones not among them: calls of it that were avoided.
+    /// Avoided calls of the detector: frames answered without it, except degraded ones.
     #[serde(deserialize_with = "whole")]
     pub avoided_calls: i64,
     /// Calls of the detector.
@@ -98,30 +98,30 @@ pub struct EnergyGroup {
     pub skip_rate: f64,
     /// Energy, joules: exact sums of what the nodes report, in whole microjoules.
     pub joules: f64,
-    /// Of it the GPU's.
+    /// The GPU's part of it.
     pub gpu_joules: f64,
-    /// Of it the processor's.
+    /// The processor's part of it.
     pub cpu_joules: f64,
-    /// Of it memory's and input and output's.
+    /// The part of memory, input and output.
     pub io_mem_joules: f64,
-    /// Estimate, whatever the quality, of what the avoided calls would have added, joules: sum of what the nodes report.
+    /// Energy that the avoided calls would have cost, joules: always an estimate, summed over the nodes' reports.
     pub saved_joules_estimated: f64,
-    /// Avoided calls in clips whose node did not know what a call adds: they are not in the estimate.
+    /// Avoided calls that the estimate leaves out, because their node did not know the cost of a call.
     #[serde(deserialize_with = "whole")]
     pub unpriced_calls: i64,
-    /// Audit results of skipped frames; absent where none was audited.
+    /// Audit results of skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
-    /// Estimate of what the audit added, joules: a part of `joules`.
+    /// Estimated energy of the audit, joules: a part of `joules`.
     pub audit_joules: f64,
-    /// The sums of the audit, to be added up further.
+    /// The counts of the audit, for sums over groups.
     #[serde(skip)]
     pub audit_counts: AuditCounts,
 }
 
 const DAYS: &str = "(SELECT d.*, '' AS clip FROM sums_day d)";
 const FIVE_MINUTES: &str = "(SELECT f.*, '' AS clip FROM sums_5m f)";
-/// Clips one by one, as sums of their own.
+/// Single clips, in the columns of sums.
 const CLIPS: &str = "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
     CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls FROM clips c)";
 
@@ -131,8 +131,8 @@ const CAMERAS_OF_NODE: &str =
     "(SELECT c.id FROM cameras c JOIN nodes o ON o.id = c.node_id WHERE o.name = $6)";
 
 impl Store {
-    /// The sums of spans of that length that begin in `seconds` since the Unix epoch. Those of the fleet, and those of one node,
-    /// read its own rows.
+    /// The sums of spans that begin within `seconds` since the Unix epoch. Sums of the fleet and of one node read rows of
+    /// their own.
     ///
     /// # Errors
     /// When the database cannot be read.

@@ -1,4 +1,4 @@
-//! Clips, events, what is known of reports, and what was set aside.
+//! Reads clips, events, report counts and invalid reports.
 
 use super::audit::AuditCounts;
 use crate::store::row::{json_text, read, read_all};
@@ -10,20 +10,20 @@ use serde_json::Value;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
-/// Which clips.
+/// Selects clips.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ClipQuery {
-    /// Of this node.
+    /// Only of this node.
     pub node: Option<String>,
-    /// Of this camera of it.
+    /// Only of this camera of that node.
     pub camera: Option<String>,
     /// Begun at this time or later, milliseconds since the Unix epoch.
     pub since_ms: Option<i64>,
     /// Begun before this time, milliseconds since the Unix epoch.
     pub until_ms: Option<i64>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     pub cursor: Option<i64>,
     /// Maximum number, up to 1000; 100 by default.
     pub limit: Option<i64>,
@@ -44,8 +44,8 @@ pub struct StoredClip {
     pub report_id: Uuid,
     /// Running count of the report at its node.
     pub count: Option<i64>,
-    /// The time it is filed under, milliseconds since the Unix epoch: when it began, or when it was received where the
-    /// node's clock is off.
+    /// The time under which it is stored, milliseconds since the Unix epoch: when it began, or when it was received if the
+    /// node's clock is wrong.
     pub at_ms: i64,
     /// When it was received.
     pub received_ms: i64,
@@ -115,23 +115,23 @@ const CLIPS_OF_NODE: &str = concat!(
      WHERE o.name = $5 AND ($6 = '' OR k.name = $6)) ORDER BY c.id DESC LIMIT $4"
 );
 
-/// Something that happened.
+/// An event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredEvent {
     /// Its number: the later, the higher.
     pub id: i64,
     /// When, milliseconds since the Unix epoch.
     pub at_ms: i64,
-    /// What kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`.
+    /// Its kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift`, `forgotten`.
     pub kind: String,
     /// The node it is about.
     pub node: Option<String>,
-    /// The rest, by kind.
+    /// Details, by kind.
     #[serde(deserialize_with = "json_text::deserialize")]
     pub detail: Value,
 }
 
-/// A report that makes no sense.
+/// An invalid report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredSetAside {
     /// Its number.
@@ -140,30 +140,30 @@ pub struct StoredSetAside {
     pub node: String,
     /// Identity of the report.
     pub report_id: Option<String>,
-    /// When it came.
+    /// When it was received.
     pub received_ms: i64,
-    /// Why it is not taken.
+    /// Why it is invalid.
     pub cause: String,
-    /// What came, at most 2 KiB of it.
+    /// Its text, at most 2 KiB.
     pub body: String,
 }
 
-/// What is known of the reports of a node.
+/// Counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportCounts {
-    /// When a batch came first, milliseconds since the Unix epoch.
+    /// When the first batch came, milliseconds since the Unix epoch.
     pub first_ms: i64,
-    /// When a batch came last.
+    /// When the last batch came.
     pub last_ms: i64,
     /// Reports stored.
     pub stored: i64,
-    /// Reports that make no sense.
+    /// Invalid reports.
     pub set_aside: i64,
     /// Reports refused, because they were too old.
     pub refused: i64,
     /// Running counts that never came.
     pub missing: u64,
-    /// How often the running count began again: the node's state was made new, went back in time or was copied.
+    /// How often the running count began again: the node's state was new, older or a copy.
     pub resets: i64,
 }
 
@@ -201,7 +201,7 @@ impl Store {
         rows.map(clip).collect()
     }
 
-    /// Number of the last event; 0 without any.
+    /// The number of the last event; 0 if there is none.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -212,7 +212,7 @@ impl Store {
         Ok(id.unwrap_or(0))
     }
 
-    /// Events after the one of that number, in order.
+    /// Events with numbers above `id`, in order.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -225,7 +225,7 @@ impl Store {
         read_all(self.query(text, vec![id.into(), limit.into()]).await?)
     }
 
-    /// What was set aside, the latest first.
+    /// Invalid reports, the latest first.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -245,7 +245,7 @@ impl Store {
         read_all(self.query(text, values).await?)
     }
 
-    /// What is known of the reports of a node; nothing where none came.
+    /// Counts of a node's reports; `None` if none came.
     ///
     /// # Errors
     /// When the database cannot be read.

@@ -1,4 +1,4 @@
-//! Judges what was measured: a rollout's stage by its gates, a trial's groups beside the first.
+//! Judges measurements: the stage of a rollout by its gates, the groups of a trial against the first.
 
 use super::super::effect::{Comparison, Interval, Silence};
 use super::super::gate::{ErrorRates, GateResult, Verdict, judge, overall};
@@ -13,11 +13,11 @@ use utoipa::ToSchema;
 /// A figure of one group of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArmFigure {
-    /// What.
+    /// The figure.
     pub figure: Figure,
-    /// Nodes that have it, with enough clips before and during the trial.
+    /// The number of nodes with enough clips before and during the trial.
     pub nodes: usize,
-    /// Their clips during the trial.
+    /// The number of their clips during the trial.
     pub clips: u64,
     /// Mean over these nodes before.
     pub before: f64,
@@ -28,36 +28,36 @@ pub struct ArmFigure {
     pub difference: Option<Interval>,
 }
 
-/// What one value came to.
+/// The result of one value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArmResult {
     /// The value.
     pub value: Threshold,
-    /// Nodes of the group.
+    /// The number of nodes of the group.
     pub nodes: usize,
-    /// Of them, those that reported the value.
+    /// The number of them that reported the value.
     pub applied: usize,
-    /// Of those, how many made clips before the trial and none during it.
+    /// The number of those that made clips before the trial and none during it.
     pub silent: usize,
     /// Its figures.
     pub figures: Vec<ArmFigure>,
 }
 
-/// What a trial measured.
+/// The result of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TrialResult {
-    /// From when on clips counted.
+    /// The beginning of the time in which clips counted.
     pub from_ms: Millis,
-    /// Until when.
+    /// The end of that time.
     pub until_ms: Millis,
-    /// Probability that all intervals hold the truth together.
+    /// Probability that all intervals together contain the true values.
     pub confidence: f64,
     /// Each value, in the plan's order.
     pub values: Vec<ArmResult>,
 }
 
 impl Run {
-    /// The verdict on the stage, in words, and each gate with its numbers.
+    /// The verdict on the stage, its text, and the result of each gate.
     pub(super) fn judge(
         &self,
         plan: &RolloutPlan,
@@ -76,7 +76,7 @@ impl Run {
         );
         let (changed, unchanged) = (silence(&changed), silence(&unchanged));
         let lost = changed.by_chance(unchanged) < rates.fail;
-        // Where too few nodes can be measured, a stage passes when its nodes took the value and are alive.
+        // If too few nodes can be measured, a stage passes when its nodes took the value and are alive.
         let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
         let verdict = match overall(&results) {
             _ if lost => Verdict::Failed,
@@ -104,7 +104,7 @@ impl Run {
             .collect()
     }
 
-    /// The groups of a trial beside the first.
+    /// Compares the groups of a trial with the first.
     pub(super) fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
         let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
         let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
@@ -145,9 +145,9 @@ impl Run {
         }
     }
 
-    /// The error of one look at one figure. What the plan allows for a failure without cause is shared by all stages,
-    /// gates and looks; each resumption has half of what the soak before it had. For a pass it is shared by the looks
-    /// that can pass: every stage has to pass every gate, so there nothing adds up.
+    /// The error rates of one look at one figure. The plan's error of failing without cause is divided among all stages, gates
+    /// and looks; each resumption gets half of the soak before it. The error of passing is divided only among the looks that
+    /// can pass, because every stage has to pass every gate.
     pub(super) fn error_rates(&self, plan: &RolloutPlan) -> ErrorRates {
         let error = (1.0 - plan.basics.confidence) * 0.5_f64.powi(i32::from(self.soaks));
         let figures: usize = (plan.gates.iter())
@@ -168,8 +168,8 @@ fn clips<'a>(side: &[Side<'a>]) -> Vec<&'a BeforeAfter> {
     side.iter().map(|(_, clips)| *clips).collect()
 }
 
-/// How many of these nodes, as far as they were in reach when the stage began, are out of reach now, or made clips before and
-/// none since.
+/// Counts the silent nodes, of those that were in reach when the stage began: out of reach now, or with clips before and none
+/// since.
 fn silence(side: &[Side<'_>]) -> Silence {
     let mut silence = Silence::default();
     for (member, clips) in side.iter().filter(|(member, _)| member.was_reachable) {

@@ -1,4 +1,4 @@
-//! What a rollout or trial has been through.
+//! The record of a rollout or trial.
 
 use super::super::gate::{GateResult, Verdict};
 use super::super::member::Millis;
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 named! {
-    /// What kind of thing happened.
+    /// The kind of an entry.
     pub enum What {
-        /// It was begun.
+        /// It began.
         Begun = "begun",
-        /// A stage was entered.
+        /// A stage began.
         Stage = "stage",
         /// The nodes have the value.
         Soaking = "soaking",
         /// The gates were judged.
         Judged = "judged",
-        /// It is held.
+        /// It waits for a person to decide.
         Held = "held",
-        /// Nodes stayed away too long.
+        /// Nodes were out of reach for too long.
         Missed = "missed",
         /// The old value returns.
         Returning = "returning",
@@ -40,22 +40,22 @@ named! {
     }
 }
 
-/// One thing that happened.
+/// An entry of the record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Entry {
     /// When, milliseconds since the Unix epoch.
     pub at_ms: Millis,
-    /// In which stage, from 1.
+    /// The stage, from 1.
     pub stage: usize,
-    /// What.
+    /// Its kind.
     pub what: What,
-    /// Who ordered it; absent where the hub did it by itself.
+    /// Who ordered it; absent if the hub did it by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
-    /// The same in words.
+    /// Details, in words.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text: String,
-    /// Verdict of all gates.
+    /// The verdict of all gates together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
     /// Each gate with its numbers.
