@@ -404,18 +404,24 @@ async fn the_commands_of_the_pages_run_in_their_order() {
         blocks.filter(|block| block.page != "docs/cameras.md" && block.mark == "<!-- run -->");
     let commands: Vec<_> = blocks.flat_map(|block| block.commands).collect();
     assert!(commands.len() >= 9, "{commands:?}");
-    for command in commands {
-        let mut line = command
-            .replace("localhost:8080", &http)
-            .replace("127.0.0.1:8080", &http);
-        if let Some(rest) = line.strip_prefix("curl ") {
-            line = format!("curl -sSf {rest}");
+    let (with_node, without): (Vec<_>, Vec<_>) = (commands.into_iter())
+        .partition(|command| command.contains("curl ") || command.contains(" replay "));
+    // Those that need no node run beside those that do.
+    let run = async |commands: Vec<String>| {
+        for command in commands {
+            let mut line = command
+                .replace("localhost:8080", &http)
+                .replace("127.0.0.1:8080", &http);
+            if let Some(rest) = line.strip_prefix("curl ") {
+                line = format!("curl -sSf {rest}");
+            }
+            if line.starts_with("albireo replay ") {
+                line = format!("{line} --connect {zenoh}");
+            }
+            run_line(folder.path(), &line, &[]).await;
         }
-        if line.starts_with("albireo replay ") {
-            line = format!("{line} --connect {zenoh}");
-        }
-        run_line(folder.path(), &line, &[]).await;
-    }
+    };
+    tokio::join!(run(with_node), run(without));
     assert!(folder.path().join("results/report.html").is_file());
     node.kill().await.unwrap();
     let mut log = String::new();
