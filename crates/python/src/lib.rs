@@ -1,6 +1,6 @@
 //! The extension module of the Python package `albireo`: a policy of the core behind NumPy arrays.
 //!
-//! Python checks what it is given and knows the types of results; this module knows boxes as arrays.
+//! The Python code checks arguments and has the types of results; this module only handles boxes as arrays.
 
 use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::{ClassId, Detection};
@@ -16,7 +16,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::time::Duration;
 
-/// How far the frame at hand has come.
+/// The stage of the current frame.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stage {
     /// There has been no frame yet.
@@ -37,8 +37,8 @@ type Arrays<'py> = (
     Bound<'py, PyArray1<u8>>,
 );
 
-/// What is remembered of one object: id, class, whether it is confirmed, confidence, box (centre and sides, normalised),
-/// uncertainty, hits, frames since its last detection, frames since the detector last had a say on it, misses in a row.
+/// The state of an object: id, class, whether it is confirmed, confidence, box (centre and sides, normalised),
+/// uncertainty, hits, frames since its last detection, frames since the detector last measured or missed it, misses in a row.
 type Object = (u64, u16, bool, f64, [f64; 4], f64, u32, u32, u32, u32);
 
 /// A policy, and when its frames are answered.
@@ -65,7 +65,7 @@ impl Engine {
     }
 }
 
-/// A frame that was given out by the settler: its number, state, whether it was settled, and its boxes.
+/// A frame that the settler has returned: its number, state, whether it was settled, and its boxes.
 type Settled = (u64, &'static str, bool, Vec<OutputBox>);
 
 fn settled(frame: &SettledFrame<'_>) -> Settled {
@@ -77,7 +77,7 @@ fn settled(frame: &SettledFrame<'_>) -> Settled {
     )
 }
 
-/// What decides the frames of one stream.
+/// Decides the frames of one stream.
 #[pyclass(module = "albireo._core")]
 struct Decider {
     engine: Engine,
@@ -95,7 +95,7 @@ struct Decider {
     settled: Vec<Settled>,
 }
 
-/// A grey picture in a buffer that is used again.
+/// A grey picture in a buffer that is reused.
 #[derive(Default)]
 struct Grey {
     size: Option<PictureSize>,
@@ -104,7 +104,7 @@ struct Grey {
 
 #[pymethods]
 impl Decider {
-    /// A stream of pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed.
+    /// Makes a decider for pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed.
     #[new]
     fn new(
         policy: &str,
@@ -174,14 +174,14 @@ impl Decider {
                 })
         };
         let size = PictureSize::new(side(columns)?, side(rows)?);
-        // A copy, so that nobody changes it while it is looked at without the interpreter's lock.
+        // The picture is copied, so that no one changes it while it is read without the interpreter's lock.
         self.grey.pixels.clear();
         self.grey.pixels.extend(picture.as_array().iter());
         self.grey.size = Some(size);
         Ok(())
     }
 
-    /// Begins frame `n` and says whether it wants the detector. `empty` is what a screen says of the scene.
+    /// Begins frame `n` and returns whether it wants the detector. `empty` is a screen's verdict on the scene.
     fn begin(&mut self, py: Python<'_>, n: Option<u64>, empty: Option<bool>) -> PyResult<bool> {
         let following = self.last.map_or(Some(0), |last| last.checked_add(1));
         let n = n.or(following).unwrap_or(u64::MAX);
@@ -216,7 +216,8 @@ impl Decider {
         Ok(wanted)
     }
 
-    /// Gives frame `n`, answered earlier, what the detector found on it, or `None` where it failed; returns its final boxes.
+    /// Takes the detections of frame `n`, which was answered earlier, or `None` if the detector failed; returns the final
+    /// boxes.
     fn deliver<'py>(
         &mut self,
         py: Python<'py>,
@@ -256,7 +257,7 @@ impl Decider {
         Ok(self.arrays(py, &self.late.boxes))
     }
 
-    /// State, cause and whether the detector failed, of the frame that was delivered last.
+    /// State and cause of the frame that was delivered last, and whether the detector failed.
     #[getter]
     fn delivered(&self) -> (&'static str, Option<&'static str>, bool) {
         (
@@ -266,7 +267,7 @@ impl Decider {
         )
     }
 
-    /// The frame that waits for detections that come late.
+    /// The frame that waits for late detections.
     #[getter]
     fn pending(&self) -> Option<u64> {
         match &self.engine {
@@ -275,7 +276,8 @@ impl Decider {
         }
     }
 
-    /// The frames that were settled since the last call: number, state, whether it was settled, boxes. `end` gives out all.
+    /// Returns the frames that were settled since the last call: number, state, whether it was settled, boxes. `end` returns
+    /// all that are left.
     fn settled<'py>(
         &mut self,
         py: Python<'py>,
@@ -298,7 +300,7 @@ impl Decider {
             .collect())
     }
 
-    /// Takes what the detector found on the frame at hand, and returns the boxes to show.
+    /// Takes the detections of the current frame, and returns the boxes to show.
     fn update<'py>(
         &mut self,
         py: Python<'py>,
@@ -315,7 +317,7 @@ impl Decider {
         Ok(self.arrays(py, &self.outcome.boxes))
     }
 
-    /// Ends the frame at hand without the detections that it wants, and returns the boxes to show.
+    /// Ends the current frame without the detections that it wants, and returns the boxes to show.
     fn unavailable<'py>(&mut self, py: Python<'py>) -> PyResult<Arrays<'py>> {
         self.awaited("unavailable()")?;
         if let Engine::Waiting(policy) = &mut self.engine {
@@ -325,18 +327,18 @@ impl Decider {
         Ok(self.arrays(py, &self.outcome.boxes))
     }
 
-    /// The boxes of the frame at hand.
+    /// Returns the boxes of the current frame.
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
         self.decided()?;
         Ok(self.arrays(py, &self.outcome.boxes))
     }
 
-    /// Whether frame `n` is one of the random sample of an audit.
+    /// True if frame `n` belongs to the random sample of an audit.
     fn drawn(&self, n: u64) -> bool {
         self.draw.draw(n)
     }
 
-    /// Compares the boxes of the frame at hand, which was decided without the detector, with what the detector finds.
+    /// Compares the boxes of the current frame, which skipped the detector, with the detector's.
     fn compare(
         &mut self,
         xyxy: PyReadonlyArray2<'_, f64>,
@@ -354,7 +356,7 @@ impl Decider {
         Ok(())
     }
 
-    /// Share of the detector's boxes that had been shown on the audited frames, with its interval of 95 %.
+    /// Share of the detector's boxes on the audited frames that were shown, with its 95 % interval.
     fn recall(&self) -> Option<(f64, f64, f64)> {
         let recall = self.audit.recall()?;
         Some((recall.rate, recall.low, recall.high))
@@ -375,7 +377,7 @@ impl Decider {
         self.grey.size = None;
     }
 
-    /// Every object that is remembered, oldest first.
+    /// Returns all objects, the oldest first.
     fn objects(&self) -> Vec<Object> {
         let mut objects = Vec::new();
         self.engine.policy().objects(&mut |object| {
@@ -411,7 +413,7 @@ impl Decider {
         self.engine.policy().name()
     }
 
-    /// Whether the policy looks at pictures.
+    /// True if the policy examines pictures.
     #[getter]
     fn looks(&self) -> bool {
         self.engine.policy().pictures().is_some()
@@ -466,7 +468,7 @@ impl Decider {
 }
 
 impl Decider {
-    /// Asks the policy about a frame until it needs nothing more, or the detector.
+    /// Answers the policy's needs for a frame, until it needs the detector or nothing more.
     fn ask(&mut self, head: FrameHead, empty: Option<bool>) -> Need {
         let mut need = match &mut self.engine {
             Engine::Waiting(policy) => policy.begin(head),
@@ -483,7 +485,7 @@ impl Decider {
             };
             need = match &mut self.engine {
                 Engine::Waiting(policy) => policy.answer(evidence),
-                // It is this frame that is pending, so it is never refused.
+                // This frame is the pending one, so its evidence is never refused.
                 Engine::Late(late) => match late.deliver(head.index, evidence, &mut self.late) {
                     Ok(Need::Nothing) => {
                         self.outcome.clone_from(&self.late);
@@ -503,12 +505,12 @@ impl Decider {
         self.answered(false);
     }
 
-    /// The frame at hand has its answer, which is not the last word where it is `pending`.
+    /// Passes the answer of the current frame to the settler. `pending` is true if late detections will change it.
     fn answered(&mut self, pending: bool) {
         self.stage = Stage::Decided;
         let given = &mut self.settled;
         if let (Some(settler), Some(n)) = (&mut self.settler, self.last) {
-            // A frame's time is its number: only the number of frames is bounded.
+            // A frame's number is also its time, so the settler's limit is a number of frames.
             let time = Duration::from_secs(n);
             settler.frame(n, time, &self.outcome, pending, |frame| {
                 given.push(settled(&frame))
@@ -609,7 +611,7 @@ impl Decider {
 }
 
 impl Grey {
-    /// The picture, halved until it is as small as is asked for; its half when no width is.
+    /// Returns the picture, halved until it is as small as `width` asks for, or once without a width.
     fn evidence(&mut self, width: Option<u32>) -> Evidence<'_> {
         let Some(mut size) = self.size else {
             return Evidence::Unavailable;
@@ -624,7 +626,7 @@ impl Grey {
                 break;
             }
         }
-        // It is smaller now: a second answer from it would be of another size.
+        // The buffer has been made smaller, so it cannot be used a second time.
         self.size = None;
         Evidence::GreyPicture(GreyPicture {
             size,
