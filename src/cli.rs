@@ -1,4 +1,4 @@
-//! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
+//! The command line: one file per subcommand, with its arguments and a `run` that returns how it ended.
 
 #[cfg(feature = "hub")]
 mod acl;
@@ -43,7 +43,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long threads that are still at work may take when everything else has ended.
+/// How long running threads may take after everything else has ended.
 const STRAGGLERS: Duration = Duration::from_millis(500);
 
 #[cfg(feature = "eval")]
@@ -139,7 +139,7 @@ enum Command {
 }
 
 impl Command {
-    /// What its libraries have to find set.
+    /// The variables that the subcommand's libraries need.
     fn variables(&self) -> &'static [variables::Variable] {
         match self {
             Self::Node(_) => &[variables::NO_TELEMETRY, variables::FEW_HEAPS],
@@ -152,13 +152,13 @@ impl Command {
 }
 
 impl Arguments {
-    /// The arguments of this process. Ends it with a message when they make no sense.
+    /// Parses the arguments of this process. Invalid ones end it with a message.
     pub fn from_process() -> Self {
         let matches = Self::command().get_matches();
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
     }
 
-    /// Does what was asked. Says on standard error what went wrong.
+    /// Runs the subcommand, and prints its error to standard error.
     pub fn run(self) -> ExitCode {
         variables::start_with(self.command.variables());
         let ended = match self.command {
@@ -206,8 +206,8 @@ impl Arguments {
     }
 }
 
-/// An error and its causes in one line, without the places in Zenoh's sources. Skips a cause that the text before it
-/// already contains.
+/// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that the text
+/// before it already contains.
 fn in_words(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1) {
@@ -220,7 +220,7 @@ fn in_words(error: &anyhow::Error) -> String {
     albireo_service::session::without_places(&text)
 }
 
-/// Runs a subcommand that waits for things.
+/// Runs an asynchronous subcommand.
 fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -230,7 +230,7 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
     // A thread that waits for a file that never answers (a power monitor whose bus hangs) must not keep the
     // program alive.
     runtime.shutdown_timeout(STRAGGLERS);
-    // Nor may one that computes be left alone: the program's end would pull ONNX Runtime from under it.
+    // A thread that runs a model must end first: it would otherwise use ONNX Runtime after it is unloaded.
     if !end_all_sessions(STRAGGLERS) {
         tracing::warn!("a model that is being loaded or run could not be interrupted");
     }

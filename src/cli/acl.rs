@@ -1,4 +1,4 @@
-//! `albireo acl`: the router's access control, generated from the certificates.
+//! `albireo acl`: generates the router's access control from the certificates.
 
 use albireo_router::access::access_control;
 use albireo_router::authority::{Authority, write_public};
@@ -33,7 +33,7 @@ pub(super) struct Arguments {
     /// Let hubs ask nodes for camera pictures; nodes answer where their configuration allows it.
     #[arg(long)]
     pictures: bool,
-    /// Where the rules go; standard output without it.
+    /// File for the rules [default: standard output]
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -50,7 +50,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.output {
         None => print!("{text}"),
         Some(file) => {
-            // Whole or not at all: the router may start at any moment.
+            // The file is replaced as a whole, because the router may start at any moment.
             write_public(file, &text).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
             println!("{}: {subjects} certificates are let in", file.display());

@@ -1,4 +1,4 @@
-//! `albireo cert`: the certificates of a fleet.
+//! `albireo cert`: manages the certificates of a fleet.
 
 use albireo_router::authority::{Authority, DAY, Issued, Role};
 use albireo_service::clock::unix_milliseconds;
@@ -41,10 +41,10 @@ pub(super) struct Arguments {
 enum Command {
     /// Make the authority, once.
     Authority {
-        /// Its name in the certificate.
+        /// The authority's name in its certificate.
         #[arg(long, default_value = "albireo fleet")]
         name: String,
-        /// How long it is good, days.
+        /// How long it is valid, days.
         #[arg(long, default_value_t = 3650, value_parser = clap::value_parser!(u32).range(1..=36_500))]
         days: u32,
     },
@@ -56,26 +56,26 @@ enum Command {
     Router(Members),
     /// Renew valid certificates. The old ones stay valid until they expire.
     Renew {
-        /// Of which role; with the name.
+        /// Role of the certificate to renew; needs the name.
         #[arg(requires = "name", required_unless_present = "within")]
         role: Option<Role>,
-        /// Of whom.
+        /// Name in the certificate.
         name: Option<String>,
-        /// All that expire within this many days.
+        /// Renew all that expire within this many days.
         #[arg(long, value_name = "DAYS", conflicts_with = "role")]
         within: Option<u32>,
-        /// How long they are good, days.
+        /// How long they are valid, days.
         #[arg(long, default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=36_500))]
         days: u32,
     },
     /// Take a certificate out of the access control that is generated from now on.
     Revoke {
-        /// Of which role.
+        /// Role of the certificate.
         role: Role,
-        /// Of whom.
+        /// Name in the certificate.
         name: String,
     },
-    /// List all certificates, and when they end.
+    /// List all certificates, and when they expire.
     List {
         /// Print JSON.
         #[arg(long)]
@@ -83,16 +83,16 @@ enum Command {
     },
 }
 
-/// Who gets certificates.
+/// The services that get certificates.
 #[derive(Debug, clap::Args)]
 struct Members {
-    /// Their names: a node's is the one in its configuration.
+    /// Names of the services: a node's is the one in its configuration.
     #[arg(required = true)]
     names: Vec<String>,
-    /// Name or address it is reached at.
+    /// Name or address at which it is reached.
     #[arg(long = "host", value_name = "HOST")]
     hosts: Vec<String>,
-    /// How long they are good, days.
+    /// How long they are valid, days.
     #[arg(long, default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=36_500))]
     days: u32,
 }

@@ -43,7 +43,7 @@ pub(super) struct Arguments {
     /// Check keys and values only: for a file that is meant for another machine.
     #[arg(long)]
     file_only: bool,
-    /// Also try what a node's file names: model and provider, camera sources, router, hub.
+    /// Also try the resources in a node's file: model and provider, camera sources, router, hub.
     #[arg(long, conflicts_with = "file_only")]
     online: bool,
 }
@@ -82,7 +82,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether a file has a section that only a hub's configuration has, and none that only a node's has.
+/// True if a file has a section that only a hub's configuration has, and none that only a node's has.
 #[cfg(feature = "hub")]
 fn is_for_a_hub(file: &std::path::Path) -> bool {
     let text = std::fs::read_to_string(file).unwrap_or_default();
@@ -115,9 +115,9 @@ fn check_hub(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints a line for each thing that was tried.
+/// Prints a line for each resource that was tried.
 async fn online(config: &NodeConfig) -> anyhow::Result<()> {
-    // Seconds for a large model or a camera that is away, minutes for TensorRT's first engine.
+    // This takes seconds for a large model or an unreachable camera, and minutes for TensorRT's first engine.
     let waiting = ProgressBar::new_spinner().with_message("trying models, cameras and router");
     waiting.enable_steady_tick(Duration::from_millis(100));
     let mut failed = 0;

@@ -1,4 +1,4 @@
-//! `albireo completions`: what a shell needs to complete the program's arguments.
+//! `albireo completions`: prints the script with which a shell completes the program's arguments.
 
 use anyhow::Context;
 use clap::CommandFactory;

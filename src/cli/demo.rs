@@ -1,4 +1,4 @@
-//! `albireo demo`: a camera, a node and a hub in one process, talking over real Zenoh sessions, with live output.
+//! `albireo demo`: runs a camera, a node and a hub in one process over real Zenoh sessions, with live output.
 
 #[cfg(feature = "hub")]
 mod hub;
@@ -77,7 +77,7 @@ pub(super) struct Arguments {
 /// When a part cannot start.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        // What is dropped or failed is in the summary; a warning, a library's too, would tear the table.
+        // The summary has dropped and failed frames; a warning, even of a library, would break the table.
         level: "error,tower_http=off,zenoh=off,zenoh_transport=off,zenoh_link=off,zenoh_ext=off,ort=off,hyper=off"
             .to_owned(),
         ..LogConfig::default()
@@ -100,8 +100,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     show::hub_lines(hub.address());
     show::frame_states();
 
-    // A task each: opening a Zenoh session blocks its thread, and no part may wait for another's.
-    // Whichever ends first ends the others.
+    // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
+    // The part that ends first ends the others.
     let node = tokio::spawn(ending(shutdown.clone(), {
         let (config, shutdown) = (config.clone(), shutdown.clone());
         async move { run_prepared(&config, prepared, listener, shutdown).await }
@@ -116,7 +116,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         camera.await.context("camera")?,
         show.await.context("output")?,
     );
-    // Last of all, so that the last clip has arrived.
+    // The hub ends last, so that the last clip has arrived.
     #[cfg(feature = "hub")]
     let hub = hub.stop().await;
     camera?;
@@ -133,7 +133,7 @@ async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -
     ended
 }
 
-/// A listener on that port of the loopback interface, or on any free one when it is taken.
+/// Opens a listener on this port of the loopback interface, or on any free one if it is taken.
 async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     if let Ok(listener) = TcpListener::bind(("127.0.0.1", port)).await {
         return Ok(listener);

@@ -1,4 +1,4 @@
-//! `albireo detect`: says what a detector is, and runs it on pictures.
+//! `albireo detect`: describes a detector, and runs it on pictures.
 
 use super::values::parse_size;
 use albireo_core::detection::Detection;
@@ -42,7 +42,7 @@ pub(super) struct Arguments {
     /// Report all classes of the model under their own names and numbers, not only those of BDD100K.
     #[arg(long)]
     all_classes: bool,
-    /// Columns x rows of the input, where the model leaves them open.
+    /// Columns x rows of the input, if the model leaves them open.
     #[arg(long, value_parser = parse_size)]
     input_size: Option<PictureSize>,
     /// Detections below this confidence are dropped.
@@ -54,26 +54,26 @@ pub(super) struct Arguments {
     /// The most detections of a picture.
     #[arg(long, default_value_t = 300)]
     most: usize,
-    /// What runs it.
+    /// The execution provider that runs the model.
     #[arg(long, value_enum, default_value_t = ExecutionProvider::Cpu)]
     provider: ExecutionProvider,
     /// Threads inside one run; 0 for one less than the machine has cores.
     #[arg(long, default_value_t = 0)]
     threads: usize,
-    /// Write one JSON object a line: first the model, then each picture.
+    /// Write one JSON object per line: first the model, then each picture.
     #[arg(long)]
     json: bool,
     /// Draw the boxes into copies of the pictures, as JPEG files in this folder.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Write what the model is given into this folder: for each picture a file PICTURE.f32 with the input
+    /// Write the model's input into this folder: for each picture a file PICTURE.f32 with the input
     /// tensor, float32, little-endian.
     #[arg(long, value_name = "FOLDER")]
     write_input: Option<PathBuf>,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    // Seconds for a large model, minutes for TensorRT.
+    // Loading takes seconds for a large model, and minutes for TensorRT.
     let loading =
         ProgressBar::new_spinner().with_message(format!("loading {}", arguments.model.display()));
     loading.enable_steady_tick(Duration::from_millis(100));
@@ -133,7 +133,7 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
     }
 }
 
-/// Runs the detector on a picture, prints what it finds and writes what was asked for.
+/// Runs the detector on a picture, prints its detections, and writes the requested files.
 fn look(
     arguments: &Arguments,
     network: &mut DetectorNetwork,
@@ -171,7 +171,7 @@ fn look(
     Ok(())
 }
 
-/// `times`: milliseconds of decoding, letterbox, model and head.
+/// Prints the detections of a picture. `times` are the milliseconds of decoding, letterbox, model and head.
 fn print_detections(
     json: bool,
     file: &Path,
@@ -242,7 +242,7 @@ fn write_drawn(
     found: &Found,
 ) -> anyhow::Result<()> {
     let limits = FrameLimits::default();
-    // The network may have been given a smaller one.
+    // The network's input may have been decoded at a smaller size.
     let mut picture = Picture::default();
     decode(encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
     for detection in &found.detections {
@@ -268,13 +268,13 @@ fn write_drawn(
     std::fs::write(&target, to_jpeg(&drawn, &limits)?).with_context(|| target.display().to_string())
 }
 
-/// Draws the outline of a box, `[x1, y1, x2, y2]` in pixels, into an RGB picture; what lies outside it is cut off.
+/// Draws the outline of a box, `[x1, y1, x2, y2]` in pixels, into an RGB picture; parts outside the picture are cut off.
 fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
     let (width, height) = (
         i64::from(picture.size.width),
         i64::from(picture.size.height),
     );
-    // Two pixels in a picture of 640 columns.
+    // The outline has two pixels in a picture of 640 columns.
     let thick = (width / 320).max(1);
     let [x1, y1, x2, y2] = corners.map(|place| place.round() as i64);
     for y in y1.max(0)..y2.min(height) {

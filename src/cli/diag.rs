@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     /// HTTP interface of the node or the hub.
     #[arg(default_value = "http://127.0.0.1:8080", value_name = "URL")]
     url: String,
-    /// Its token; safer in the environment, because other users see the command line.
+    /// The service's token; safer in the environment, because other users see the command line.
     #[arg(long, env = "ALBIREO_HTTP__TOKEN", hide_env_values = true)]
     token: Option<String>,
     /// Where to write the archive, instead of the name that the service gives it; an existing file is not
@@ -57,7 +57,7 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes an archive into a new file: one that is there already is left alone.
+/// Writes an archive into a new file; an existing file is not overwritten.
 pub(super) fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
     OpenOptions::new()
         .write(true)
@@ -67,7 +67,7 @@ pub(super) fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
         .with_context(|| format!("{} cannot be written", file.display()))
 }
 
-/// The name that the service gives the archive: a name alone, whatever was sent.
+/// Returns the file name that the service gives the archive, without any path in it.
 fn named(response: &Response) -> Option<PathBuf> {
     let header = response.headers().get(CONTENT_DISPOSITION)?.to_str().ok()?;
     let (_, name) = header.split_once("filename=\"")?;

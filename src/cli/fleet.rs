@@ -1,4 +1,4 @@
-//! `albireo fleet`: a hub from the terminal. It is a client of the hub's HTTP interface and knows nothing else.
+//! `albireo fleet`: uses a hub from the terminal, as a client of its HTTP interface only.
 
 pub(super) mod client;
 mod diag;
@@ -59,10 +59,10 @@ pub(super) struct Arguments {
         value_name = "URL"
     )]
     hub: String,
-    /// Its token; better in the environment than here, where others see it
+    /// The hub's token; safer in the environment, because other users see the command line
     #[arg(long, global = true, env = "ALBIREO_HUB_TOKEN", hide_env_values = true)]
     token: Option<String>,
-    /// Print JSON, as the hub gives it
+    /// Print the hub's JSON
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
@@ -71,13 +71,13 @@ pub(super) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// All nodes, and how they are.
+    /// List all nodes with their states.
     Ls(nodes::ListArguments),
-    /// One node.
+    /// Show one node.
     Show(nodes::ShowArguments),
     /// Forget nodes that are gone; their clips and history stay.
     Forget {
-        /// Their names.
+        /// The names of the nodes.
         #[arg(required = true)]
         nodes: Vec<String>,
     },
@@ -85,32 +85,32 @@ enum Command {
     SetU(set::Arguments),
     /// Let selected nodes hold a target instead of a threshold.
     SetTarget(set::TargetArguments),
-    /// The history of what was ordered.
+    /// Show the history of orders.
     Changes(set::ChangesArguments),
-    /// Nodes that were changed at the node since they took the desired value or target.
+    /// List nodes that were changed locally after they took the desired value or target.
     Drift,
-    /// Change a value in stages, each gated on what is measured.
+    /// Change a value in stages, each gated on measurements.
     #[command(subcommand)]
     Rollout(runs::RolloutCommand),
     /// Compare values on random groups of nodes.
     #[command(subcommand)]
     Trial(runs::TrialCommand),
-    /// Energy over time.
+    /// Show energy over time.
     Energy(nodes::EnergyArguments),
-    /// The fleet, renewed every two seconds.
+    /// Show the fleet, refreshed every two seconds.
     Watch(nodes::WatchArguments),
     /// Fetch the hub's diagnostics as one archive.
     Diag(diag::Arguments),
 }
 
-/// How a command ended, beyond errors.
+/// How a command ended without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ended {
-    /// As asked.
+    /// Everything was done.
     Well,
-    /// Some nodes refused or did not answer; a rollout went back.
+    /// Some nodes refused or did not answer, or a rollout was rolled back.
     Failed,
-    /// Something is still open.
+    /// Some nodes or stages are still pending.
     Open,
 }
 
@@ -124,7 +124,7 @@ impl From<Ended> for ExitCode {
     }
 }
 
-/// What every command works with.
+/// The context of every command.
 struct Context {
     client: Client,
     json: bool,
@@ -132,7 +132,7 @@ struct Context {
 }
 
 impl Context {
-    /// Prints what the hub answered: as JSON, or as `text` makes of it.
+    /// Prints the hub's answer as JSON, or as formatted by `text`.
     fn print<T: serde::Serialize>(
         &self,
         answer: &T,

@@ -1,4 +1,4 @@
-//! Frames on their way to a node: the Zenoh session of a sender, and how each frame goes out.
+//! Sends frames to a node: the Zenoh session of a sender, and how each frame is sent.
 
 mod sender;
 mod session;
@@ -42,7 +42,7 @@ impl FrameTarget {
     /// The key to publish on.
     ///
     /// # Errors
-    /// When a name cannot stand in a key.
+    /// When a name is not valid in a key.
     pub fn frame_key(&self) -> anyhow::Result<String> {
         match &self.key {
             Some(key) => Ok(key.clone()),
@@ -53,6 +53,6 @@ impl FrameTarget {
     }
 }
 
-/// What to check if no node subscribes to a key.
+/// The advice if no node subscribes to a key.
 pub(crate) const NOBODY: &str =
     "is the node running, and does one of its cameras have this name (or this key)?";

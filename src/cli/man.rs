@@ -1,4 +1,4 @@
-//! `albireo man`: the manual pages, made from the same descriptions as `--help`.
+//! `albireo man`: writes the manual pages, from the same descriptions as `--help`.
 
 use anyhow::Context;
 use clap::CommandFactory;
@@ -16,7 +16,7 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// Where the pages go; made when it is not there.
+    /// Folder for the pages, which is created if needed.
     folder: PathBuf,
 }
 

@@ -43,7 +43,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     block_on(serve(config))
 }
 
-/// The configuration of `file`, or the defaults, with what the environment overrides.
+/// Returns the configuration of `file`, or the defaults, with the overrides of the environment.
 pub(super) fn configuration(file: Option<&Path>) -> anyhow::Result<NodeConfig> {
     #[cfg_attr(not(feature = "development"), expect(unused_mut))]
     let mut config: NodeConfig = albireo_service::config::load(file)?;

@@ -1,4 +1,4 @@
-//! `albireo power`: which power sources work on this machine, their rails, and watts now.
+//! `albireo power`: lists the power sources that work on this machine, with their rails and current watts.
 
 use albireo_power::{SourceSurvey, survey};
 use std::fmt::Write;
@@ -37,7 +37,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The sources as a table: one line each, and below a source that works its rails.
+/// Formats the sources as a table, one line each, with the rails of a source that works below it.
 fn table(found: &[SourceSurvey]) -> String {
     let mut text = String::new();
     let mut line = |cells: [&str; 4]| {

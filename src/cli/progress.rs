@@ -1,9 +1,9 @@
-//! Progress on a terminal.
+//! Shows progress on a terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar of `total` steps, or a spinner where their number is not known; `unit` follows the count. It is hidden where
-/// standard error is no terminal.
+/// Makes a bar of `total` steps, or a spinner if their number is unknown; `unit` follows the count. It is hidden if
+/// standard error is not a terminal.
 pub(super) fn bar(total: Option<u64>, unit: &str) -> ProgressBar {
     let (bar, style) = match total {
         Some(total) => (

@@ -1,4 +1,4 @@
-//! `albireo publish`: a live camera's frames for a node on another machine.
+//! `albireo publish`: sends a live camera's frames to a node on another machine.
 
 use super::block_on;
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
@@ -34,7 +34,7 @@ Examples:
 A camera on the node's own machine needs no publisher: [[camera]] source in its
 configuration. Runs until stopped: camera and node may go away and come back.";
 
-/// JPEG quality of what is not motion JPEG already (`-q:v`, 2 is the best).
+/// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
 const QUALITY: u8 = 3;
 
 /// Pauses between two attempts to reach the node the first time; later Zenoh tries by itself.
@@ -100,7 +100,7 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
         hardware: arguments.hardware.clone(),
         options,
         silence: Duration::from_secs(arguments.source_timeout.max(1)),
-        // The network between costs more than the coding.
+        // JPEG saves more on the network than encoding costs.
         decoded: Handover::Jpeg(QUALITY),
         limits: FrameLimits::default(),
     };
@@ -130,7 +130,7 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     Ok(())
 }
 
-/// Waits for a session with the node; none if stopped before.
+/// Waits for a session with the node; `None` if stopped before.
 async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option<Session> {
     let mut pause = FIRST_PAUSE;
     loop {
@@ -150,7 +150,7 @@ async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option
     }
 }
 
-/// Logs whether somebody takes the frames, now and at every change.
+/// Logs whether a node takes the frames, now and at every change.
 async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String) {
     loop {
         if *receivers.borrow_and_update() == Some(true) {
@@ -214,7 +214,7 @@ impl SourceSink for Outlet {
                 self.sent.fetch_add(1, Ordering::Relaxed);
                 self.failed = false;
             }
-            // Once for as long as it lasts.
+            // Logged once for a series of failures.
             Err(error) if !std::mem::replace(&mut self.failed, true) => {
                 tracing::warn!("a frame was not sent: {error:#}");
             }

@@ -1,4 +1,4 @@
-//! `albireo replay`: any machine plays a camera.
+//! `albireo replay`: publishes recorded footage as a camera would.
 
 mod publish;
 
@@ -60,10 +60,10 @@ pub struct ReplayArguments {
     pub encoding: VideoEncoding,
 }
 
-/// How long it may take until it is known who listens.
+/// How long it may take until a subscriber is known.
 const LISTENERS: Duration = Duration::from_secs(2);
 
-/// Replays until the source ends or `shutdown`, then says what was sent.
+/// Replays until the source ends or `shutdown`, then prints what was sent.
 ///
 /// # Errors
 /// When the source cannot be read, the node cannot be reached, or no node subscribes in time.
@@ -107,7 +107,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     Ok(sent)
 }
 
-/// Opens a session and waits, as asked, until a node takes frames.
+/// Opens a session and, if requested, waits until a node takes frames.
 async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Session, FrameSender)> {
     let target = &arguments.target;
     let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
@@ -120,14 +120,14 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
     if arguments.wait_for_subscriber.is_some() {
         sender.wait_for_receiver(patience).await?;
     }
-    // What a node subscribes to is known a moment after the session is open.
+    // Subscribers are known a moment after the session is open.
     if sender.wait_for_receiver(LISTENERS).await.is_err() {
         eprintln!("albireo: no node subscribes to `{key}` yet, so frames are lost: {NOBODY}");
     }
     Ok((session, sender))
 }
 
-/// One line on what was sent.
+/// Returns a line on what was sent.
 fn summary(sent: &Sent, key: &str) -> String {
     let seconds = sent.elapsed.as_secs_f64();
     let mut line = format!(
@@ -136,7 +136,7 @@ fn summary(sent: &Sent, key: &str) -> String {
         HumanBytes(sent.bytes)
     );
     if sent.frames > 1 && seconds > 0.0 {
-        // The first frame begins the time, so it does not count for the rate.
+        // The time starts with the first frame, so that frame does not count for the rate.
         line += &format!(", {:.1} frames/s", (sent.frames - 1) as f64 / seconds);
     }
     if sent.clips > 0 {

@@ -1,4 +1,4 @@
-//! `albireo router`: runs the router of a fleet until it is told to stop.
+//! `albireo router`: runs the router of a fleet until it is stopped.
 
 use super::block_on;
 use albireo_router::RouterOptions;
@@ -24,13 +24,13 @@ Examples:
 pub(super) struct Arguments {
     #[command(flatten)]
     options: RouterOptions,
-    /// Write the log as JSON, one object a line.
+    /// Write the log as JSON, one object per line.
     #[arg(long, env = "ALBIREO_ROUTER_LOG_JSON")]
     log_json: bool,
-    /// Error, warn, info, debug, trace, or filter directives.
+    /// Log level (error, warn, info, debug, trace), or filter directives.
     #[arg(long, env = "ALBIREO_ROUTER_LOG_LEVEL", default_value = "info")]
     log_level: String,
-    /// Only say what is wrong with the files. Exit code 0 when they can be used, 1 when not.
+    /// Only check the files. The exit code is 0 if they can be used, and 1 if not.
     #[arg(long)]
     check: bool,
 }

@@ -1,12 +1,12 @@
-//! Values of arguments: a rate of frames, a size of pictures.
+//! Parses values of arguments: frame rates and picture sizes.
 
 use albireo_core::geometry::PictureSize;
 
-/// Fewest frames per second that anything here plays, sends or takes: one in 17 minutes. A period is computed from them, and
-/// one of a billion years is a slip of the finger.
+/// The fewest frames per second: one in 17 minutes. A period is computed from the rate, and a rate that means a period of
+/// a billion years is a typing error.
 pub(super) const LEAST: f64 = 0.001;
 
-/// Most frames per second.
+/// The most frames per second.
 pub(super) const MOST: f64 = 1000.0;
 
 /// Reads a number of frames per second.

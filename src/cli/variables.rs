@@ -1,10 +1,10 @@
-//! Variables that must stand before libraries are loaded. A process cannot safely change its own once it has threads, so
-//! the program starts itself once more in its own place.
+//! Sets environment variables that libraries read when they are loaded. A process with threads cannot safely change its
+//! own environment, so the program replaces itself with a new process.
 
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
-/// A variable that is wanted, and its value.
+/// The name and value of a variable.
 pub(super) type Variable = (&'static str, &'static str);
 
 /// ONNX Runtime's builds for Linux keep a database of runs in the user's cache folder and can send it to the vendor. The
@@ -17,7 +17,7 @@ pub(super) const NO_TELEMETRY: Variable = ("ORT_DISABLE_TELEMETRY", "1");
 /// (benches/README.md).
 pub(super) const FEW_HEAPS: Variable = ("MALLOC_ARENA_MAX", "2");
 
-/// Goes on with these variables: in a new program in this process's place, or at once where each is set to anything already.
+/// Replaces this process with one that has these variables; returns at once if all of them have a value already.
 pub(super) fn start_with(wanted: &[Variable]) {
     let missing: Vec<_> = wanted
         .iter()
@@ -42,7 +42,7 @@ pub(super) fn start_with(wanted: &[Variable]) {
         .map(|(name, value)| format!("{name}={value}"))
         .collect();
     eprintln!(
-        "albireo: it goes on without {} ({error})",
+        "albireo: continuing without {} ({error})",
         set.join(" and ")
     );
 }

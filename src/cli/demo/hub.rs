@@ -1,4 +1,4 @@
-//! The demonstration's hub: in the same process, with its history in a temporary folder that goes with it.
+//! Runs the demonstration's hub in the same process, with its history in a temporary folder.
 
 use albireo_hub::config::HubConfig;
 use albireo_service::config::{Configuration, ZenohMode};
@@ -55,12 +55,12 @@ impl DemoHub {
         })
     }
 
-    /// Where its interface is.
+    /// The address of its HTTP interface.
     pub(super) const fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Lets it commit what it has, and ends it.
+    /// Ends the hub after it has committed all reports.
     pub(super) async fn stop(self) -> anyhow::Result<()> {
         self.stop.cancel();
         self.running.await.context("hub")?.context("hub")

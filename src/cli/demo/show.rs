@@ -1,4 +1,4 @@
-//! What the demonstration prints: an address, a live line, a line for every clip, a summary.
+//! Prints the demonstration's output: addresses, a live line, a line for every clip, and a summary.
 
 use albireo_node::config::NodeConfig;
 use albireo_node::state::board::{Board, Event, News};
@@ -12,7 +12,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
-/// How long after the end the last clip's report is waited for.
+/// How long to wait for the last clip's report after the end.
 const LAST_REPORT: Duration = Duration::from_secs(3);
 
 /// Follows a node's board and prints.
@@ -26,7 +26,7 @@ pub(super) struct Show {
     bar: ProgressBar,
 }
 
-/// What there was in all.
+/// The totals of all clips.
 #[derive(Debug, Default)]
 pub(super) struct Summary {
     seconds: f64,
@@ -35,7 +35,7 @@ pub(super) struct Summary {
     degraded: u64,
     dropped: u64,
     joules: f64,
-    /// The energy is not that of all the time.
+    /// True if the energy does not cover the whole time.
     has_gaps: bool,
     quality: Option<EnergyQuality>,
     source: String,
@@ -67,7 +67,7 @@ impl Show {
         );
         let camera = self.board.cameras.first();
         if let Some(knob) = camera.and_then(|camera| camera.knob) {
-            // Something to see the difference by: twice what it is without configuration.
+            // Twice the default, so that the difference is visible.
             let value = (2.0 * knob.default).min(knob.maximum);
             let value = serde_json::json!({ knob.name: value });
             println!(
@@ -119,7 +119,7 @@ impl Show {
         summary
     }
 
-    /// The head of the clips' table, once.
+    /// Prints the heading of the clips' table once.
     fn heading(&mut self) {
         if !std::mem::replace(&mut self.has_heading, true) {
             self.say(&format!("\n{HEADING}"));
@@ -131,14 +131,14 @@ impl Show {
     }
 }
 
-/// Where the hub is, and how to ask it.
+/// Prints the hub's address, and how to query it.
 #[cfg(feature = "hub")]
 pub(super) fn hub_lines(address: SocketAddr) {
     println!("  hub      curl http://{address}/api/v1/clips");
     println!("  fleet    albireo fleet --hub http://{address} ls");
 }
 
-/// What the letters of the table mean.
+/// Prints what the letters of the table mean.
 pub(super) fn frame_states() {
     println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
 }
@@ -146,7 +146,7 @@ pub(super) fn frame_states() {
 const HEADING: &str =
     "clip                 frames    E    P  E+I    I   AI   skip   energy        EDP";
 
-/// What happens now, in one line.
+/// Formats the current frame as one line.
 fn live_line(board: &Board, message: &DetectionsMessage) -> String {
     let mut classes = BTreeMap::<&str, u32>::new();
     for found in &message.boxes {
@@ -169,11 +169,11 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
         skip_rate * 100.0,
         objects.join(", ")
     );
-    // One line of an 80-column terminal, beside the spinner.
+    // The line must fit an 80-column terminal beside the spinner.
     line.chars().take(77).collect()
 }
 
-/// A clip's row under [`HEADING`].
+/// Formats a clip's row under [`HEADING`].
 fn clip_line(report: &ClipReport) -> String {
     let states = &report.states;
     let mark = mark(&report.energy);
@@ -198,7 +198,7 @@ fn clip_line(report: &ClipReport) -> String {
     )
 }
 
-/// Marks what no meter has read, and what is not the energy of the whole clip.
+/// Marks energy that no meter has measured, or that does not cover the whole clip.
 fn mark(energy: &ClipEnergy) -> &'static str {
     match (energy.quality, energy.is_whole()) {
         (EnergyQuality::Estimated, true) => "*",
@@ -217,7 +217,7 @@ impl Summary {
         self.joules += report.energy.joules.unwrap_or_default();
         self.has_gaps |= !report.energy.is_whole();
         self.source.clone_from(&report.energy.source);
-        // The least trustworthy part says how far to trust the sum.
+        // The sum has the quality of its worst part.
         self.quality = self.quality.max(Some(report.energy.quality));
     }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// How long a plain answer may take.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
-/// Longest line of a stream.
+/// The longest line of a stream.
 const LONGEST_LINE: usize = 1 << 20;
 
 /// A hub, or a node.
@@ -26,7 +26,7 @@ impl Client {
             .with_context(|| format!("`{hub}` is no address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
-            // The hub's answer is the hub's: no other address is followed.
+            // An answer must come from the hub itself, so redirects are not followed.
             .redirect(reqwest::redirect::Policy::none())
             .build()?;
         Ok(Self { base, token, http })
@@ -80,7 +80,7 @@ impl Client {
         })
     }
 
-    /// Asks for something.
+    /// Sends a GET request.
     pub(super) async fn get<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -95,7 +95,7 @@ impl Client {
         self.send(request.timeout(ANSWER_WITHIN)).await
     }
 
-    /// Orders something.
+    /// Sends a request with a JSON body.
     pub(super) async fn post<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -105,14 +105,14 @@ impl Client {
             .await
     }
 
-    /// Deletes something.
+    /// Sends a DELETE request.
     pub(super) async fn delete(&self, path: &str) -> anyhow::Result<()> {
         let request = self.request(Method::DELETE, path, &[])?;
         self.send(request.timeout(ANSWER_WITHIN)).await?;
         Ok(())
     }
 
-    /// Sends `body` by PUT and gives each line of the answer to `line` as it comes.
+    /// Sends `body` by PUT and passes each line of the answer to `line` as it arrives.
     pub(super) async fn put_lines<T: DeserializeOwned>(
         &self,
         path: &str,

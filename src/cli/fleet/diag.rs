@@ -1,4 +1,4 @@
-//! `diag`: fetches a hub's diagnostics as one archive.
+//! The command `diag`: fetches a hub's diagnostics as one archive.
 
 use super::{Context, Ended};
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 /// Arguments of `albireo fleet diag`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Where to write it; a file that is there already is left alone.
+    /// Where to write it; an existing file is not overwritten.
     #[arg(long, short, value_name = "FILE", default_value = "albireo-hub.tar")]
     output: PathBuf,
 }

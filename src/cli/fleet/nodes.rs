@@ -1,4 +1,4 @@
-//! `ls`, `show`, `energy`, `watch`.
+//! The commands `ls`, `show`, `energy` and `watch`.
 
 use super::table::{WIDTH, cut, table};
 use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
@@ -10,16 +10,16 @@ use serde::Deserialize;
 use serde_json::json;
 use std::time::Duration;
 
-/// Nodes of one page.
+/// The number of nodes per page.
 const PAGE: usize = 500;
-/// Most nodes that are listed.
+/// The most nodes that are listed.
 const MOST: usize = 200_000;
-/// From so many seconds on, a time of `energy` begins with a day (UTC).
+/// From this many seconds on, a period of `energy` begins with a day (UTC).
 const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
 const DAY_MS: i64 = 86_400_000;
-/// Nodes that `watch` shows.
+/// The number of nodes that `watch` shows.
 const SHOWN: usize = 20;
-/// Time between two looks of `watch`.
+/// The time between two updates of `watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// Arguments of `albireo fleet ls`.
@@ -28,10 +28,10 @@ pub(super) struct ListArguments {
     /// Only nodes in this state: online, degraded, silent or offline.
     #[arg(long)]
     state: Option<String>,
-    /// By name, state (offline first), heard (the last heard first), waiting (the most waiting reports first).
+    /// Sort by name, state (offline first), heard (the last heard first) or waiting (the most waiting reports first).
     #[arg(long, default_value = "name", value_parser = ["name", "state", "heard", "waiting"])]
     sort: String,
-    /// How many at most.
+    /// The most nodes to list.
     #[arg(long, default_value_t = 1_000)]
     limit: usize,
 }
@@ -39,7 +39,7 @@ pub(super) struct ListArguments {
 /// Arguments of `albireo fleet show`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ShowArguments {
-    /// Its name.
+    /// The node's name.
     node: String,
 }
 
@@ -57,7 +57,7 @@ pub(super) async fn forget(context: &Context, nodes: &[String]) -> anyhow::Resul
 /// Arguments of `albireo fleet energy`.
 #[derive(Debug, clap::Args)]
 pub(super) struct EnergyArguments {
-    /// From when on: 7d, 12h; from two days on it begins with a day (UTC).
+    /// How far back: 7d, 12h; from two days on, the period begins with a day (UTC).
     #[arg(long, default_value = "7d", value_parser = seconds, value_name = "TIME")]
     since: f64,
     /// One line for each node, camera, day, policy or knob.
@@ -66,7 +66,7 @@ pub(super) struct EnergyArguments {
     /// Only this node.
     #[arg(long)]
     node: Option<String>,
-    /// By group, or joules: the most energy first.
+    /// Sort by group, or by joules (the most energy first).
     #[arg(long, default_value = "group", value_parser = ["group", "joules"])]
     sort: String,
 }
@@ -74,12 +74,12 @@ pub(super) struct EnergyArguments {
 /// Arguments of `albireo fleet watch`.
 #[derive(Debug, clap::Args)]
 pub(super) struct WatchArguments {
-    /// Stop after so many looks.
+    /// Stop after this many updates.
     #[arg(long, value_name = "N")]
     looks: Option<u64>,
 }
 
-/// All nodes, page by page.
+/// Fetches all nodes, page by page.
 async fn nodes(
     context: &Context,
     state: Option<&str>,
@@ -116,12 +116,12 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow:
     Ok(Ended::Well)
 }
 
-/// The node's last full status; `None` without one, or if a node of another version sent what this one cannot read.
+/// Returns the node's last full status; `None` without one, or if a node of another version sent it and it cannot be read.
 fn status(node: &NodeView) -> Option<NodeStatus> {
     NodeStatus::deserialize(node.status.as_ref()?).ok()
 }
 
-/// The target that is held; else the value in force, as far as all cameras have the same.
+/// Returns the node's target or, without one, the value in force if all cameras have the same.
 fn value(status: &NodeStatus) -> String {
     if let Some(target) = &status.target {
         return format!("hold {}", target.target);
@@ -138,7 +138,7 @@ fn camera_value(camera: &CameraStatus) -> String {
     camera.threshold.as_ref().map_or("-".to_owned(), threshold)
 }
 
-/// The labels of a node, in one line.
+/// Formats the labels of a node in one line.
 fn labels(status: &NodeStatus) -> String {
     let labels = status.labels.iter();
     let labels: Vec<String> = labels
@@ -233,7 +233,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow:
     Ok(Ended::Well)
 }
 
-/// The target of a node with its last reported state.
+/// Formats the target of a node with its last reported state.
 fn target_words(report: &NodeTarget) -> String {
     let actual = report
         .actual
@@ -284,7 +284,7 @@ fn sums(energy: &Energy) -> String {
             joules(group.joules / group.clips.max(1) as f64),
             figure(group.skip_rate),
             group.avoided_calls.to_string(),
-            // A rate with the interval that it is known to.
+            // A rate with its interval.
             recall.map_or("-".to_owned(), |recall| {
                 format!("{:.3} ({:.2}-{:.2})", recall.rate, recall.low, recall.high)
             }),
@@ -300,7 +300,7 @@ fn sums(energy: &Energy) -> String {
 pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyhow::Result<Ended> {
     let mut looks = 0;
     loop {
-        // The hub counts, and puts those that are not well first: a page is enough however large the fleet is.
+        // The hub counts the nodes and lists those with problems first, so one page is enough for any fleet.
         let query = [
             ("sort", "state".to_owned()),
             ("down", "true".to_owned()),
@@ -324,7 +324,7 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
     }
 }
 
-/// How many nodes are in which state; then those that are not well, or the first ones.
+/// Formats the number of nodes in each state, then the nodes with problems, or else the first ones.
 fn overview(page: &NodeList) -> String {
     let counts = &page.counts;
     let known = counts.online + counts.degraded + counts.silent + counts.offline;

@@ -1,4 +1,4 @@
-//! `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
+//! The commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
 
 use super::table::{WIDTH, cut, table, wrapped};
 use super::units::{
@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 use std::time::Duration;
 
-/// Time between two looks with `--follow`.
-const LOOK: Duration = Duration::from_secs(2);
+/// The time between two updates with `--follow`.
+const UPDATE_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Which one.
+/// The number of a rollout or a trial.
 #[derive(Debug, clap::Args)]
 pub(super) struct Number {
     /// Its number.
@@ -27,27 +27,27 @@ pub(super) struct Number {
 
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum RolloutCommand {
-    /// Begin one.
+    /// Start a rollout.
     Start(Box<RolloutArguments>),
-    /// All, the newest first.
+    /// List all rollouts, the newest first.
     Ls,
-    /// One with its stages, its verdicts and their numbers.
+    /// Show a rollout with its stages, its verdicts and their numbers.
     Show {
-        /// Its number; the newest where none is given.
+        /// Its number [default: the newest]
         id: Option<i64>,
-        /// Look again until it is done, held or back.
+        /// Show updates until it is done, held or returned.
         #[arg(long)]
         follow: bool,
     },
-    /// Let time stand still for it.
+    /// Pause a rollout; its times do not run on.
     Pause(Number),
-    /// Continue it; a stage that is held soaks again.
+    /// Continue a rollout; a stage that is held soaks again.
     Resume(Number),
-    /// The next stage now, whatever the gates say.
+    /// Begin the next stage now, whatever the gates say.
     Next(Number),
-    /// Give all its nodes their old values back.
+    /// Return all nodes of a rollout to their old values.
     Return(Number),
-    /// End it; every node keeps what it has.
+    /// End a rollout; every node keeps its value.
     Stop(Number),
 }
 
@@ -83,7 +83,7 @@ pub(super) struct RolloutArguments {
     /// How long a stage is held before it is judged.
     #[arg(long = "soak", value_parser = seconds, value_name = "TIME")]
     soak_s: Option<f64>,
-    /// How much longer, where it could not be judged.
+    /// How much longer, if it could not be judged.
     #[arg(long = "patience", value_parser = seconds, value_name = "TIME")]
     patience_s: Option<f64>,
     /// What the change may cost; may be given several times, and replaces the gates by default.
@@ -95,7 +95,7 @@ pub(super) struct RolloutArguments {
     /// How long a node may stay out of reach; then its value is withdrawn.
     #[arg(long = "offline-deadline", value_parser = seconds, value_name = "TIME")]
     offline_deadline_s: Option<f64>,
-    /// Look until it is done, held or back.
+    /// Show updates until it is done, held or returned.
     #[arg(long)]
     #[serde(skip)]
     follow: bool,
@@ -103,16 +103,16 @@ pub(super) struct RolloutArguments {
 
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum TrialCommand {
-    /// Begin one.
+    /// Start a trial.
     Start(TrialArguments),
-    /// All, the newest first.
+    /// List all trials, the newest first.
     Ls,
-    /// One with its result.
+    /// Show a trial with its result.
     Show {
-        /// Its number; the newest where none is given.
+        /// Its number [default: the newest]
         id: Option<i64>,
     },
-    /// End it now, with what was measured; the old values return.
+    /// End a trial now, with what was measured; the old values return.
     End(Number),
 }
 
@@ -131,10 +131,10 @@ pub(super) struct TrialArguments {
     duration_s: f64,
 }
 
-/// What the beginnings of rollouts and trials have in common.
+/// The arguments that rollouts and trials have in common.
 #[derive(Debug, clap::Args, Serialize)]
 struct Basics {
-    /// Which nodes; may be given several times.
+    /// The nodes to change; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
     select: Vec<String>,
     /// The threshold's name, for nodes under another policy.
@@ -144,7 +144,7 @@ struct Basics {
     /// How far back the measurements before the change go.
     #[arg(long = "baseline", value_parser = seconds, value_name = "TIME")]
     baseline_s: Option<f64>,
-    /// How sure verdicts and intervals must be.
+    /// Confidence level of verdicts and intervals.
     #[arg(long, value_name = "SHARE", value_parser = finite)]
     confidence: Option<f64>,
     /// Fewest clips of a node before and after.
@@ -153,15 +153,15 @@ struct Basics {
     /// How long a node in reach may take to report the value.
     #[arg(long = "apply-within", value_parser = seconds, value_name = "TIME")]
     apply_within_s: Option<f64>,
-    /// Draws the order of the nodes, or the groups.
+    /// Seed of the random order of the nodes, or of the groups.
     #[arg(long)]
     seed: Option<u64>,
-    /// Why; kept in the history.
+    /// The reason, which is kept in the history.
     #[arg(long, default_value = "")]
     why: String,
 }
 
-/// Begins one with this plan; what is not given has the hub's default.
+/// Starts a rollout or a trial with this plan; the hub has a default for what is not given.
 async fn begin(
     context: &Context,
     path: &str,
@@ -234,7 +234,7 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
     Ok(Ended::Well)
 }
 
-/// The number that was given, or that of the newest.
+/// Returns the number that was given, or that of the newest.
 async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Result<i64> {
     if let Some(id) = id {
         return Ok(id);
@@ -269,7 +269,7 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
         let path = format!("/api/v1/rollouts/{id}");
         let rollout: RunView = context.client.get(&path, &[]).await?;
         let run = &rollout.kept.run;
-        // The hub keeps the newest entries only, so that their places change.
+        // The hub keeps only the newest entries, so their positions change.
         let printed = last.as_ref().and_then(|last| {
             let mut entries = run.record.iter();
             entries.rposition(|entry| entry == last)
@@ -291,7 +291,7 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
             }
             return Ok(judge(&rollout));
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(UPDATE_INTERVAL).await;
     }
 }
 
@@ -308,7 +308,7 @@ fn state(run: &RunView) -> String {
     format!("{}{paused}", run.kept.run.phase)
 }
 
-/// The value that is rolled out, or the values that are compared.
+/// Formats the value that is rolled out, or the values that are compared.
 fn values(kind: &Kind) -> String {
     match kind {
         Kind::Rollout { to, .. } => threshold(to),
@@ -389,7 +389,7 @@ fn joined<T>(list: &[T], text: impl Fn(&T) -> String) -> String {
     list.iter().map(text).collect::<Vec<_>>().join(", ")
 }
 
-/// An entry of a rollout's record, with its time since the rollout began.
+/// Formats an entry of a rollout's record, with its time since the rollout began.
 fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let who = entry.who.as_ref().map(|who| format!(" by {who}"));
     let text = match entry.text.as_str() {
@@ -429,7 +429,7 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     text
 }
 
-/// What a trial measured.
+/// Formats what a trial measured.
 fn result(result: &TrialResult) -> String {
     let level = result.confidence * 100.0;
     let row = |shown: Figure, arm: &ArmResult| {

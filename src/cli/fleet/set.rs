@@ -1,4 +1,4 @@
-//! `set-u`, `set-target`, `changes`, `drift`.
+//! The commands `set-u`, `set-target`, `changes` and `drift`.
 
 use super::table::{WIDTH, cut, table};
 use super::units::{counts, name_of, seconds, setting, target, when};
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 /// Arguments of `albireo fleet set-u`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// The value.
+    /// The new value.
     value: f64,
     /// The knob's name, for nodes under another policy.
     #[arg(long, default_value = "u")]
@@ -25,23 +25,23 @@ pub(super) struct Arguments {
 /// Arguments of `albireo fleet set-target`.
 #[derive(Debug, clap::Args)]
 pub(super) struct TargetArguments {
-    /// What is to be held: skip_rate=0.5, recall=0.9 or watts=6, also as JSON ('{"skip_rate": 0.5}'); or off.
+    /// The target to hold: skip_rate=0.5, recall=0.9 or watts=6, also as JSON ('{"skip_rate": 0.5}'); or off.
     #[arg(value_parser = target)]
     target: Value,
     #[command(flatten)]
     order: Order,
 }
 
-/// For whom an order is, and how it is followed: the request without its setting.
+/// The nodes of an order, and how it is followed: the request without its setting.
 #[derive(Debug, clap::Args, Serialize)]
 struct Order {
-    /// Which nodes; may be given several times.
+    /// The nodes to set; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
     select: Vec<String>,
-    /// Only say who would change.
+    /// Only report which nodes would change.
     #[arg(long)]
     dry_run: bool,
-    /// Why; kept in the history.
+    /// The reason, which is kept in the history.
     #[arg(long, default_value = "")]
     why: String,
     /// How long to wait for the nodes: 10s, 5m.
@@ -62,7 +62,7 @@ pub(super) async fn set_target(
     order(context, "/api/v1/target", what, arguments.order).await
 }
 
-/// Orders it, and prints each node's outcome as it comes.
+/// Sends the order, and prints each node's outcome as it arrives.
 async fn order(
     context: &Context,
     path: &str,
@@ -91,7 +91,7 @@ async fn order(
     Ok(judge(last.as_ref()))
 }
 
-/// One node's line.
+/// Formats the outcome of a node as a line.
 fn outcome(line: &OutcomeLine) -> String {
     let text = format!(
         "{:<24} {:<12} {:>9} -> {:<9} {}",
@@ -104,13 +104,13 @@ fn outcome(line: &OutcomeLine) -> String {
     cut(text.trim_end(), WIDTH)
 }
 
-/// A setting that may not be known.
+/// Formats a setting that may be unknown.
 fn before(from: Option<&DesiredSetting>) -> String {
     from.map_or_else(|| "-".to_owned(), setting)
 }
 
 fn judge(last: Option<&LastLine>) -> Ended {
-    // Without a last line the answer broke off: what became of the nodes is not known.
+    // Without a last line the answer is incomplete, and the outcome is unknown.
     let Some(last) = last else {
         return Ended::Failed;
     };
@@ -129,10 +129,10 @@ fn judge(last: Option<&LastLine>) -> Ended {
 pub(super) struct ChangesArguments {
     /// The change of this revision, with every node.
     revision: Option<u64>,
-    /// Only those of this node.
+    /// Only changes of this node.
     #[arg(long)]
     node: Option<String>,
-    /// How many at most.
+    /// The most changes to list.
     #[arg(long, default_value_t = 20)]
     limit: u32,
 }

@@ -1,15 +1,15 @@
-//! Tables that fit a terminal of 100 columns.
+//! Formats tables for a terminal of 100 columns.
 
-/// Widest line.
+/// The longest line.
 pub(super) const WIDTH: usize = 100;
 
-/// A table with these headings, `"node|>waiting"`, where one after `>` is aligned to the right: each column as wide as its widest
-/// cell, the last one cut where the line would be too wide.
+/// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as wide
+/// as its widest cell; the last one is cut if the line is too long.
 pub(super) fn table<const N: usize>(
     headings: &str,
     rows: impl IntoIterator<Item = [String; N]>,
 ) -> String {
-    // A name from the network shall not move the cursor.
+    // A name from the network must not move the cursor.
     let clean = |cell: String| cell.replace(char::is_control, " ");
     let headings: Vec<&str> = headings.split('|').collect();
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
@@ -34,7 +34,7 @@ pub(super) fn table<const N: usize>(
     lines.iter().map(shown).collect()
 }
 
-/// The text in at most `width` characters.
+/// Cuts the text to at most `width` characters.
 pub(super) fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();
@@ -44,7 +44,7 @@ pub(super) fn cut(text: &str, width: usize) -> String {
     text
 }
 
-/// The text in lines of at most [`WIDTH`] characters, broken between words; all but the first begin behind `indent`.
+/// Breaks the text between words into lines of at most [`WIDTH`] characters; all but the first begin with `indent`.
 pub(super) fn wrapped(text: &str, indent: usize) -> String {
     let first = text.len() - text.trim_start().len();
     let mut lines = vec![text[..first].to_owned()];

@@ -1,4 +1,4 @@
-//! Times and numbers as people write and read them.
+//! Reads and formats times and numbers for people.
 
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
@@ -29,7 +29,7 @@ pub(super) fn finite(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("`{text}` is no number"))
 }
 
-/// Milliseconds since the Unix epoch.
+/// Returns the milliseconds since the Unix epoch.
 pub(super) fn now_ms() -> i64 {
     let since = SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -37,23 +37,23 @@ pub(super) fn now_ms() -> i64 {
     i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
 }
 
-/// How long ago: `12 s`, `5 min`, `3 h`, `8 d`.
+/// Formats how long ago something was: `12 s`, `5 min`, `3 h`, `8 d`.
 pub(super) fn ago(at_ms: i64) -> String {
     span((now_ms() - at_ms).max(0) / 1000)
 }
 
-/// How long ago a time is, milliseconds since the Unix epoch.
+/// Formats how long ago a time is, in milliseconds since the Unix epoch.
 pub(super) fn when(at_ms: i64) -> String {
     format!("{} ago", ago(at_ms))
 }
 
-/// The name of a value as messages have it, in words: `cannot be met`.
+/// Formats the name of a value in messages as words: `cannot be met`.
 pub(super) fn name_of(value: &impl Serialize) -> String {
     let name = serde_json::to_value(value).unwrap_or_default();
     name.as_str().unwrap_or("-").replace('_', " ")
 }
 
-/// How many nodes have which outcome: `3 applied, 1 timed out`.
+/// Formats how many nodes have each outcome: `3 applied, 1 timed out`.
 pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
     let counts = counts
         .iter()
@@ -61,7 +61,7 @@ pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
     counts.collect::<Vec<_>>().join(", ")
 }
 
-/// A change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers where it is not `relative`.
+/// Formats a change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers where it is not `relative`.
 pub(super) fn interval(change: &Interval, relative: bool) -> String {
     let shown = |value: f64| match relative {
         true => format!("{:+.1}%", value * 100.0),
@@ -75,13 +75,13 @@ pub(super) fn interval(change: &Interval, relative: bool) -> String {
     format!("{} [{}, {}]", shown(estimate), shown(lower), shown(upper))
 }
 
-/// A number of nodes: `1 node`, `20 nodes`.
+/// Formats a number of nodes: `1 node`, `20 nodes`.
 pub(super) fn nodes(count: u64) -> String {
     let noun = if count == 1 { "node" } else { "nodes" };
     format!("{count} {noun}")
 }
 
-/// A number of seconds in its largest unit.
+/// Formats a number of seconds in its largest unit.
 pub(super) fn span(seconds: i64) -> String {
     match seconds {
         0..120 => format!("{seconds} s"),
@@ -91,7 +91,7 @@ pub(super) fn span(seconds: i64) -> String {
     }
 }
 
-/// A figure with four digits that matter: `0.5512`, `123.4`, `4.1e-5`.
+/// Formats a figure with four significant digits: `0.5512`, `123.4`, `4.1e-5`.
 pub(super) fn figure(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {
@@ -104,12 +104,12 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
-/// Six digits of a number are all that anybody reads: a controller's values have more.
+/// Rounds to six digits: the values of a controller have more than anybody reads.
 fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// A threshold: `5e-4`, with its name unless it is `u`.
+/// Formats a threshold: `5e-4`, with its name unless it is `u`.
 pub(super) fn threshold(threshold: &Threshold) -> String {
     let number = short(rounded(threshold.value));
     match threshold.name.as_str() {
@@ -118,7 +118,7 @@ pub(super) fn threshold(threshold: &Threshold) -> String {
     }
 }
 
-/// What was ordered of a node, or what it has: a threshold as [`threshold`] writes it, `hold skip_rate 0.5` for a target.
+/// Formats a node's ordered or current setting: a threshold as [`threshold`] does, `hold skip_rate 0.5` for a target.
 pub(super) fn setting(setting: &DesiredSetting) -> String {
     match setting {
         DesiredSetting::Threshold(value) => threshold(value),

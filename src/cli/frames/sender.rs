@@ -1,4 +1,4 @@
-//! Sends frames to a node: as a camera does, or so that none is missed.
+//! Sends frames to a node, as a camera does or without losing any.
 
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
@@ -16,16 +16,16 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::Querier;
 use zenoh::session::Session;
 
-/// How long a frame may wait for its turn. A node whose detector hangs goes on long before.
+/// The longest time until a node takes a frame. A node whose detector hangs takes the next one long before.
 const TURN: Duration = Duration::from_secs(120);
 
-/// Between two attempts to give a frame to a node that did not take it.
+/// The time between two attempts to send a frame to a node that did not take it.
 const RETRY: Duration = Duration::from_millis(50);
 
-/// What happens when frames come faster than they are taken.
+/// What happens if frames arrive faster than the node takes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pacing {
-    /// They are dropped, as a camera's should be.
+    /// Frames are dropped, as those of a camera should be.
     Drop,
     /// The sender waits for the network, and the node takes the newest.
     WaitForNetwork,
@@ -38,7 +38,7 @@ pub enum Pacing {
 pub struct OutgoingFrame {
     /// The picture.
     pub picture: EncodedPicture,
-    /// What is sent beside it. The sender adds its `stream`.
+    /// The attachment. The sender adds its `stream`.
     pub attachment: FrameAttachment,
 }
 
@@ -48,7 +48,7 @@ enum SendMode {
     Ask(Arc<Querier<'static>>),
 }
 
-/// Sends frames on one key. While it is there it holds the token of its stream, by which the node knows when the next
+/// Sends frames on one key. While it exists, it holds the token of its stream, from which the node knows when the next
 /// sender may take over.
 #[derive(Clone, Debug)]
 pub struct FrameSender {
@@ -61,7 +61,7 @@ pub struct FrameSender {
 }
 
 impl FrameSender {
-    /// A sender for frames on `key`.
+    /// Declares a sender of frames on `key`.
     ///
     /// # Errors
     /// When the key is not a key expression, or the session is closed.
@@ -91,8 +91,8 @@ impl FrameSender {
             let publisher = publisher.congestion_control(congestion).await;
             SendMode::Put(Arc::new(publisher.map_err(refused)?))
         };
-        // Listening comes before looking, so that none is missed in between. What was found by looking is older than what was
-        // heard by then.
+        // The subscription comes before the query, so that no token is missed in between. What the query finds is older than
+        // what the subscription has received by then.
         let listener = match &mode {
             SendMode::Put(publisher) => publisher.matching_listener(),
             SendMode::Ask(querier) => querier.matching_listener(),
@@ -132,12 +132,12 @@ impl FrameSender {
         Ok(())
     }
 
-    /// Whether a node takes the frames; `None` until one has.
+    /// True while a node takes the frames; `None` until one has.
     pub(crate) fn receivers(&self) -> watch::Receiver<Option<bool>> {
         self.receivers.clone()
     }
 
-    /// Waits until somebody takes what is sent.
+    /// Waits until a node takes the frames.
     ///
     /// # Errors
     /// When no node takes frames within `patience`.
@@ -161,7 +161,7 @@ impl FrameSender {
         Ok(())
     }
 
-    /// Puts one frame; blocks where the network does.
+    /// Puts one frame; blocks while the network has no room.
     ///
     /// # Errors
     /// When Zenoh refuses it, or the frames of this sender are asked for.
@@ -177,7 +177,7 @@ impl FrameSender {
             .map_err(|error| anyhow!("a frame cannot be published: {error}"))
     }
 
-    /// Sends one frame; why the node does not process it, if it says so.
+    /// Sends one frame; returns the reason if the node reports that it does not process it.
     ///
     /// # Errors
     /// When Zenoh refuses it, or no node takes it.
@@ -186,7 +186,7 @@ impl FrameSender {
         match &self.mode {
             SendMode::Put(_) => {
                 let sender = self.clone();
-                // A put that has to wait for room blocks its thread.
+                // A put that waits for room blocks its thread.
                 tokio::task::spawn_blocking(move || sender.put(&frame))
                     .await
                     .context("publishing a frame")??;
@@ -196,7 +196,7 @@ impl FrameSender {
         }
     }
 
-    /// Gives a frame to the node and waits until it is taken; again where it was not.
+    /// Sends a frame and waits until the node has taken it; repeats it until then.
     async fn ask(
         &self,
         querier: &Arc<Querier<'static>>,
@@ -207,7 +207,7 @@ impl FrameSender {
         loop {
             let (querier, attachment) = (Arc::clone(querier), attachment.clone());
             let (bytes, format) = (frame.picture.bytes.clone(), frame.picture.format);
-            // What has to wait for room in the network blocks its thread.
+            // A query that waits for room in the network blocks its thread.
             let requested = tokio::task::spawn_blocking(move || {
                 querier
                     .get()
@@ -247,7 +247,7 @@ impl FrameSender {
     }
 }
 
-/// A stream's number, and the token that shows that it goes on.
+/// A stream's number, and the token that shows that it is active.
 fn new_stream(session: &Session, key: &str) -> anyhow::Result<(u64, LivelinessToken)> {
     let stream = unix_nanoseconds();
     let token = session
@@ -258,7 +258,7 @@ fn new_stream(session: &Session, key: &str) -> anyhow::Result<(u64, LivelinessTo
     Ok((stream, token))
 }
 
-/// The Zenoh encoding of a picture.
+/// Returns the Zenoh encoding of a picture.
 fn encoding(format: PictureFormat) -> String {
     match format {
         PictureFormat::Jpeg => "image/jpeg".to_owned(),

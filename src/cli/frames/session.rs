@@ -12,12 +12,12 @@ use zenoh::session::Session;
 /// Where a node listens by default.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// How long, in microseconds, a waiting put may find no room at all before Zenoh gives
-/// the connection up. Its own 5 s are short for a receiver that holds its sender back.
+/// How long, in microseconds, a put may wait for room before Zenoh closes the connection. Its
+/// default of 5 s is too short for a receiver that slows its sender down.
 const BLOCKED_MICROSECONDS: u64 = 120_000_000;
 const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
-/// Opens a session that knows no one but the given endpoints: a client of `connect` (of
+/// Opens a session that connects only to the given endpoints: a client of `connect` (of
 /// [`DEFAULT_ENDPOINT`] when both are empty), or a peer when there is something to listen on. Keeps
 /// trying to connect for `patience`.
 ///
@@ -55,15 +55,15 @@ pub async fn open_session(
     })
 }
 
-/// Waits until everything put before has left this session and, where it is a client, has been taken by
-/// its node or router: a query travels behind the frames and its end comes back only then. Closing a
-/// session gives up what a slow receiver has not taken after ten seconds.
+/// Waits until all earlier puts have left this session and, if it is a client, have reached its node or
+/// router: a query travels behind the frames, and it ends only then. Closing a session drops what a slow
+/// receiver has not taken after ten seconds.
 ///
 /// # Errors
 /// When that takes longer than `patience`.
 #[cfg(feature = "eval")]
 pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::Result<()> {
-    // No one answers on this key; the query's end is what is waited for.
+    // Nothing answers on this key; only the end of the query matters.
     let replies = session
         .get(format!("{key}/@flush"))
         .timeout(patience)

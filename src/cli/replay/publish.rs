@@ -1,4 +1,4 @@
-//! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
+//! Plays a source on a frame key: decides when each frame is due, and its number, time and clip.
 
 use crate::cli::frames::{FrameSender, OutgoingFrame};
 use crate::cli::values;
@@ -12,22 +12,22 @@ use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// Longest time between two frames: that of the least rate that can be asked for.
-const LONGEST_PERIOD: Duration = Duration::from_secs(1000);
+/// The longest time between two frames: that of the lowest rate that can be asked for.
+const MAX_PERIOD: Duration = Duration::from_secs(1000);
 
 /// How fast frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
-    /// This many a second.
+    /// This many frames per second.
     PerSecond(f64),
-    /// As fast as they are made and taken. Their capture times stay those of the source's own rate.
+    /// As fast as they are read and taken. Their capture times stay those of the source's own rate.
     Unpaced,
 }
 
 /// Heading of the help.
 const CLIPS: &str = "Clips";
 
-/// What is sent of a source, and how.
+/// What is sent from a source, and how.
 #[derive(Args, Clone, Debug, Default, PartialEq)]
 pub struct PublishOptions {
     /// Frames per second, or `max` for as fast as possible [default: the source's own]
@@ -42,7 +42,7 @@ pub struct PublishOptions {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip a pass, or one a folder of an archive]
+    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node cuts by its own time window
@@ -73,19 +73,19 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 /// What was sent so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sent {
-    /// Frames.
+    /// The number of frames.
     pub frames: u64,
-    /// Bytes of their payloads.
+    /// The bytes of their payloads.
     pub bytes: u64,
-    /// Clips begun.
+    /// The number of clips begun.
     pub clips: u64,
-    /// Frames sent more than one period after they were due: the source or the network was too slow.
+    /// The number of frames sent more than one period late: the source or the network was too slow.
     pub behind: u64,
-    /// Frames that the node did not process, as far as it says so (a sender that waits for the node).
+    /// The number of frames that the node did not process; known only to a sender that waits for the node.
     pub refused: u64,
-    /// Why the first of them was not.
+    /// The reason for the first of them.
     pub first_refusal: Option<String>,
-    /// From the first frame until now.
+    /// The time from the first frame until now.
     pub elapsed: Duration,
 }
 
@@ -111,7 +111,7 @@ pub async fn publish(
     .await
 }
 
-/// Ends the source when the player goes, however it goes.
+/// Ends the source when the player ends, for whatever reason.
 struct StopOnDrop(Option<Stopper>);
 
 impl Drop for StopOnDrop {
@@ -122,14 +122,14 @@ impl Drop for StopOnDrop {
     }
 }
 
-/// A picture with the pass through the source and the source's clip it belongs to.
+/// A picture with the pass and the source's clip that it belongs to.
 struct Prepared {
     pass: u64,
     clip: Option<String>,
     picture: EncodedPicture,
 }
 
-/// Frames made ahead of their time, so that a slow frame does not delay the next.
+/// The number of frames that are read ahead, so that a slow frame does not delay the next.
 const AHEAD: usize = 4;
 
 /// Runs the source on its own thread.
@@ -187,7 +187,7 @@ struct Clips<'a> {
     present: Option<Present>,
 }
 
-/// The clip that is being sent: where it began.
+/// The clip that is being sent, and where it began.
 struct Present {
     pass: u64,
     of_source: Option<String>,
@@ -195,7 +195,8 @@ struct Present {
 }
 
 impl Clips<'_> {
-    /// The clip of the next frame: of pass `pass`, of the source's clip `of_source`, `seconds` after the first.
+    /// Returns the clip of the next frame, which is in pass `pass` and the source's clip `of_source`, `seconds` after the
+    /// first frame.
     fn next(&mut self, pass: u64, of_source: Option<String>, seconds: f64) -> Option<String> {
         let options = self.options;
         if options.no_clip {
@@ -208,7 +209,7 @@ impl Clips<'_> {
         };
         let name = name.clone();
         let same = self.present.as_ref().is_some_and(|present| {
-            // Frame times are computed: half a millisecond is no frame.
+            // Frame times have rounding errors, which are below half a millisecond.
             let is_over = |most| seconds - present.since >= most - 0.0005;
             (present.pass, &present.of_source) == (pass, &of_source)
                 && !options.clip_seconds.is_some_and(is_over)
@@ -242,7 +243,7 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
     };
     // A rate that the source reports itself is not checked yet.
     let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
-        .filter(|period| *period <= LONGEST_PERIOD)
+        .filter(|period| *period <= MAX_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
     let _stop = StopOnDrop(source.stopper());
     let mut clips = Clips {
@@ -278,7 +279,7 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
                 () = tokio::time::sleep_until(due) => {}
             }
             if due.elapsed() > period {
-                // What was missed is not made up for in a burst.
+                // Missed frames are not sent in a burst.
                 sent.behind += 1;
                 due = Instant::now();
             }
@@ -314,7 +315,7 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
     Ok(sent)
 }
 
-/// Nanoseconds since the Unix epoch at `seconds` after `clock`.
+/// Returns the nanoseconds since the Unix epoch at `seconds` after `clock`.
 fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
     clock
         .duration_since(UNIX_EPOCH)
@@ -324,7 +325,7 @@ fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
         .unwrap_or(0)
 }
 
-/// The size, which only raw pictures need.
+/// Returns the size, which only raw pictures need.
 fn raw_size(picture: &EncodedPicture) -> FrameAttachment {
     let raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
     FrameAttachment {
