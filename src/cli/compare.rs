@@ -1,12 +1,12 @@
-//! `albireo compare`: the same clip under several policies on the live node, side by side.
+//! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
 mod clip;
 mod play;
 
 use super::progress;
 use albireo_eval::compare::{
-    Boxes, ClassNumbers, Comparison, Playing, Run, Turn, agreement, render, schedule, summarise,
-    variants, write,
+    Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, agreement, render, schedule,
+    summarise, variants, write,
 };
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::spec::{BASELINE, PolicySpec};
@@ -57,7 +57,7 @@ Examples:
 const PLAYING: &str = "How it is played";
 const NODE: &str = "The node";
 
-/// How long a node may take to load its model, and the camera to find it.
+/// The longest time for the node to load its model, and for the camera to find the node.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Arguments of `albireo compare`.
@@ -115,7 +115,7 @@ fn above_zero(text: &str) -> Result<f64, String> {
     number(text, |value| value > 0.0 && value <= 1e6, "above 0")
 }
 
-/// A pace that a clock can keep: a clip of 10 frames per second at a thousandth of it is a picture in 100 s.
+/// Reads a speed at which frames are still a reasonable time apart.
 fn factor(text: &str) -> Result<f64, String> {
     number(
         text,
@@ -133,11 +133,11 @@ fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String>
     value.ok_or_else(|| format!("must be a number {which}"))
 }
 
-/// Compares.
+/// Runs the comparison and prints the result.
 ///
 /// # Errors
-/// When the arguments make no sense, the clip cannot be read, a node does not start, or it was stopped
-/// before the first round was complete.
+/// When an argument is invalid, the clip cannot be read, a node does not start, or the first round is stopped
+/// before it is complete.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let (mut config, variants) = prepare(&arguments)?;
     logging::start(&config.log)?;
@@ -150,19 +150,19 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let (clip, size) = clip::load(source, arguments.seconds).await?;
     let frames = clip.frames().unwrap_or_default();
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
-    let turns = schedule(variants.len(), arguments.repeat as usize);
+    let scheduled = schedule(variants.len(), arguments.repeat as usize);
     let pace = match rate {
         Some(rate) => {
             let played = frames as f64 / clip.rate() + arguments.warm_up;
             let run = played / arguments.speed + arguments.cool_down + 1.0;
-            let all = Duration::from_secs_f64(turns.len() as f64 * run);
+            let all = Duration::from_secs_f64(scheduled.len() as f64 * run);
             format!("{rate} frames/s, about {}", HumanDuration(all))
         }
         None => "full speed".to_owned(),
     };
     eprintln!(
         "{} runs of {} frames of {} at {pace}; power: {meter}",
-        turns.len(),
+        scheduled.len(),
         frames,
         clip.name(),
     );
@@ -174,7 +174,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         warm_up_s: arguments.warm_up,
         cool_down: Duration::from_secs_f64(arguments.cool_down),
     };
-    let played = play_all(&player, &variants, &turns, &shutdown).await?;
+    let played = play_all(&player, &variants, &scheduled, &shutdown).await?;
     let comparison = judge(&player, &variants, played)?;
     let summary = summarise(&comparison);
     let text = render(&comparison, &summary);
@@ -186,7 +186,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The node's configuration and what is compared, checked before anything starts.
+/// Returns the node's configuration and the variants, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>)> {
     let mut config = super::node::configuration(arguments.config.as_deref())?;
     if let Some(model) = &arguments.detector {
@@ -212,7 +212,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
-        // The table shows dropped frames; that the node forgets its reports and is not ready at once is intended.
+        // The table shows dropped frames; it is intended that the node keeps no reports and is not ready at once.
         config.log.level = "warn,albireo_node::input::intake=error,albireo_node::delivery::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
@@ -220,7 +220,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
     Ok((config, variants))
 }
 
-/// Finds out which meter there is, so that every run uses the same and what cannot be used is reported once; its name.
+/// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.
 async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
@@ -237,23 +237,28 @@ async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     })
 }
 
-/// Plays every turn; on a signal, what is complete by then.
+/// Plays every scheduled run; after a signal, returns only the complete rounds.
 async fn play_all(
     player: &Player,
     variants: &[PolicySpec],
-    turns: &[Turn],
+    scheduled: &[ScheduledRun],
     shutdown: &CancellationToken,
-) -> anyhow::Result<Vec<(Turn, Played)>> {
+) -> anyhow::Result<Vec<(ScheduledRun, Played)>> {
     let frames = player.frames_of_a_run();
-    let bar = progress::bar(Some(frames * turns.len() as u64), "frames  {msg}");
+    let bar = progress::bar(Some(frames * scheduled.len() as u64), "frames  {msg}");
     let mut done = Vec::new();
-    for (number, turn) in turns.iter().enumerate() {
-        let Some(variant) = variants.get(turn.variant) else {
-            bail!("there is no variant {}", turn.variant);
+    for (number, run) in scheduled.iter().enumerate() {
+        let Some(variant) = variants.get(run.variant) else {
+            bail!("there is no variant {}", run.variant);
         };
-        let name = format!("run {} of {}, {}", number + 1, turns.len(), variant.label);
+        let name = format!(
+            "run {} of {}, {}",
+            number + 1,
+            scheduled.len(),
+            variant.label
+        );
         let before = frames * number as u64;
-        // Where there is no terminal for a bar, a line per run says how far it is.
+        // Without a terminal for the bar, a line per run shows the progress.
         if bar.is_hidden() {
             eprintln!("{name} …");
         }
@@ -266,26 +271,26 @@ async fn play_all(
             break;
         }
         let played =
-            played.with_context(|| format!("{}, round {}", variant.label, turn.round + 1))?;
-        done.push((*turn, played));
+            played.with_context(|| format!("{}, round {}", variant.label, run.round + 1))?;
+        done.push((*run, played));
     }
     bar.finish_and_clear();
     let complete = done.len() / variants.len() * variants.len();
     if complete == 0 {
         bail!("stopped before the first round was complete: there is nothing to compare");
     }
-    if complete < turns.len() {
-        eprintln!("Stopped: what follows is of the complete rounds.");
+    if complete < scheduled.len() {
+        eprintln!("Stopped: the results are of the complete rounds.");
     }
     done.truncate(complete);
     Ok(done)
 }
 
-/// Judges every run's boxes against those of the policy that looks at every frame.
+/// Judges every run's boxes against those of the policy that runs the detector on every frame.
 fn judge(
     player: &Player,
     variants: &[PolicySpec],
-    done: Vec<(Turn, Played)>,
+    done: Vec<(ScheduledRun, Played)>,
 ) -> anyhow::Result<Comparison> {
     let vanilla = variants
         .iter()
@@ -297,8 +302,8 @@ fn judge(
         .collect();
     // A detector finds the same in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
-    for ((turn, _), boxes) in done.iter().zip(&boxes) {
-        if turn.variant == boxes_of {
+    for ((run, _), boxes) in done.iter().zip(&boxes) {
+        if run.variant == boxes_of {
             for (frame, found) in boxes {
                 reference.entry(*frame).or_insert_with(|| found.clone());
             }
@@ -306,7 +311,7 @@ fn judge(
     }
     let provider = (done.first()).map_or("", |(_, played)| played.report.provider.as_str());
     let model = player.config.detector.model.file_name().unwrap_or_default();
-    let playing = Playing {
+    let playing = Playback {
         clip: player.clip.name().to_owned(),
         frames: player.clip.frames().unwrap_or_default(),
         size: player.size.to_string(),
@@ -318,12 +323,12 @@ fn judge(
         cores: std::thread::available_parallelism().map_or(1, usize::from),
     };
     let mut runs = Vec::new();
-    for ((turn, played), boxes) in done.into_iter().zip(&boxes) {
-        let variant = variants.get(turn.variant).context("a variant")?;
+    for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
+        let variant = variants.get(scheduled.variant).context("a variant")?;
         runs.push(Run {
             advice: played.advice(variant.config.build()?.knob()),
-            round: turn.round,
-            variant: turn.variant,
+            round: scheduled.round,
+            variant: scheduled.variant,
             cpu_s: played.cpu.as_secs_f64(),
             meter_share_of_core: played.meter_share_of_core,
             report: played.report,

@@ -1,5 +1,5 @@
-//! Policies side by side on the live node: in which order runs are played, what is made of their figures,
-//! and how it is written. Playing them is the command's part (`albireo compare`).
+//! Compares policies on the live node: schedules the runs, summarises their figures, and writes the results. The
+//! command `albireo compare` plays the runs.
 //!
 //! ```text
 //! variants ─▶ schedule ─▶ (a run on the node) ─▶ Run ─▶ summary ─▶ table, JSON, CSV
@@ -16,9 +16,8 @@ mod verdict;
 
 pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
 pub use files::write;
-pub use run::{Advice, Comparison, Playing, Run};
-pub use schedule::{Turn, schedule};
-pub use summary::{Change, Figure, Mean, PolicySummary, Summary, summarise};
+pub use run::{Comparison, Playback, Run, Suggestion};
+pub use schedule::{ScheduledRun, schedule};
+pub use summary::{Change, Figure, Mean, Summary, VariantSummary, summarise};
 pub use table::render;
 pub use variant::variants;
-pub use verdict::{Verdict, verdicts};

@@ -1,14 +1,14 @@
-//! A clip in memory: read and encoded once, so that no run pays for it.
+//! Reads a clip into memory once, so that reading it costs no run any time.
 
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
 
-/// Most memory a clip may take, bytes.
-const MOST_BYTES: usize = 1 << 30;
+/// The most memory of a clip, bytes.
+const MAX_BYTES: usize = 1 << 30;
 
-/// Reads the first `seconds` of `source`; the size of its first picture.
+/// Reads the first `seconds` of `source`; also returns the size of its first picture.
 ///
 /// # Errors
 /// When the source fails, is empty, or is too large for the memory.
@@ -33,11 +33,11 @@ fn load_now(
             break;
         };
         bytes += picture.bytes.len();
-        if bytes > MOST_BYTES {
+        if bytes > MAX_BYTES {
             bail!(
                 "--clip: {} frames take more than {} MiB; play less of it with --seconds {:.0}",
                 pictures.len(),
-                MOST_BYTES >> 20,
+                MAX_BYTES >> 20,
                 (pictures.len() as f64 / source.rate() * 0.9).floor()
             );
         }

@@ -1,4 +1,4 @@
-//! One run: a node with one policy, a camera that plays the clip to it, and what came back.
+//! Plays one run: starts a node with one policy, sends it the clip as a camera does, and collects its answers.
 
 use super::PATIENCE;
 use crate::cli::replay::{
@@ -6,7 +6,7 @@ use crate::cli::replay::{
 };
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Knob, PolicyConfig};
-use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
+use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_node::PreparedNode;
 use albireo_node::camera::{AnswerTime, SettleConfig};
@@ -25,7 +25,7 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-/// The node, its camera, and the clip that counts.
+/// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
 const CAMERA: &str = "camera";
 const WARM_UP: &str = "warm-up";
@@ -33,13 +33,13 @@ const MEASURED: &str = "measured";
 
 /// Plays runs.
 pub(super) struct Player {
-    /// The node's configuration, but for what this makes of it.
+    /// The node's configuration, which each run adapts.
     pub config: NodeConfig,
-    /// What is played.
+    /// The clip to play.
     pub clip: Pictures,
     /// Size of its pictures.
     pub size: PictureSize,
-    /// Frames per second; `None` for as fast as they are taken.
+    /// Frames per second; `None` to send each frame when the last was taken.
     pub rate: Option<f64>,
     /// Warm-up, seconds of the clip.
     pub warm_up_s: f64,
@@ -47,7 +47,7 @@ pub(super) struct Player {
     pub cool_down: Duration,
 }
 
-/// What a run gave.
+/// The results of a run.
 pub(super) struct Played {
     /// The clip's report.
     pub report: ClipReport,
@@ -57,12 +57,12 @@ pub(super) struct Played {
     pub meter_share_of_core: f64,
     /// Sequence number of the clip's first frame.
     first: u64,
-    /// What the node published, as it came.
+    /// The messages that the node published, not yet parsed.
     answers: Vec<Vec<u8>>,
 }
 
 impl Played {
-    /// What was published for the clip's frames.
+    /// Parses the messages for the clip's frames.
     fn messages(&self) -> impl Iterator<Item = DetectionsMessage> {
         let messages = self
             .answers
@@ -71,20 +71,20 @@ impl Played {
         messages.filter(|message| message.clip == MEASURED)
     }
 
-    /// What to try, where no frame was skipped though objects were followed.
-    pub(super) fn advice(&self, knob: Option<Knob>) -> Option<Advice> {
+    /// Suggests a threshold, if no frame was skipped although objects were tracked.
+    pub(super) fn advice(&self, knob: Option<Knob>) -> Option<Suggestion> {
         let mut watch = SkipWatch::default();
         for message in self.messages() {
             watch.count(&message);
         }
         let advice = watch.advice_so_far(&knob?)?;
-        Some(Advice {
+        Some(Suggestion {
             knob: advice.knob,
-            attempt: advice.attempt,
+            value: advice.attempt,
         })
     }
 
-    /// The boxes of the clip's frames.
+    /// Returns the boxes of the clip's frames.
     pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
         self.messages()
             .filter_map(|message| {
@@ -96,7 +96,7 @@ impl Played {
 }
 
 impl Player {
-    /// Frames that a run sends, warm-up included.
+    /// The number of frames that a run sends, including the warm-up.
     pub(super) fn frames_of_a_run(&self) -> u64 {
         self.warm_up_frames() + self.clip.frames().unwrap_or_default()
     }
@@ -105,8 +105,8 @@ impl Player {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
-    /// Rests, then plays the clip to a new node under `policy`. `tell` gets the frames sent and what is
-    /// being done.
+    /// Rests, then plays the clip to a new node under `policy`. `progress` gets the number of frames sent and the current
+    /// step.
     ///
     /// # Errors
     /// When the node cannot start or does not answer, or on `shutdown`.
@@ -138,7 +138,7 @@ impl Player {
             played = self.play_to(&config, &board, &endpoints, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
-        // The clip ends with the node, and its report is on the board when the node has stopped.
+        // The clip ends with the node; its report is on the board once the node has stopped.
         stop.cancel();
         stopped.await.context("the node")??;
         let (cpu, answers) = played?;
@@ -156,7 +156,7 @@ impl Player {
         })
     }
 
-    /// Plays warm-up and clip to a running node: the CPU time of the clip, and what was published.
+    /// Plays warm-up and clip to a running node; returns the CPU time of the clip and the published messages.
     async fn play_to(
         &self,
         config: &NodeConfig,
@@ -186,8 +186,8 @@ impl Player {
                 clip: Some(WARM_UP.to_owned()),
                 ..PublishOptions::default()
             };
-            let told = |sent| progress(sent, "warm-up");
-            self.send(&sender, options, told, shutdown).await?;
+            let report = |sent| progress(sent, "warm-up");
+            self.send(&sender, options, report, shutdown).await?;
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
@@ -196,15 +196,15 @@ impl Player {
             ..PublishOptions::default()
         };
         let before = process_cpu();
-        let told = |sent| progress(warm_up + sent, "playing");
-        self.send(&sender, options, told, shutdown).await?;
+        let report = |sent| progress(warm_up + sent, "playing");
+        self.send(&sender, options, report, shutdown).await?;
         if let Some(rate) = self.rate {
             // The last frame's time is part of the clip.
             tokio::time::sleep(Duration::from_secs_f64(1.0 / rate)).await;
         }
         self.answered(camera, self.frames_of_a_run()).await?;
         let cpu = process_cpu().saturating_sub(before);
-        // What the node has published travels before the end of this query.
+        // The node's messages arrive before the answer to this query.
         flush(&session, &keys.frame(), PATIENCE).await?;
         close(session).await?;
         let answers = std::mem::take(&mut *answers.lock());
@@ -216,7 +216,7 @@ impl Player {
         &self,
         sender: &FrameSender,
         options: PublishOptions,
-        told: impl Fn(u64),
+        report: impl Fn(u64),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
         let options = PublishOptions {
@@ -224,12 +224,12 @@ impl Player {
             ..options
         };
         let clip = Box::new(self.clip.clone());
-        let progress = |sent: &Sent| told(sent.frames);
+        let progress = |sent: &Sent| report(sent.frames);
         publish(clip, sender, &options, progress, shutdown).await?;
         Ok(())
     }
 
-    /// Waits until the node has answered or counted `frames` frames.
+    /// Waits until the node has answered or dropped `frames` frames.
     async fn answered(&self, camera: &CameraBoard, frames: u64) -> anyhow::Result<()> {
         let patience = PATIENCE + Duration::from_millis(self.config.detector.timeout_ms);
         let start = Instant::now();
@@ -250,8 +250,8 @@ impl Player {
     }
 }
 
-/// The configuration of a run under `policy`: that of `base` with one camera, an endpoint of its own and nothing kept. It
-/// reports to no hub, answers a frame when it is known, and nothing but the policy moves the threshold.
+/// Returns the configuration of a run under `policy`: `base` with one camera, a local endpoint and no stored state. The
+/// node reports to no hub, waits for the detector before it answers, and has no target that changes the threshold.
 fn configuration(
     base: &NodeConfig,
     policy: &PolicyConfig,
@@ -260,7 +260,7 @@ fn configuration(
     let mut config = base.clone();
     config.node.name = NODE.to_owned();
     config.node.state_dir = None;
-    // Only `vanilla` sees every frame, and it cannot answer at once: all of them wait for the detector.
+    // `vanilla` cannot answer at once, so all policies wait for the detector.
     config.node.answer = AnswerTime::WhenKnown;
     config.settle = SettleConfig::default();
     config.zenoh = ZenohConfig {
@@ -273,7 +273,7 @@ fn configuration(
     let mut camera = CameraConfig::named(CAMERA);
     camera.delivery = delivery;
     config.cameras = vec![camera];
-    // The clip is ended by its end; a pause of the machine must not end it before.
+    // A pause of the machine must not end the clip early.
     config.clip.silence_s = 3600.0;
     match config.findings().into_iter().next() {
         Some(problem) => bail!("{problem}"),
@@ -281,7 +281,7 @@ fn configuration(
     }
 }
 
-/// Keeps what is published on `key` as it comes; it is read after the run.
+/// Keeps the messages on `key`, which are parsed after the run.
 async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<Vec<Vec<u8>>>>> {
     let answers = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&answers);
@@ -297,7 +297,7 @@ async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<V
     Ok(answers)
 }
 
-/// CPU time of this process so far, all threads.
+/// The CPU time of all threads of this process so far.
 fn process_cpu() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     let seconds = u64::try_from(time.tv_sec).unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Agreement of a policy's boxes with those of the detector on every frame.
+//! Compares a policy's boxes with those of a policy that runs the detector on every frame.
 
 use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use albireo_core::detection::ClassId;
@@ -7,8 +7,7 @@ use albireo_wire::DetectionsMessage;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The boxes of a clip's frames, by the frame's number in the clip. Frames that were not answered are not
-/// there.
+/// The boxes of a clip's frames, by the frame's number in the clip. Frames that were not answered are missing.
 pub type Boxes = BTreeMap<u64, Vec<ScoredBox>>;
 
 /// Boxes judged against those of a policy that runs the detector on every frame.
@@ -20,16 +19,16 @@ pub struct Agreement {
     pub precision: f64,
     /// Share of the detector's boxes that are matched.
     pub recall: f64,
-    /// Frames that both answered: only those are judged.
+    /// The number of frames that both answered: only those are judged.
     pub frames: u64,
 }
 
-/// Numbers for class names, in the order in which they come.
+/// Numbers class names in the order in which they first appear.
 #[derive(Clone, Debug, Default)]
 pub struct ClassNumbers(BTreeMap<String, u16>);
 
 impl ClassNumbers {
-    /// The boxes of a message, as they are judged.
+    /// Converts the boxes of a message to boxes that can be judged.
     pub fn boxes(&mut self, message: &DetectionsMessage) -> Vec<ScoredBox> {
         message
             .boxes
@@ -52,8 +51,8 @@ impl ClassNumbers {
     }
 }
 
-/// Judges `boxes` against `reference`, over the frames that are in both. `None` when the reference has no
-/// box in any of them: then nothing can be said.
+/// Judges `boxes` against `reference` over the frames that are in both; `None` if the reference has no box in any of
+/// them.
 pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
     let both = boxes
         .iter()

@@ -1,4 +1,4 @@
-//! A comparison as files: `compare.json`, `runs.csv` and `compare.txt`.
+//! Writes a comparison to files: `compare.json`, `runs.csv` and `compare.txt`.
 
 use super::run::{Comparison, Run};
 use super::summary::{Figure, Summary};
@@ -7,7 +7,7 @@ use crate::error::EvalError;
 use crate::files;
 use std::path::Path;
 
-/// Writes everything into `folder`, which is made if it is not there: `compare.json` with every run's clip
+/// Writes all files into `folder`, which is created if needed: `compare.json` with every run's clip
 /// report and the summary, `runs.csv` with a row per run, and `compare.txt` with what was printed.
 ///
 /// # Errors
@@ -29,7 +29,7 @@ pub fn write(
     files::write(&folder.join("compare.txt"), text)
 }
 
-/// Names and cells of a run; a figure that does not exist is an empty cell, never a zero.
+/// Returns the column names and cells of a run; a figure that does not exist is an empty cell, never a zero.
 fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
     let report = &run.report;
     let energy = &report.energy;

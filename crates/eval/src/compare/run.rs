@@ -6,24 +6,24 @@ use serde::Serialize;
 
 /// What was played, and how.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Playing {
+pub struct Playback {
     /// The clip's name.
     pub clip: String,
-    /// Frames in it.
+    /// The number of frames.
     pub frames: u64,
-    /// Size of its pictures, `1280x720`.
+    /// Size of the pictures, such as `1280x720`.
     pub size: String,
-    /// Its own frames per second.
+    /// The clip's own frames per second.
     pub rate: f64,
-    /// Frames per second it was played at; `None` for as fast as they were taken.
+    /// The frames per second at which it was played; `None` if each frame was sent when the last was taken.
     pub played_rate: Option<f64>,
     /// Warm-up under each policy before each run, seconds.
     pub warm_up_s: f64,
     /// Idle time before each run, seconds.
     pub cool_down_s: f64,
-    /// The detector: file, and what runs it.
+    /// The detector's file and execution provider.
     pub detector: String,
-    /// Cores of this machine.
+    /// The number of processor cores of this machine.
     pub cores: usize,
 }
 
@@ -32,40 +32,40 @@ pub struct Playing {
 pub struct Run {
     /// Number of the round, from 0.
     pub round: usize,
-    /// Which variant, from 0.
+    /// Number of the variant, from 0.
     pub variant: usize,
-    /// What the node reported of the clip.
+    /// The node's report on the clip.
     pub report: ClipReport,
     /// CPU time of this process from the clip's first frame until its last was answered, seconds: node,
     /// camera and meter.
     pub cpu_s: f64,
-    /// CPU time of reading the power meter, of that, as a share of one core.
+    /// The part of this time spent on reading the power meter, as a share of one core.
     pub meter_share_of_core: f64,
-    /// Its boxes against the detector's; `None` when the detector found nothing.
+    /// The agreement of its boxes with the detector's; `None` if the detector found nothing.
     pub agreement: Option<Agreement>,
-    /// What to try, where no frame was skipped though objects were followed.
+    /// What to try, if no frame was skipped although objects were tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub advice: Option<Advice>,
+    pub advice: Option<Suggestion>,
 }
 
 /// A value of the threshold under which frames would have been skipped.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Advice {
+pub struct Suggestion {
     /// Name of the threshold.
     pub knob: &'static str,
     /// The value to try.
     #[serde(rename = "try")]
-    pub attempt: f64,
+    pub value: f64,
 }
 
-/// A comparison that was played.
+/// All runs of a comparison.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// What was played.
-    pub playing: Playing,
+    pub playing: Playback,
     /// Labels of the variants.
     pub policies: Vec<String>,
-    /// The variant whose boxes stand for what the detector finds.
+    /// Number of the variant whose boxes are the reference for the others.
     pub boxes_of: usize,
     /// All runs of complete rounds, in the order in which they were played.
     pub runs: Vec<Run>,

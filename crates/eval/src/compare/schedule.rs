@@ -1,20 +1,20 @@
-//! The order in which runs are played.
+//! Decides the order in which runs are played.
 
-/// One run of the comparison.
+/// A run of the comparison that is to be played.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Turn {
+pub struct ScheduledRun {
     /// Number of the round, from 0: each round plays every variant once.
     pub round: usize,
-    /// Which variant, from 0.
+    /// Number of the variant, from 0.
     pub variant: usize,
 }
 
-/// `repeat` rounds of `variants` runs. Every second round goes backwards (A B, B A, A B, …), so that what
-/// changes steadily while the comparison runs, such as the board's temperature, falls on all alike.
-pub fn schedule(variants: usize, repeat: usize) -> Vec<Turn> {
+/// Returns `repeat` rounds of `variants` runs. Every second round is in reverse order (A B, B A, A B, …), so that
+/// a steady drift, such as the board's temperature, affects all variants alike.
+pub fn schedule(variants: usize, repeat: usize) -> Vec<ScheduledRun> {
     (0..repeat)
         .flat_map(|round| {
-            (0..variants).map(move |place| Turn {
+            (0..variants).map(move |place| ScheduledRun {
                 round,
                 variant: if round % 2 == 0 {
                     place
@@ -31,12 +31,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_second_round_goes_backwards() {
-        let order: Vec<_> = schedule(3, 3).iter().map(|turn| turn.variant).collect();
+    fn every_second_round_is_in_reverse_order() {
+        let order: Vec<_> = schedule(3, 3).iter().map(|run| run.variant).collect();
         assert_eq!(order, [0, 1, 2, 2, 1, 0, 0, 1, 2]);
         assert_eq!(
             schedule(2, 1)[1],
-            Turn {
+            ScheduledRun {
                 round: 0,
                 variant: 1
             }
@@ -44,11 +44,11 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_drift_falls_on_all_variants_alike() {
+    fn a_steady_drift_affects_all_variants_alike() {
         for variants in 1..5 {
             let mut places = vec![0; variants];
-            for (place, turn) in schedule(variants, 4).iter().enumerate() {
-                places[turn.variant] += place;
+            for (place, run) in schedule(variants, 4).iter().enumerate() {
+                places[run.variant] += place;
             }
             assert!(places.iter().all(|sum| *sum == places[0]), "{places:?}");
         }

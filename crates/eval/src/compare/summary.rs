@@ -1,4 +1,4 @@
-//! Means over the rounds with their confidence intervals, and changes against the first variant.
+//! Computes means over the rounds and changes against the first variant, with confidence intervals.
 
 use super::run::{Comparison, Run};
 use crate::statistics::half_interval;
@@ -9,7 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Figure {
-    /// Energy of the clip, joules; of a run that samples cover whole.
+    /// Energy of the clip, joules; only if power samples cover the whole run.
     Joules,
     /// Energy-delay product, J·ms/frame.
     Edp,
@@ -17,11 +17,11 @@ pub enum Figure {
     CpuSeconds,
     /// Mean time of a frame from reception to publication, milliseconds.
     FrameMilliseconds,
-    /// Times the detector was run.
+    /// The number of detector runs.
     DetectorCalls,
     /// Share of frames that skipped the detector, 0 to 1.
     SkipRate,
-    /// Frames that were not processed.
+    /// The number of frames that were not processed.
     Dropped,
     /// Average precision of the boxes against the detector's own.
     Ap50,
@@ -32,8 +32,8 @@ pub enum Figure {
 }
 
 impl Figure {
-    /// All of them.
-    pub const ALL: [Self; 10] = [
+    /// All figures.
+    const ALL: [Self; 10] = [
         Self::Joules,
         Self::Edp,
         Self::CpuSeconds,
@@ -46,8 +46,8 @@ impl Figure {
         Self::Recall,
     ];
 
-    /// Its value in a run, if it has one.
-    pub fn of(self, run: &Run) -> Option<f64> {
+    /// The figure's value in a run, if the run has one.
+    pub(super) fn of(self, run: &Run) -> Option<f64> {
         let report = &run.report;
         match self {
             Self::Joules => report.energy.whole_joules(),
@@ -76,15 +76,15 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// The mean of `values`; `None` when there is none, or one is not finite.
-    pub fn of(values: &[f64]) -> Option<Self> {
+    /// The mean of `values`; `None` if there are none, or one is not finite.
+    pub(super) fn of(values: &[f64]) -> Option<Self> {
         let rounds = values.len();
         if rounds == 0 || values.iter().any(|value| !value.is_finite()) {
             return None;
         }
         let mean = values.iter().sum::<f64>() / rounds as f64;
         let half = half_interval(values);
-        // Equal values differ from their mean by its rounding error; of zeros there is no interval.
+        // For equal values the interval is only a rounding error, and for zeros it is undefined: both become 0.
         let half = half.filter(|half| *half > 1e-12 * mean.abs());
         let half = half.or((rounds > 1).then_some(0.0));
         Some(Self { mean, half, rounds })
@@ -95,59 +95,59 @@ impl Mean {
 /// variant's mean.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Change {
-    /// Percent; below zero is less.
+    /// Percent; negative if it is less.
     pub percent: f64,
     /// Half the width of its 95 % confidence interval, percent; `None` with one round.
     pub half: Option<f64>,
 }
 
-/// All figures of one variant.
+/// The figures of one variant.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PolicySummary {
-    /// Its label.
+pub struct VariantSummary {
+    /// The variant's label.
     pub policy: String,
-    /// Means of the figures that every run has.
+    /// The means of the figures that every run has.
     pub means: Vec<(Figure, Mean)>,
     /// Changes against the first variant; empty for the first.
     pub changes: Vec<(Figure, Change)>,
 }
 
-impl PolicySummary {
+impl VariantSummary {
     /// The mean of a figure.
-    pub fn mean(&self, figure: Figure) -> Option<Mean> {
+    pub(super) fn mean(&self, figure: Figure) -> Option<Mean> {
         let found = self.means.iter().find(|(of, _)| *of == figure);
         found.map(|(_, mean)| *mean)
     }
 
     /// The change of a figure.
-    pub fn change(&self, figure: Figure) -> Option<Change> {
+    pub(super) fn change(&self, figure: Figure) -> Option<Change> {
         let found = self.changes.iter().find(|(of, _)| *of == figure);
         found.map(|(_, change)| *change)
     }
 }
 
-/// What came out of a comparison.
+/// The results of a comparison.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// What the energy figures are worth.
+    /// The quality of the energy figures.
     pub energy: EnergyQuality,
-    /// Where they come from, as clip reports have it: `rapl`, `tegrastats`, …
+    /// The source of the energy figures, as in clip reports: `rapl`, `tegrastats`, …
     pub energy_source: String,
-    /// Least share of a run's time that power samples cover.
+    /// The smallest share of a run's time that power samples cover.
     pub coverage: f64,
-    /// Complete rounds.
+    /// The number of complete rounds.
     pub rounds: usize,
-    /// Highest CPU time of reading the meter, as a share of one core; `None` where nothing is read.
+    /// The highest CPU time of reading the meter, as a share of one core; `None` if no meter is read.
     pub meter_share_of_core: Option<f64>,
-    /// Runs during which clocks were held back, where the board reports it.
+    /// The number of runs in which the board reported throttled clocks.
     pub throttled_runs: usize,
-    /// Power modes that were met.
+    /// The power modes in which runs were played.
     pub power_modes: Vec<String>,
-    /// By variant.
-    pub policies: Vec<PolicySummary>,
+    /// One entry per variant.
+    pub policies: Vec<VariantSummary>,
 }
 
-/// Sums a comparison up.
+/// Summarises a comparison.
 pub fn summarise(comparison: &Comparison) -> Summary {
     let of_variant = |variant: usize| {
         let mut runs: Vec<_> = comparison
@@ -168,7 +168,7 @@ pub fn summarise(comparison: &Comparison) -> Summary {
         .policies
         .iter()
         .enumerate()
-        .map(|(variant, policy)| PolicySummary {
+        .map(|(variant, policy)| VariantSummary {
             policy: policy.clone(),
             means: Figure::ALL
                 .into_iter()
@@ -217,7 +217,7 @@ pub fn summarise(comparison: &Comparison) -> Summary {
     }
 }
 
-/// The change from `first` to `other`, round by round.
+/// Computes the change from `first` to `other`, round by round.
 fn change(first: &[f64], other: &[f64]) -> Option<Change> {
     let differences: Vec<f64> = other.iter().zip(first).map(|(a, b)| a - b).collect();
     let mean = Mean::of(&differences)?;
@@ -229,7 +229,7 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
     })
 }
 
-/// The least that can be said of all runs: an estimate among measurements makes the whole an estimate.
+/// The lowest quality of all runs: one estimate among measurements makes the whole an estimate.
 fn quality(runs: &[Run]) -> EnergyQuality {
     let of = |run: &Run| match run.report.energy.joules {
         Some(_) => run.report.energy.quality,

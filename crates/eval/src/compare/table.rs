@@ -1,20 +1,20 @@
-//! A comparison as text, at most 100 columns wide.
+//! Formats a comparison as text, at most 100 columns wide.
 
 use super::run::Comparison;
 use super::schedule::schedule;
-use super::summary::{Change, Figure, Mean, PolicySummary, Summary};
+use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use super::verdict::verdicts;
 use crate::text::{self, Column, or_dash, wrapped};
 use albireo_wire::EnergyQuality;
 use std::fmt::Write;
 
-/// Widest label; what is longer is cut.
-const LABEL: usize = 24;
+/// The longest label; a longer one is cut.
+const MAX_LABEL: usize = 24;
 
-/// Widest line of text.
-const LINE: usize = 100;
+/// The longest line of text.
+const MAX_LINE: usize = 100;
 
-/// The comparison as text: what was played, what the energy is worth, the three tables, and what they come to.
+/// Formats the comparison: what was played, the quality of the energy, three tables, and the verdicts.
 pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let mut text = String::new();
     for paragraph in [heading(comparison, summary), energy(summary)] {
@@ -42,7 +42,7 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         columns.insert(0, (Figure::Joules, ["energy J", energy_unit]));
         columns.insert(1, (Figure::Edp, ["EDP J·ms/frame", energy_unit]));
     }
-    let means = |policy: &PolicySummary, figure| {
+    let means = |policy: &VariantSummary, figure| {
         let scale = if is_share(figure) { 100.0 } else { 1.0 };
         policy.mean(figure).map(|found| mean(found, scale))
     };
@@ -50,7 +50,7 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
 
     let first = summary.policies.first().map_or("", |first| &first.policy);
     let title = format!("Change against {first}: mean of the differences within a round");
-    let changes = |policy: &PolicySummary, figure| policy.change(figure).map(change);
+    let changes = |policy: &VariantSummary, figure| policy.change(figure).map(change);
     for (_, [name, _]) in &mut columns {
         let units = [" J", " J·ms/frame", " s", " ms"];
         let mut bare = units.iter().filter_map(|unit| name.strip_suffix(unit));
@@ -92,11 +92,11 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
         .map(|round| {
             let names = round
                 .iter()
-                .filter_map(|turn| comparison.policies.get(turn.variant));
+                .filter_map(|run| comparison.policies.get(run.variant));
             names.map(String::as_str).collect::<Vec<_>>().join(", ")
         })
         .collect();
-    let turned = if summary.rounds > 1 {
+    let more = if summary.rounds > 1 {
         ", and so on"
     } else {
         ""
@@ -107,7 +107,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
     };
     format!(
         "Clip {}: {} frames of {}, played {pace} by a camera over Zenoh to a node in this process, in \
-         {rounds} (order: {}{turned}), each run after {} s of rest and {} s of warm-up. Detector {} on {} \
+         {rounds} (order: {}{more}), each run after {} s of rest and {} s of warm-up. Detector {} on {} \
          cores.",
         playing.clip,
         playing.frames,
@@ -120,7 +120,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
     )
 }
 
-/// What the energy is worth, in words.
+/// The quality of the energy in words.
 fn energy(summary: &Summary) -> String {
     let source = &summary.energy_source;
     let mut text = match summary.energy {
@@ -162,9 +162,9 @@ fn energy(summary: &Summary) -> String {
 fn table(
     text: &mut String,
     title: &str,
-    policies: &[PolicySummary],
+    policies: &[VariantSummary],
     columns: &[(Figure, [&str; 2])],
-    cell: impl Fn(&PolicySummary, Figure) -> Option<String>,
+    cell: impl Fn(&VariantSummary, Figure) -> Option<String>,
 ) {
     if policies.is_empty() {
         return;
@@ -181,15 +181,15 @@ fn table(
     text.push('\n');
 }
 
-/// A label that leaves room for the columns.
+/// Cuts a label so that it leaves room for the columns.
 fn cut(label: &str) -> String {
-    match label.chars().count() > LABEL {
-        true => label.chars().take(LABEL - 1).chain(['…']).collect(),
+    match label.chars().count() > MAX_LABEL {
+        true => label.chars().take(MAX_LABEL - 1).chain(['…']).collect(),
         false => label.to_owned(),
     }
 }
 
-/// Whether a figure lies between 0 and 1, and is shown in percent.
+/// True if a figure lies between 0 and 1, and is shown in percent.
 fn is_share(figure: Figure) -> bool {
     matches!(
         figure,
@@ -197,7 +197,7 @@ fn is_share(figure: Figure) -> bool {
     )
 }
 
-/// `12.34 ± 0.56`, with as many decimals as the interval has meaning for.
+/// Formats `12.34 ± 0.56` with the decimals that the interval justifies.
 fn mean(found: Mean, scale: f64) -> String {
     let mean = found.mean * scale;
     match found.half.map(|half| half * scale) {
@@ -213,7 +213,7 @@ fn mean(found: Mean, scale: f64) -> String {
 
 fn change(change: Change) -> String {
     match change.half {
-        // Differences that are all equal differ in their rounding errors.
+        // Even equal differences have an interval of rounding errors.
         Some(half) if half < 1e-9 => format!("{:+.1} ± 0 %", change.percent),
         Some(half) => {
             let decimals = decimals(half.max(0.1)).min(1);
@@ -223,7 +223,7 @@ fn change(change: Change) -> String {
     }
 }
 
-/// Two significant digits of `scale`, and never more than three decimals.
+/// The number of decimals that show two significant digits of `scale`, at most three.
 fn decimals(scale: f64) -> usize {
     (1.0 - scale.abs().log10().floor()).clamp(0.0, 3.0) as usize
 }
@@ -237,9 +237,9 @@ fn exact(value: f64) -> String {
     }
 }
 
-/// Adds a paragraph, broken at blanks, and an empty line.
+/// Adds a wrapped paragraph and an empty line.
 fn wrap(text: &mut String, paragraph: &str) {
-    text.push_str(&wrapped(paragraph, LINE));
+    text.push_str(&wrapped(paragraph, MAX_LINE));
     text.push_str("\n\n");
 }
 

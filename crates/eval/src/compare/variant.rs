@@ -1,15 +1,15 @@
-//! The variants of a comparison: policies with the values of their knobs.
+//! Lists the variants of a comparison: policies with the values of their knobs.
 
 use crate::error::EvalError;
 use crate::spec::{PolicySpec, Sweep, swept};
 use albireo_core::policy::{Albireo, Policy, PolicyConfig};
 
-/// The variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
-/// `u` and without an argument of its own is there once for each value of `thresholds`; everything else is
+/// Returns the variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
+/// `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
 /// as in `base`.
 ///
 /// # Errors
-/// [`EvalError`] for an unknown policy, a value it cannot have, values of `u` that no policy takes, and
+/// [`EvalError`] for an unknown policy, a value out of range, values of `u` that no policy takes, or
 /// fewer than two variants.
 pub fn variants(
     asked: &[String],

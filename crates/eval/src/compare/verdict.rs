@@ -1,39 +1,39 @@
-//! The verdict of a comparison: a sentence per policy, and what to try.
+//! Writes the verdict of a comparison: a sentence per policy.
 
 use super::run::{Comparison, Run};
-use super::summary::{Change, Figure, Mean, PolicySummary, Summary};
+use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use albireo_core::policy::short;
 use albireo_wire::EnergyQuality;
 use serde::Serialize;
 
-/// Seconds of a year.
-const YEAR_S: f64 = 365.25 * 86_400.0;
+/// Seconds per year.
+const SECONDS_PER_YEAR: f64 = 365.25 * 86_400.0;
 
-/// Joules of a kilowatt-hour.
-const KWH: f64 = 3.6e6;
+/// Joules per kilowatt-hour.
+const JOULES_PER_KWH: f64 = 3.6e6;
 
-/// What one policy comes to against the first.
+/// The result of one policy against the first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Verdict {
-    /// Its label.
+pub(super) struct Verdict {
+    /// The policy's label.
     pub policy: String,
-    /// Detector calls against the first policy, percent; below zero is fewer.
+    /// Change of detector calls against the first policy, percent; negative if there are fewer.
     pub detector_calls_percent: Option<f64>,
-    /// AP@50 of its boxes against those of the policy that looks at every frame, 0 to 1.
+    /// AP@50 of its boxes against those of the policy that runs the detector on every frame, 0 to 1.
     pub ap50: Option<f64>,
-    /// Kilowatt-hours that a camera whose year is like this clip saves; below zero it costs more. Absent without energy of
-    /// every run, without a second round to give it an interval, and where the clip was not played at its own pace.
+    /// Kilowatt-hours per year that a camera saves if every hour is like this clip; negative if it costs more. `None` if
+    /// a run has no energy, if there is one round only, or if the clip was not played at its own rate.
     pub kwh_a_year: Option<Mean>,
-    /// What the energy is worth.
+    /// The quality of the energy figures.
     pub energy: EnergyQuality,
-    /// Whether it skipped a frame at all.
+    /// True if it skipped at least one frame.
     pub skips: bool,
-    /// All of it in a sentence.
+    /// The verdict as a sentence.
     pub sentence: String,
 }
 
-/// A verdict on every policy but the first.
-pub fn verdicts(comparison: &Comparison, summary: &Summary) -> Vec<Verdict> {
+/// Returns a verdict on every policy except the first.
+pub(super) fn verdicts(comparison: &Comparison, summary: &Summary) -> Vec<Verdict> {
     let Some((first, others)) = summary.policies.split_first() else {
         return Vec::new();
     };
@@ -47,8 +47,8 @@ pub fn verdicts(comparison: &Comparison, summary: &Summary) -> Vec<Verdict> {
 fn verdict(
     comparison: &Comparison,
     summary: &Summary,
-    first: &PolicySummary,
-    policy: &PolicySummary,
+    first: &VariantSummary,
+    policy: &VariantSummary,
     variant: usize,
 ) -> Verdict {
     let calls = policy.change(Figure::DetectorCalls);
@@ -68,20 +68,20 @@ fn verdict(
 fn sentence(
     comparison: &Comparison,
     summary: &Summary,
-    first: &PolicySummary,
-    policy: &PolicySummary,
+    first: &VariantSummary,
+    policy: &VariantSummary,
     variant: usize,
     verdict: &Verdict,
 ) -> String {
     let name = &verdict.policy;
     if !verdict.skips {
         let mut of_variant = comparison.runs.iter().filter(|run| run.variant == variant);
-        let attempt = of_variant.find_map(|run| run.advice.as_ref());
-        return match attempt {
+        let advice = of_variant.find_map(|run| run.advice.as_ref());
+        return match advice {
             Some(advice) => format!(
                 "{name}: no frame was skipped, so nothing was saved; try {} = {}.",
                 advice.knob,
-                short(advice.attempt)
+                short(advice.value)
             ),
             None => format!("{name}: no frame was skipped, so nothing was saved."),
         };
@@ -91,7 +91,7 @@ fn sentence(
         let than = &first.policy;
         parts.push(if is_unclear(calls) {
             format!(
-                "no difference in detector calls to {than} that {} rounds can tell",
+                "no clear difference in detector calls to {than} in {} rounds",
                 summary.rounds
             )
         } else {
@@ -112,8 +112,8 @@ fn sentence(
     format!("{name}: {}.", parts.join(", "))
 }
 
-/// What becomes of the energy, in words.
-fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Option<String> {
+/// The change of energy in words.
+fn energy(summary: &Summary, policy: &VariantSummary, verdict: &Verdict) -> Option<String> {
     let source = &summary.energy_source;
     let basis = match summary.energy {
         EnergyQuality::Measured => format!("measured by `{source}`"),
@@ -124,7 +124,7 @@ fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Optio
     let change = policy.change(Figure::Joules)?;
     if is_unclear(change) {
         return Some(format!(
-            "no difference in energy that {} rounds can tell ({basis})",
+            "no clear difference in energy in {} rounds ({basis})",
             summary.rounds
         ));
     }
@@ -143,12 +143,12 @@ fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Optio
     })
 }
 
-/// Whether the interval of a change contains none.
+/// True if the interval of a change contains zero.
 fn is_unclear(change: Change) -> bool {
     change.half.is_some_and(|half| half >= change.percent.abs())
 }
 
-/// `25 ± 3`: half of the 95 % interval with two digits at most, and the value with as many decimals.
+/// Formats a value and half of its 95 % interval with the same decimals: `25 ± 3`.
 fn with_half(value: f64, half: Option<f64>) -> String {
     match half.filter(|half| *half > 1e-9) {
         None => format!("{value:.0}"),
@@ -159,7 +159,7 @@ fn with_half(value: f64, half: Option<f64>) -> String {
     }
 }
 
-/// The difference of mean power over a year, round by round, where the clip was played at its own pace.
+/// Computes the energy saved per year from the difference of mean power in each round.
 fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<Mean> {
     (comparison.playing.played_rate == Some(comparison.playing.rate)).then_some(())?;
     let watts = |variant: usize| -> Option<Vec<f64>> {
@@ -167,7 +167,7 @@ fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<Mean> {
         runs.map(mean_watts).collect()
     };
     let saved: Vec<f64> = (watts(0)?.iter().zip(watts(variant)?))
-        .map(|(first, own)| (first - own) * YEAR_S / KWH)
+        .map(|(first, own)| (first - own) * SECONDS_PER_YEAR / JOULES_PER_KWH)
         .collect();
     Mean::of(&saved).filter(|mean| mean.half.is_some())
 }
@@ -181,7 +181,7 @@ fn mean_watts(run: &Run) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::summary::tests::{comparison, run};
-    use super::super::{Advice, Agreement, summarise};
+    use super::super::{Agreement, Suggestion, summarise};
     use super::*;
 
     fn lines(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
@@ -229,20 +229,20 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_that_the_rounds_cannot_tell_is_none() {
+    fn a_difference_within_its_interval_is_not_clear() {
         let lines = lines([80.0, 79.9], 0.9, 39);
         assert!(
-            lines[0].contains("no difference in energy that 3 rounds can tell"),
+            lines[0].contains("no clear difference in energy in 3 rounds"),
             "{lines:?}"
         );
     }
 
     #[test]
-    fn where_nothing_was_skipped_it_is_told_what_to_try() {
+    fn where_nothing_was_skipped_the_sentence_says_what_to_try() {
         let mut runs = vec![run(0, 0, 100, None), run(0, 1, 100, None)];
-        runs[1].advice = Some(Advice {
+        runs[1].advice = Some(Suggestion {
             knob: "u",
-            attempt: 4e-4,
+            value: 4e-4,
         });
         let comparison = comparison(&["vanilla", "albireo u=1e-4"], runs);
         let lines = sentences(&comparison);
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn calls_whose_rounds_disagree_are_no_difference() {
+    fn calls_whose_rounds_disagree_are_no_clear_difference() {
         let calls = [(100, 20), (100, 95), (100, 85)];
         let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
             [run(round, 0, first, None), run(round, 1, own, None)]
@@ -279,7 +279,7 @@ mod tests {
         let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs.collect());
         let lines = sentences(&comparison);
         assert!(
-            lines[0].contains("no difference in detector calls to vanilla that 3 rounds can tell"),
+            lines[0].contains("no clear difference in detector calls to vanilla in 3 rounds"),
             "{lines:?}"
         );
     }

@@ -1,4 +1,4 @@
-use super::super::run::Playing;
+use super::super::run::Playback;
 use super::*;
 use albireo_wire::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FrameStates, Percentiles,
@@ -71,7 +71,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
 
 pub(crate) fn comparison(policies: &[&str], runs: Vec<Run>) -> Comparison {
     Comparison {
-        playing: Playing {
+        playing: Playback {
             clip: "synth-1".to_owned(),
             frames: 100,
             size: "1280x720".to_owned(),
