@@ -1,6 +1,6 @@
-//! Data sets: clips with stored detections, ground truth, or both, one file a layout.
+//! Reads data sets: clips with stored detections, ground truth, or both. Each layout has a module.
 //!
-//! Every reader answers with [`Clips`]: the clips, and a count of every row that was left out and why. A
+//! Every reader returns [`Clips`]: the clips, and how many rows were left out for which reason. A
 //! file that cannot be what it claims to be (missing, a row with the wrong number of columns, a frame
 //! number outside the clip) is an error that names file and line; a row that is well-formed but
 //! meaningless (an inverted box, a score that is not a number, a class outside the mapping) is left out,
@@ -25,36 +25,36 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// One clip of a data set.
+/// A clip of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
-    /// Its name, unique in the data set.
+    /// The clip's name, unique in the data set.
     pub name: String,
-    /// Size of its pictures.
+    /// Size of the clip's pictures.
     pub picture: PictureSize,
-    /// Frames per second, where known.
+    /// Frames per second, if known.
     pub frame_rate: Option<f64>,
-    /// Whether the camera is `moving` or `fixed`, where known.
+    /// `moving` or `fixed`, if known.
     pub camera: Option<String>,
     /// Number of frames.
     pub frames: usize,
-    /// Stored detections as the files have them, one entry per frame in the detector's order; `None` if none are stored.
+    /// Stored detections, one list per frame in the detector's order; `None` if none are stored.
     pub detections: Option<Vec<Vec<ScoredBox>>>,
-    /// What a real empty-scene screen said of each frame, where one was asked: whether it is empty, or
-    /// nothing if it could not say.
+    /// Verdicts of a real empty-scene screen, one entry per frame: true if the frame is empty, `None` if the screen
+    /// gave no verdict.
     pub screen: Option<Vec<Option<bool>>>,
-    /// Ground truth, one entry per frame; `None` if there is none.
+    /// Ground truth, one list per frame; `None` if there is none.
     pub truth: Option<Vec<Vec<ScoredBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
-    /// Regions whose objects the ground truth leaves out, one entry per frame; empty where the data set marks none.
+    /// Regions in which the ground truth labels no objects, one list per frame; empty if the data set marks none.
     pub ignored: Vec<Vec<Corners>>,
-    /// What was kept of the pictures where a detector looked at them in this run.
+    /// Grey pictures and step times, if a detector ran on the pictures in this run.
     pub pass: Option<Pass>,
 }
 
 impl Clip {
-    /// A clip without anything but its frames.
+    /// Makes a clip without detections, ground truth or pictures.
     pub const fn new(name: String, picture: PictureSize, frames: usize) -> Self {
         Self {
             name,
@@ -72,16 +72,16 @@ impl Clip {
     }
 }
 
-/// A data set as read.
+/// The clips of a data set, and a report on reading them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Clips {
     /// The clips that can be evaluated.
     pub clips: Vec<Clip>,
-    /// What was left out or is worth a word.
+    /// What was left out, and notes on the data.
     pub report: LoadReport,
 }
 
-/// Why a row or a clip was left out.
+/// The reason why a row or a clip was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeftOut {
@@ -91,18 +91,18 @@ pub enum LeftOut {
     EmptyBox,
     /// The box lies wholly outside the picture.
     OutsidePicture,
-    /// A confidence below 0 or above 1.
+    /// The confidence is below 0 or above 1.
     ConfidenceRange,
     /// The class is not in the mapping.
     UnmappedClass,
-    /// A region the data set marks as not to be judged.
+    /// The data set marks the region as not to be judged.
     IgnoredRegion,
-    /// A clip with no frames.
+    /// The clip has no frames.
     EmptyClip,
 }
 
 impl LeftOut {
-    /// In words.
+    /// The reason in words.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NotFinite => "coordinate or score not a finite number",
@@ -116,33 +116,33 @@ impl LeftOut {
     }
 }
 
-/// What a reader left out, and notes about the data.
+/// What a reader left out, and notes on the data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LoadReport {
-    /// Rows by reason, with the first place of each: `file:line` or `file, what`.
+    /// The number of rows left out for each reason, and where the first one is: `file:line` or `file, what`.
     pub left_out: BTreeMap<LeftOut, (usize, String)>,
-    /// Rows by class name, for classes outside the mapping.
+    /// The number of rows of each class outside the mapping.
     pub unmapped_classes: BTreeMap<String, usize>,
-    /// Boxes reaching over the picture's edge: kept as they are.
+    /// The number of boxes that extend beyond the picture; they are kept unchanged.
     pub reaching_outside: usize,
-    /// Anything else worth knowing: clips without ground truth, clips without a single detection.
+    /// Other remarks: clips without ground truth, clips without a single detection.
     pub notes: Vec<String>,
 }
 
 impl LoadReport {
-    /// Counts one row left out; `place` is only asked for the first of its kind.
+    /// Counts a row that is left out; `place` is called only for the first one with this reason.
     pub(crate) fn leave_out(&mut self, reason: LeftOut, place: impl FnOnce() -> String) {
         let counted = self.left_out.entry(reason);
         counted.or_insert_with(|| (0, place())).0 += 1;
     }
 
-    /// Counts one row of a class outside the mapping.
+    /// Counts a row of a class outside the mapping.
     pub(crate) fn leave_out_class(&mut self, class: &str, place: impl FnOnce() -> String) {
         self.leave_out(LeftOut::UnmappedClass, place);
         *self.unmapped_classes.entry(class.to_owned()).or_default() += 1;
     }
 
-    /// The box, if it is kept; one that is not is counted under its reason.
+    /// Returns the box if it is valid; otherwise counts it under the reason to leave it out.
     pub(crate) fn keep(
         &mut self,
         labelled: &LabelledBox<'_>,
@@ -174,7 +174,7 @@ impl LoadReport {
         None
     }
 
-    /// The report in words, one line an entry; empty when there is nothing to say.
+    /// The report as text, one line per entry; empty if there is nothing to report.
     pub fn lines(&self) -> Vec<String> {
         let mut lines: Vec<String> = self
             .left_out
@@ -193,7 +193,7 @@ impl LoadReport {
         }
         if self.reaching_outside > 0 {
             lines.push(format!(
-                "kept as they are: {} boxes reaching over the picture's edge",
+                "kept unchanged: {} boxes that extend beyond the picture",
                 self.reaching_outside
             ));
         }
@@ -201,8 +201,8 @@ impl LoadReport {
         lines
     }
 
-    /// The reason to leave out a box in pixels, if there is one. Boxes that reach outside the picture are counted.
-    pub fn check(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
+    /// Returns the reason to leave out a box in pixels, if there is one, and counts boxes that extend beyond the picture.
+    pub(crate) fn check(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
         let numbers = [corners.x1, corners.y1, corners.x2, corners.y2];
         if numbers.iter().any(|number| !number.is_finite()) {
             return Some(LeftOut::NotFinite);
@@ -221,23 +221,23 @@ impl LoadReport {
     }
 }
 
-/// A box as a file has it.
+/// A box from a file, before it is checked.
 pub(crate) struct LabelledBox<'a> {
     /// In pixels.
     pub corners: Corners,
-    /// What the class is here, or why it is none that is evaluated.
+    /// The class, or the reason why it is not evaluated.
     pub class: Result<ClassId, LeftOut>,
-    /// What the file calls the class.
+    /// The file's name for the class.
     pub class_name: Cow<'a, str>,
-    /// 0 to 1; that of ground truth is 1.
+    /// 0 to 1; always 1 for ground truth.
     pub confidence: f64,
-    /// Which object, the same number in every frame that shows it.
+    /// Number of the object, the same in every frame that shows it.
     pub object: Option<u64>,
 }
 
 impl Clips {
-    /// Adds a clip, or counts it as empty; notes what it lacks. Its name is made fit for a file's name and
-    /// unlike the others'.
+    /// Adds a clip and notes what it lacks; a clip without frames is only counted. The name is made unique and valid
+    /// as a file name.
     pub(crate) fn push(&mut self, mut clip: Clip) {
         let plain = clip.name.replace(['/', '\\', ':'], "-");
         clip.name = plain.trim_start_matches('.').to_owned();
@@ -279,7 +279,7 @@ impl Clips {
     /// Leaves out the clips without stored detections, with a note for each.
     ///
     /// # Errors
-    /// When none is left.
+    /// When no clip is left.
     pub fn only_with_detections(mut self, path: &Path) -> Result<Self, EvalError> {
         let (with, without): (Vec<Clip>, Vec<Clip>) = self
             .clips
@@ -315,7 +315,7 @@ impl Clips {
     }
 }
 
-/// What a folder holds, sorted, if `wanted`.
+/// Lists the paths in a folder for which `wanted` is true, sorted.
 fn entries(folder: &Path, wanted: impl Fn(&Path) -> bool) -> std::io::Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder)?;
     let mut paths: Vec<PathBuf> = entries
@@ -334,7 +334,7 @@ fn has_extension(path: &Path, wanted: &[&str]) -> bool {
     })
 }
 
-/// The JPEG and PNG files of a folder in order; none if there is no such folder.
+/// Lists the JPEG and PNG files of a folder in order; none if the folder does not exist.
 fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     match folder.is_dir() {
         true => picture_files(folder).unwrap_or_default(),

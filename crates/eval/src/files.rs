@@ -4,15 +4,15 @@ use crate::error::EvalError;
 use serde::Serialize;
 use std::path::Path;
 
-/// The text of a file; `help` says what to do when it is missing.
+/// Reads the text of a file; `help` says what to do if it is missing.
 pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
     std::fs::read_to_string(path).map_err(|error| EvalError::read(path, error, help))
 }
 
-/// Writes a file and makes its folder.
+/// Writes a file, and creates its folder if needed.
 ///
 /// # Errors
-/// When that cannot be.
+/// When the folder or the file cannot be written.
 pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), EvalError> {
     (path.parent())
         .map_or(Ok(()), std::fs::create_dir_all)
@@ -26,7 +26,7 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Eval
     write(path, json.map_err(|error| EvalError::content(path, error))?)
 }
 
-/// Writes rows of named cells as CSV; the names of the first are the header.
+/// Writes rows of named cells as CSV; the names in the first row are the header.
 pub(crate) fn write_csv(
     path: &Path,
     rows: &[Vec<(&'static str, String)>],

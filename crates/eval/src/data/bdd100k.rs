@@ -1,12 +1,12 @@
-//! BDD100K multiple object tracking (`box_track_20`) and every other file in the Scalabel form: JSON, a
-//! list of frames or an object with `frames`, each with its video, index and labels.
+//! Reads BDD100K multiple object tracking (`box_track_20`) and other labels in the Scalabel format: JSON with a
+//! list of frames, or an object with `frames`; each frame has its video, index and labels.
 //!
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
-//! of predictions is the same with a `score` in each label. Boxes marked as crowd are ground truth like any
+//! of predictions has the same form and a `score` in each label. Boxes marked as crowd are ground truth like any
 //! other: neither the paper nor its published evaluator makes an exception for them.
 
 use super::classes::from_name;
-use super::rows::MOST_FRAMES;
+use super::rows::MAX_FRAMES;
 use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension};
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 
 /// Size of all pictures of BDD100K.
 pub(crate) const BDD100K_SIZE: PictureSize = PictureSize::new(1280, 720);
-/// The tracking set is annotated at this rate.
+/// Frames per second at which the tracking set is annotated.
 pub const BDD100K_FRAME_RATE: f64 = 5.0;
 
-/// The form with the frames inside an object.
+/// Labels whose frames are inside an object.
 #[derive(Deserialize)]
 struct Export {
     frames: Vec<Frame>,
@@ -58,7 +58,7 @@ struct Box2d {
     y2: f64,
 }
 
-/// What to read and how the pictures are, which the files do not say.
+/// The files to read, and properties of the pictures that the files do not contain.
 #[derive(Clone, Copy, Debug)]
 pub struct Source<'a> {
     /// Labels: a file, or a folder of files.
@@ -77,7 +77,7 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that comes twice.
+/// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that occurs twice.
 pub fn read(source: &Source<'_>) -> Result<Clips, EvalError> {
     let mut clips = Clips::default();
     let (picture, report) = (source.picture, &mut clips.report);
@@ -116,7 +116,7 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
         .map_or(0, |(index, _)| index + 1)
 }
 
-/// One list per frame; frames the file does not have are empty.
+/// Returns one list per frame; frames that the file does not contain are empty.
 fn spread(by_index: BTreeMap<usize, Vec<ScoredBox>>, frames: usize) -> Vec<Vec<ScoredBox>> {
     let mut spread = vec![Vec::new(); frames];
     for (index, boxes) in by_index {
@@ -140,7 +140,7 @@ fn read_videos(
             serde_json::from_str(&text).map(|export: Export| export.frames)
         };
         let frames: Vec<Frame> = frames.map_err(|error| {
-            let what = format!("it is no list of frames in the Scalabel form: {error}");
+            let what = format!("this is not a list of frames in the Scalabel format: {error}");
             EvalError::line(&file, error.line() as u64, what)
         })?;
         let stem = file
@@ -153,14 +153,14 @@ fn read_videos(
             let place = videos.entry(video).or_default().entry(index);
             let btree_map::Entry::Vacant(place) = place else {
                 let what = format!(
-                    "frame {} comes twice: its video already has the index {index}",
+                    "frame {} occurs twice: its video already has the index {index}",
                     frame.name
                 );
                 return Err(EvalError::content(&file, what));
             };
-            if index >= MOST_FRAMES {
+            if index >= MAX_FRAMES {
                 let what = format!(
-                    "frame {} has the index {index}, which is no frame of a clip",
+                    "frame {} has the index {index}, which is too large for a clip",
                     frame.name
                 );
                 return Err(EvalError::content(&file, what));
@@ -171,7 +171,7 @@ fn read_videos(
     Ok(videos)
 }
 
-/// The file itself, or the JSON files of a folder, sorted.
+/// Returns the file itself, or the JSON files of a folder, sorted.
 fn json_files(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
@@ -180,7 +180,7 @@ fn json_files(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
         .map_err(|error| EvalError::read(path, error, "is the folder readable?"))
 }
 
-/// The boxes of a frame that are kept.
+/// Reads the boxes of a frame, without those that are left out.
 fn boxes(
     file: &Path,
     frame: &Frame,
@@ -216,7 +216,7 @@ fn boxes(
     Ok(boxes)
 }
 
-/// An object's id as a number, whether the file writes it as one or as text.
+/// Reads an object's id, which files write as a number or as text.
 fn number_of(id: &serde_json::Value) -> Option<u64> {
     id.as_u64().or_else(|| id.as_str()?.parse().ok())
 }

@@ -1,6 +1,6 @@
-//! The classes an evaluation speaks of, and how the names of data sets map to them.
+//! The classes that are evaluated, and how the names of data sets map to them.
 //!
-//! Numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
+//! Class numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
 //! classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six classes.
 
 use super::LeftOut;
@@ -8,18 +8,13 @@ use albireo_core::detection::ClassId;
 
 /// A person, walking or riding.
 pub(crate) const PERSON: ClassId = ClassId(0);
-/// A bicycle.
 pub(crate) const BICYCLE: ClassId = ClassId(1);
-/// A car.
 pub(crate) const CAR: ClassId = ClassId(2);
-/// A motorcycle.
 pub(crate) const MOTORCYCLE: ClassId = ClassId(3);
-/// A bus.
 pub(crate) const BUS: ClassId = ClassId(5);
-/// A truck.
 pub(crate) const TRUCK: ClassId = ClassId(7);
 
-/// The six classes with their names, in order of their numbers.
+/// The evaluated classes with their names, in order of their numbers.
 pub(crate) const EVALUATED: [(ClassId, &str); 6] = [
     (PERSON, "person"),
     (BICYCLE, "bicycle"),
@@ -29,15 +24,15 @@ pub(crate) const EVALUATED: [(ClassId, &str); 6] = [
     (TRUCK, "truck"),
 ];
 
-/// Name of an evaluated class; `None` for any other.
-pub fn name(class: ClassId) -> Option<&'static str> {
+/// Returns the name of an evaluated class; `None` for any other.
+pub(crate) fn name(class: ClassId) -> Option<&'static str> {
     EVALUATED
         .iter()
         .find(|(id, _)| *id == class)
         .map(|(_, name)| *name)
 }
 
-/// BDD100K's and COCO's names, in either spelling of BDD100K's releases.
+/// Maps a class name of COCO or of any BDD100K release.
 pub fn from_name(name: &str) -> Result<ClassId, LeftOut> {
     match name {
         "person" | "pedestrian" | "rider" => Ok(PERSON),
@@ -50,7 +45,7 @@ pub fn from_name(name: &str) -> Result<ClassId, LeftOut> {
     }
 }
 
-/// KITTI's tracking types. A cyclist's box holds rider and bicycle and counts as bicycle.
+/// Maps a type of KITTI tracking. A cyclist's box contains rider and bicycle and counts as bicycle.
 pub(crate) fn from_kitti(kind: &str) -> Result<ClassId, LeftOut> {
     match kind {
         "Pedestrian" | "Person" | "Person_sitting" => Ok(PERSON),
@@ -62,7 +57,7 @@ pub(crate) fn from_kitti(kind: &str) -> Result<ClassId, LeftOut> {
     }
 }
 
-/// MOTChallenge's numbers (MOT16 and later; the 2015 release writes -1, and holds pedestrians only).
+/// Maps a class number of MOT16 or later. The 2015 release writes -1 and contains only pedestrians.
 pub(crate) fn from_mot_challenge(number: i64) -> Result<ClassId, LeftOut> {
     match number {
         // Pedestrian, person on a vehicle, static person.

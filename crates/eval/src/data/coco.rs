@@ -1,7 +1,7 @@
-//! COCO JSON: `images`, `annotations`, `categories`, and detections as a list of results.
+//! Reads COCO JSON: `images`, `annotations`, `categories`, and detections as a list of results.
 //!
-//! A clip is a video where images have `video_id`, else a folder of `file_name`; its frames are in order of
-//! `frame_id`, else of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
+//! A clip is a video if images have `video_id`, and otherwise a folder of `file_name`; its frames are in order of
+//! `frame_id`, and otherwise of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 
 use super::classes::from_name;
@@ -142,7 +142,7 @@ fn corners([x, y, width, height]: [f64; 4]) -> Corners {
     }
 }
 
-/// Clip and frame of each image.
+/// The clip and frame of each image, by the image's id.
 type Places = HashMap<u64, (usize, usize)>;
 
 fn place(
@@ -162,7 +162,7 @@ fn place(
     })
 }
 
-/// The clips without their boxes.
+/// Makes the clips without boxes, and finds each image's clip and frame.
 fn frames(
     path: &Path,
     set: &Dataset,
@@ -205,8 +205,8 @@ fn frames(
                 return Err(EvalError::content(
                     path,
                     format!(
-                        "image {} of clip `{name}` is {}x{}, the clip's first {picture}: a clip has \
-                         pictures of one size, larger than nothing",
+                        "image {} of clip `{name}` is {}x{}, the clip's first {picture}: all pictures of a \
+                         clip must have the same size, and it must not be zero",
                         image.id, image.width, image.height
                     ),
                 ));

@@ -1,11 +1,11 @@
-//! KITTI tracking: `label_02/NNNN.txt`, optional detections in `det_02/NNNN.txt` in the same form with a
+//! Reads KITTI tracking: `label_02/NNNN.txt`, optional detections in `det_02/NNNN.txt` in the same form with a
 //! score at the end, and the pictures in `image_02/NNNN/`.
 //!
 //! Rows are `frame id type truncated occluded alpha x1 y1 x2 y2 height width length x y z rotation [score]`,
 //! frames and pixels from 0. Source: KITTI tracking development kit, readme.
 
 use super::classes::from_kitti;
-use super::rows::{Row, Table};
+use super::rows::{GONE, Row, Table};
 use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension, pictures_in};
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
@@ -13,14 +13,12 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
 use std::path::Path;
 
-/// Pictures of most sequences, used where no picture says otherwise.
+/// The picture size of most sequences, used if a sequence has no pictures.
 const USUAL_SIZE: PictureSize = PictureSize::new(1242, 375);
-/// All sequences were recorded at this rate.
+/// Frames per second of all sequences.
 const FRAME_RATE: f64 = 10.0;
-/// The files were listed before they are read.
-const GONE: &str = "it was there a moment ago";
 
-/// Reads all sequences of the folder that has `label_02`.
+/// Reads all sequences of the folder that contains `label_02`.
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line where there is one.
@@ -30,7 +28,7 @@ pub fn read(folder: &Path) -> Result<Clips, EvalError> {
         EvalError::read(
             &labels,
             error,
-            "give the folder that holds label_02 with one file per sequence",
+            "give the folder that contains label_02 with one file per sequence",
         )
     })?;
     let mut clips = Clips::default();

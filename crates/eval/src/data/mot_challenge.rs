@@ -1,4 +1,4 @@
-//! MOTChallenge (2015 to 2020): one folder a sequence with `seqinfo.ini`, `gt/gt.txt`, `det/det.txt` and
+//! Reads MOTChallenge (2015 to 2020): one folder per sequence with `seqinfo.ini`, `gt/gt.txt`, `det/det.txt` and
 //! the pictures in `img1/`.
 //!
 //! Rows are `frame,id,left,top,width,height,…` with frames and pixels counted from 1. In ground truth of
@@ -6,7 +6,7 @@
 //! 2015 release (ten columns) has pedestrians only. Source: MOT16 paper, arXiv 1603.00831, table 3.
 
 use super::classes::{PERSON, from_mot_challenge};
-use super::rows::{Row, Table};
+use super::rows::{GONE, Row, Table};
 use super::{Clip, Clips, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
 use crate::error::EvalError;
 use crate::files::read_text;
@@ -14,11 +14,8 @@ use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// The files were seen before they are read.
-const GONE: &str = "it was there a moment ago";
-
-/// Reads a sequence's folder, or a folder of such folders. Detections and ground truth are taken where they
-/// are there.
+/// Reads a sequence's folder, or a folder of such folders. Detections and ground truth are read if they
+/// exist.
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line where there is one.
@@ -119,7 +116,7 @@ impl Info {
     }
 }
 
-/// The box in columns 3 to 6, from pixels counted from 1 to pixels counted from 0.
+/// Reads the box in columns 3 to 6; files count pixels from 1, boxes count them from 0.
 fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     let [left, top, width, height] = row.numbers(2, ["left", "top", "width", "height"])?;
     Ok(Corners {
@@ -131,7 +128,7 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
 }
 
 fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {
-    let is_judged = row.number::<f64>(6, "whether it is judged")? != 0.0;
+    let is_judged = row.number::<f64>(6, "consider")? != 0.0;
     let (class, class_name) = if row.len() <= 9 {
         let number = row.integer(7, "class")?;
         (from_mot_challenge(number), number.to_string().into())

@@ -1,15 +1,15 @@
-//! Recorded detections: a folder with `sequences.json` and comma-separated tables.
+//! Reads and writes recorded detections: a folder with `sequences.json` and comma-separated tables.
 //!
 //! - `sequences.json`: `{"sequences": [{"name", "width", "height", "fps", "frames", "camera"}, …]}`;
-//!   further keys are passed over,
+//!   other keys are ignored,
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
-//! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions whose objects the ground truth leaves out,
-//! - `screen/<name>.csv`: `frame,empty`, optional: what an empty-scene screen said of the pictures (1: nothing
-//!   is in view, 0: something is). A frame without a row is one of which it could not say.
+//! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects,
+//! - `screen/<name>.csv`: `frame,empty`, optional: the verdicts of an empty-scene screen (1: nothing is in view,
+//!   0: something is); a frame without a row has no verdict.
 //!
-//! Pixels, frames from 0, classes by their COCO numbers. A sequence whose entry counts ground-truth boxes
-//! (`ground_truth_boxes`) must have the file. [`write`] makes the same layout.
+//! Coordinates are pixels, frames count from 0, and classes are COCO numbers. A sequence whose entry counts ground-truth boxes
+//! (`ground_truth_boxes`) must have the file. [`write`] writes the same layout.
 
 use super::rows::{Row, Table};
 use super::{Clip, Clips, LabelledBox, LoadReport};
@@ -92,7 +92,7 @@ fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {
 fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let picture = PictureSize::new(entry.width, entry.height);
     let table = |kind: &str, header: &'static str| Table {
-        path: place(folder, kind, &entry.name),
+        path: table_path(folder, kind, &entry.name),
         separator: Some(','),
         header: Some(header),
         first: 0,
@@ -132,21 +132,26 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         frame_rate: entry.fps,
         detections: Some(detections),
         truth,
-        screen: screen.map(|frames| frames.iter().map(|told| told.first().copied()).collect()),
+        screen: screen.map(|frames| {
+            frames
+                .iter()
+                .map(|verdict| verdict.first().copied())
+                .collect()
+        }),
         ignored: ignored.unwrap_or_default(),
         camera: entry.camera,
         ..Clip::new(entry.name, picture, entry.frames)
     })
 }
 
-/// The table of that kind of a sequence.
-fn place(folder: &Path, kind: &str, name: &str) -> PathBuf {
+/// The path of a sequence's table.
+fn table_path(folder: &Path, kind: &str, name: &str) -> PathBuf {
     folder.join(kind).join(format!("{name}.csv"))
 }
 
 fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), EvalError> {
     if !frame.is_empty() {
-        return Err(row.broken("its frame comes twice"));
+        return Err(row.broken("its frame occurs twice"));
     }
     frame.push(match row.text(1, "empty")? {
         "0" => false,
@@ -161,7 +166,7 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     Ok(Corners { x1, y1, x2, y2 })
 }
 
-/// A box of these files, which have numbers of classes and no names.
+/// Reads a box; the files contain class numbers and no names.
 fn labelled(
     row: &Row<'_>,
     class: usize,
@@ -177,8 +182,8 @@ fn labelled(
     })
 }
 
-/// Writes `clips` in this layout, so that they can be replayed; numbers are written so that reading gives
-/// the same doubles back. Files that are there are replaced.
+/// Writes `clips` in this layout, so that they can be replayed. Reading returns the same numbers to the last bit.
+/// Existing files are replaced.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -187,11 +192,11 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
         sequences: Vec::new(),
     };
     for clip in clips {
-        let put = |kind: &str, text| put(&place(folder, kind, &clip.name), text);
+        let put = |kind: &str, text| put(&table_path(folder, kind, &clip.name), text);
         let detections = clip.detections.as_deref().unwrap_or_default();
         let detections = table(DETECTION_HEADER, detections, |found| {
-            let place = cells(found.corners);
-            format!("{place},{},{}", found.confidence, found.class.0)
+            let corners = cells(found.corners);
+            format!("{corners},{},{}", found.confidence, found.class.0)
         });
         put("detections", Some(detections))?;
         let truth = clip.truth.as_deref().map(|truth| {
@@ -225,7 +230,7 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
     files::write_json(&folder.join("sequences.json"), &index)
 }
 
-/// A table: for each frame's entries a row with the frame's number and what `row` makes of the entry.
+/// Formats a table with one row per entry: the frame's number, then what `row` returns for the entry.
 fn table<'a, T: 'a, F>(header: &str, frames: &'a [F], row: impl Fn(&T) -> String) -> String
 where
     &'a F: IntoIterator<Item = &'a T>,
@@ -242,7 +247,7 @@ fn cells(b: Corners) -> String {
     format!("{},{},{},{}", b.x1, b.y1, b.x2, b.y2)
 }
 
-/// Writes a file, or removes that of an earlier run, which would be taken for this clip's.
+/// Writes a table, or removes that of an earlier run, which would otherwise be read as this clip's.
 fn put(path: &Path, text: Option<String>) -> Result<(), EvalError> {
     let Some(text) = text else {
         return match std::fs::remove_file(path) {

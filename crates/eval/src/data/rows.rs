@@ -1,4 +1,4 @@
-//! Reads tables of numbers row by row, with the line number in every complaint.
+//! Reads tables of numbers row by row, with the line number in every error.
 
 use super::{LabelledBox, LoadReport};
 use crate::average_precision::ScoredBox;
@@ -8,8 +8,11 @@ use albireo_core::geometry::PictureSize;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// Frames of a clip at most; a number above is taken for a broken file.
-pub(super) const MOST_FRAMES: usize = 1_000_000;
+/// The largest number of frames of a clip; a larger one means that the file is broken.
+pub(super) const MAX_FRAMES: usize = 1_000_000;
+
+/// The help for a file that was listed, but cannot be read.
+pub(super) const GONE: &str = "it was there a moment ago";
 
 /// One row of a table.
 pub(super) struct Row<'a> {
@@ -39,14 +42,11 @@ impl Row<'_> {
     /// The field at `index` as a number.
     pub(super) fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, EvalError> {
         let text = self.text(index, name)?;
-        text.parse().map_err(|_| {
-            self.broken(format!(
-                "`{name}` is `{text}`, which is not a number of its kind"
-            ))
-        })
+        text.parse()
+            .map_err(|_| self.broken(format!("`{name}` is `{text}`, which is not a valid number")))
     }
 
-    /// Four numbers in a row, the first of them at `index`.
+    /// Four consecutive fields as numbers, the first of them at `index`.
     pub(super) fn numbers(&self, index: usize, names: [&str; 4]) -> Result<[f64; 4], EvalError> {
         let mut numbers = [0.0; 4];
         for (at, (number, name)) in numbers.iter_mut().zip(names).enumerate() {
@@ -55,7 +55,7 @@ impl Row<'_> {
         Ok(numbers)
     }
 
-    /// A whole number, also where the file writes it with a decimal point.
+    /// The field at `index` as a whole number, which the file may write with a decimal point.
     pub(super) fn integer(&self, index: usize, name: &str) -> Result<i64, EvalError> {
         let text = self.text(index, name)?;
         if let Ok(value) = text.parse() {
@@ -67,12 +67,12 @@ impl Row<'_> {
         }
     }
 
-    /// The number of an object, if it has one.
+    /// The field at `index` as an object's number; `None` if it is negative.
     pub(super) fn object(&self, index: usize, name: &str) -> Result<Option<u64>, EvalError> {
         Ok(u64::try_from(self.integer(index, name)?).ok())
     }
 
-    /// An error about this row.
+    /// Makes an error about this row.
     pub(super) fn broken(&self, what: impl std::fmt::Display) -> EvalError {
         EvalError::line(self.path, self.line, what)
     }
@@ -86,19 +86,19 @@ impl Row<'_> {
 /// A table whose first column is the frame.
 pub(super) struct Table<'a> {
     pub path: PathBuf,
-    /// What separates columns; white space if nothing is named.
+    /// The column separator; white space if `None`.
     pub separator: Option<char>,
-    /// The first row, which also says how many columns the others have.
+    /// The expected first row, which also sets the number of columns; `None` if the table has no header.
     pub header: Option<&'a str>,
     /// Number of the first frame.
     pub first: i64,
-    /// How many frames there are, where that is known.
+    /// The number of frames, if known.
     pub frames: Option<usize>,
 }
 
 impl Table<'_> {
-    /// Calls `visit` for each row with the list of its frame, and returns one list per frame. Blank lines are passed over;
-    /// `help` says what to do when the file is missing.
+    /// Calls `visit` for each row with the list of its frame, and returns one list per frame. Blank lines are skipped;
+    /// `help` says what to do if the file is missing.
     pub(super) fn read<T: Clone>(
         &self,
         help: &str,
@@ -106,7 +106,7 @@ impl Table<'_> {
     ) -> Result<Vec<Vec<T>>, EvalError> {
         let text = read_text(&self.path, help)?;
         let mut lists = vec![Vec::new(); self.frames.unwrap_or(0)];
-        // Neither field quoting nor escapes occur in these layouts, and plain splitting keeps the line number.
+        // These layouts have no quoting and no escapes, and plain splitting keeps the line numbers.
         let mut lines = (1..).zip(text.lines());
         if let Some(header) = self.header {
             let first = lines.next().map_or("", |(_, first)| first.trim());
@@ -138,7 +138,7 @@ impl Table<'_> {
         Ok(lists)
     }
 
-    /// The boxes of each frame that are kept; the others are counted in `report`.
+    /// Reads the boxes of each frame; boxes that are left out are counted in `report`.
     pub(super) fn boxes(
         &self,
         help: &str,
@@ -152,10 +152,10 @@ impl Table<'_> {
         })
     }
 
-    /// The row's frame, from 0.
+    /// The index of the row's frame.
     fn frame(&self, row: &Row<'_>) -> Result<usize, EvalError> {
         let number = row.integer(0, "frame")?;
-        let frames = self.frames.unwrap_or(MOST_FRAMES);
+        let frames = self.frames.unwrap_or(MAX_FRAMES);
         let frame = usize::try_from(number - self.first).ok();
         frame.filter(|&frame| frame < frames).ok_or_else(|| {
             row.broken(format!(

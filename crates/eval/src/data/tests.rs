@@ -268,7 +268,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
     assert_refused(
         bdd100k::read(&source(Some(&twice.path().join("gt.json")), None)),
-        &["comes twice"],
+        &["occurs twice"],
     );
 }
 
