@@ -1,5 +1,5 @@
-//! A policy's boxes beside the detector's own, on every frame that it answered without the detector: what the audit of a
-//! node estimates from a sample.
+//! Compares a policy's boxes with the detector's on every frame that skipped the detector; a node's audit estimates the
+//! same from a sample.
 
 use crate::data::Clip;
 use crate::error::EvalError;
@@ -9,12 +9,11 @@ use crate::source::StoredEvidence;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 
-/// Takes `policy` from its initial state through all frames of `clip`, and compares what it shows on frames without the
-/// detector with what the detector finds in them: one entry per frame, `None` on a frame of the detector, which is the
-/// reference, and on a degraded one.
+/// Replays `clip` through `policy` from its initial state, and compares its boxes with the detector's on the frames that
+/// skipped the detector. Returns one entry per frame; `None` if the detector ran or the frame was degraded.
 ///
 /// # Errors
-/// [`EvalError`] when the clip does not have what the policy asks for.
+/// [`EvalError`] when the clip does not have what the policy needs.
 pub fn against_detector(
     policy: &mut dyn Policy,
     clip: &Clip,
@@ -23,8 +22,8 @@ pub fn against_detector(
     let mut source = StoredEvidence::new(clip, settings)?;
     let mut detected = source.all_detections().to_vec().into_iter();
     let mut compared = Vec::with_capacity(source.frames());
-    drive(policy, &mut source, &mut |_, played| {
-        let outcome = played.outcome;
+    drive(policy, &mut source, &mut |_, decided| {
+        let outcome = decided.outcome;
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         let found = detected.next().unwrap_or_default();
         compared.push(skipped.then(|| {

@@ -1,4 +1,4 @@
-//! Average precision of boxes over the frames of a clip.
+//! Computes the average precision of boxes over the frames of a clip.
 //!
 //! Definitions: a prediction is compared with the ground truth of its own frame. Inside a frame the
 //! predictions are taken in order of falling confidence; each takes the free ground-truth box of highest
@@ -22,27 +22,27 @@ use std::collections::BTreeMap;
 pub(crate) const IOU_THRESHOLDS: [f64; 10] =
     [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
 
-/// Boxes of a lower confidence do not count in figures that know no confidences; see [`Accuracy::f1_50_shown`].
+/// Figures that do not rank boxes by confidence ignore boxes below this one; see [`Accuracy::f1_50_shown`].
 pub const SHOWN_CONFIDENCE: f64 = 0.3;
 
-/// The place of 0.75 in [`IOU_THRESHOLDS`].
+/// The index of 0.75 in [`IOU_THRESHOLDS`].
 const AT_75: usize = 5;
 
-/// A box with a confidence: one to be judged, a stored detection, or ground truth, whose confidence is 1 and does not count.
+/// A box with a confidence: a box to be judged, a stored detection, or ground truth, whose confidence is 1 and ignored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredBox {
-    /// Where, in pixels.
+    /// The box in pixels.
     pub corners: Corners,
-    /// The class it is of; compared only where classes are judged apart.
+    /// The class; compared only if classes are judged separately.
     pub class: ClassId,
-    /// How sure; ranks the boxes. Must not be NaN (a NaN ranks first).
+    /// The confidence, by which boxes are ranked. Must not be NaN (a NaN ranks first).
     pub confidence: f64,
-    /// Which object it shows, the same number in every frame; only [`tracking`](crate::tracking) asks for it.
+    /// Number of the object it shows, the same in every frame; only [`tracking`](crate::tracking) uses it.
     pub object: Option<u64>,
 }
 
 impl ScoredBox {
-    /// The detection as policies take it.
+    /// Converts to a detection as policies take it.
     pub fn normalise(self, picture: PictureSize) -> Detection {
         Detection {
             bounding_box: self.corners.normalise(picture),
@@ -52,8 +52,8 @@ impl ScoredBox {
     }
 }
 
-/// How the area under the precision-recall curve is taken. Precision is first made monotone: at each
-/// recall the best precision at this or a higher recall.
+/// How the area under the precision-recall curve is computed. Precision is first made monotone: at each
+/// recall it is the best precision at this or a higher recall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
     /// The exact area (PASCAL VOC 2010 and later).
@@ -62,16 +62,16 @@ pub enum Interpolation {
     Coco101,
 }
 
-/// Whether a prediction may match ground truth of another class.
+/// How classes are judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Classes {
-    /// All classes are one.
+    /// All together: a prediction may match ground truth of another class.
     Pooled,
     /// Each class by itself, then the unweighted mean over the classes that have ground truth.
     Separate,
 }
 
-/// How well predictions fit the ground truth.
+/// How well predictions match the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Accuracy {
     /// Average precision at IoU 0.50, 0 to 1.
@@ -80,8 +80,8 @@ pub struct Accuracy {
     pub ap75: f64,
     /// Mean of the average precisions at IoU 0.50 to 0.95, 0 to 1.
     pub map: f64,
-    /// F1, the harmonic mean of precision and recall, at IoU 0.50 of all boxes of confidence [`SHOWN_CONFIDENCE`] and above: AP counts faint boxes that nobody
-    /// would show.
+    /// F1, the harmonic mean of precision and recall, at IoU 0.50 of all boxes of confidence
+    /// [`SHOWN_CONFIDENCE`] and above: AP also counts boxes too faint to be shown.
     pub f1_50_shown: f64,
     /// Share of all predictions that match at IoU 0.50; 0 without predictions.
     pub precision: f64,
@@ -93,7 +93,7 @@ pub struct Accuracy {
     pub truths: usize,
 }
 
-/// Judges `predictions` against `truth`, both one entry per frame; where one is shorter, its missing frames
+/// Judges `predictions` against `truth`, both with one list per frame. If one is shorter, its missing frames
 /// count as frames without boxes.
 ///
 /// `None` when there is no ground-truth box at all: average precision is undefined then.
@@ -123,8 +123,9 @@ pub fn accuracy(
     }
 }
 
-/// `predictions` without those that lie by half or more of their area in a region of `ignored` (one entry per frame) and
-/// overlap no ground truth by IoU 0.5: what the ground truth leaves out there cannot be judged, as KITTI's evaluation has it.
+/// Returns `predictions` without those that cannot be judged, because they lie where the ground truth labels no objects.
+/// As in KITTI's evaluation, these have at least half of their area in a region of `ignored` (one list per frame) and
+/// overlap no ground truth by IoU 0.5.
 pub(crate) fn outside_ignored(
     predictions: &[Vec<ScoredBox>],
     truth: &[Vec<ScoredBox>],
@@ -145,7 +146,7 @@ pub(crate) fn outside_ignored(
     judged
 }
 
-/// The accuracy of every class that has ground truth, each judged by itself.
+/// Computes the accuracy of every class that has ground truth, each judged by itself.
 pub(crate) fn accuracy_by_class(
     predictions: &[Vec<ScoredBox>],
     truth: &[Vec<ScoredBox>],
@@ -164,12 +165,12 @@ pub(crate) fn accuracy_by_class(
         .collect()
 }
 
-/// For every prediction, in falling order of confidence, at which of the ten thresholds it found a
+/// The predictions of a clip in falling order of confidence, and the thresholds at which each matches a
 /// ground-truth box.
 struct Matching {
     /// Bit `t` is set when the prediction matches at `IOU_THRESHOLDS[t]`.
     matched: Vec<u16>,
-    /// How many predictions, the first ones, have the confidence to be shown.
+    /// The number of predictions, from the first on, whose confidence is at least [`SHOWN_CONFIDENCE`].
     shown: usize,
     truths: usize,
     /// Pairs of boxes whose IoU was computed.
@@ -211,7 +212,7 @@ impl Matching {
                     .zip(frame.matched.iter().copied()),
             );
         }
-        // Stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
+        // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         Self {
             shown: ranked.partition_point(|(confidence, _)| *confidence >= SHOWN_CONFIDENCE),
@@ -267,8 +268,8 @@ impl Matching {
         2.0 * hits as f64 / (self.shown + self.truths) as f64
     }
 
-    /// The precision after each prediction that matches, in order; entry `k` is at recall
-    /// `(k + 1) / truths`. Precision only rises at a match, so nothing between matters to the envelope.
+    /// Computes the precision after each prediction that matches, in order; entry `k` is at recall
+    /// `(k + 1) / truths`. Precision only rises at a match, so the points between do not change the envelope.
     fn precision_at_hits(&self, threshold: usize, points: &mut Vec<f64>) {
         points.clear();
         for (rank, matched) in self.matched.iter().enumerate() {
@@ -292,7 +293,7 @@ fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
             let mut sum = 0.0;
             let mut next = 0;
             for level in 0..=100u32 {
-                // As NumPy's linspace computes the levels, so that equality falls the same way.
+                // Computed as NumPy's linspace does, so that comparisons for equality agree.
                 let recall = f64::from(level) * 0.01;
                 while next < points.len() && (next + 1) as f64 / (truths as f64) < recall {
                     next += 1;
@@ -304,17 +305,17 @@ fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
     }
 }
 
-/// Matches the boxes of one frame; its buffers are used again for the next.
+/// Matches the boxes of one frame; its buffers are reused for the next frame.
 #[derive(Default)]
 struct FrameMatcher {
     truths: Vec<Corners>,
     /// Confidence and box, sorted by falling confidence in `match_all`.
     predictions: Vec<(f64, Corners)>,
-    /// Bits as in [`Matching::matched`], one entry a prediction.
+    /// Bits as in [`Matching::matched`], one entry per prediction.
     matched: Vec<u16>,
     /// Ground truth by left edge, with its index.
     by_left: Vec<(f64, usize)>,
-    /// For all predictions in a row: index of a ground-truth box and the IoU with it.
+    /// The candidates of all predictions, one after the other: index of a ground-truth box and the IoU with it.
     candidates: Vec<(usize, f64)>,
     /// Where each prediction's candidates end.
     ends: Vec<usize>,

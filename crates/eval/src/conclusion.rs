@@ -1,13 +1,13 @@
-//! The conclusion of an evaluation on recordings, in sentences.
+//! Writes the conclusion of an evaluation in sentences.
 
 use crate::spec::BASELINE;
 use crate::summary::PolicySummary;
-use crate::table::short;
+use crate::table::short_label;
 
-/// AP@50 that a policy may lose and still count as keeping it: the lower end of its interval must lie above this loss.
+/// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
 
-/// The conclusion: who skips most and keeps the accuracy, who does best at half the calls.
+/// Names the policy that skips most and keeps the accuracy, and the most accurate one with about half of the calls.
 pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
         return Vec::new();
@@ -46,7 +46,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     }
     let idle: Vec<_> = (others.iter())
         .filter(|found| found.skip_rate == 0.0)
-        .map(|found| short(&found.policy))
+        .map(|found| short_label(&found.policy))
         .collect();
     if !idle.is_empty() {
         sentences.push(format!(
@@ -70,7 +70,7 @@ fn lower_end(summary: &PolicySummary) -> Option<f64> {
 fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
     let mut text = format!(
         "{}: {:.1} % of the frames skip the detector",
-        short(&summary.policy),
+        short_label(&summary.policy),
         summary.skip_rate * 100.0
     );
     if let Some(ap50) = summary.ap50_change {

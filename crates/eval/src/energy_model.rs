@@ -1,8 +1,8 @@
-//! Projecting a clip's energy and time on a board from the numbers of its frames.
+//! Projects a clip's energy and time on a board from the numbers of its frames.
 //!
-//! Where no meter can be read, a model replaces it: so many joules and milliseconds for each frame the
-//! detector sees, each frame it is skipped by prediction, and each call of the empty-scene screen, as
-//! fitted on published per-clip results. Everything it gives is marked `projected`.
+//! Where no meter can be read, a model replaces it. It has joules and milliseconds for each frame on which the
+//! detector runs, each predicted frame, and each call of the empty-scene screen, as fitted on published per-clip
+//! results. All its figures are marked `projected`.
 
 use crate::error::EvalError;
 use crate::files::read_text;
@@ -11,11 +11,11 @@ use albireo_core::policy::FrameState;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Cost of the kinds of work on a frame.
+/// The costs of the kinds of work on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Costs {
-    /// A frame on which the detector runs, the screen apart.
+    /// A frame on which the detector runs, without the screen.
     pub detector: f64,
     /// A frame answered by prediction (state P).
     pub predicted: f64,
@@ -31,7 +31,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Costs {
-    /// Cost of `detector`, `predicted`, `screen` and `look` pieces of work together.
+    /// The total cost of these numbers of each kind of work.
     fn total(&self, [detector, predicted, screen, look]: [f64; 4]) -> f64 {
         self.detector * detector
             + self.predicted * predicted
@@ -40,11 +40,11 @@ impl Costs {
     }
 }
 
-/// How far a fitted model misses on clips that were left out of the fit.
+/// The error of a fitted model on clips that were left out of the fit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FitError {
-    /// Into how many parts the clips were split; each was left out once.
+    /// The number of parts into which the clips were split; each was left out once.
     pub folds: usize,
     /// Mean absolute error of a clip's energy, percent.
     pub energy_percent: f64,
@@ -56,25 +56,25 @@ pub struct FitError {
     pub saving_projected_percent: f64,
 }
 
-/// A board with a detector.
+/// The energy model of a board with a detector.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EnergyModel {
     /// The board.
     pub board: String,
-    /// The detector it ran.
+    /// The detector that it ran.
     pub detector: String,
-    /// Where the figures come from and what they hold for.
+    /// The source of the figures, and the conditions they are valid for.
     pub source: String,
-    /// Joules.
+    /// The costs in joules.
     pub energy_j: Costs,
-    /// Milliseconds.
+    /// The costs in milliseconds.
     pub time_ms: Costs,
     /// Power between frames, watts. With it, clips whose frame rate is known are projected at the camera's
-    /// pace; without it, frames follow each other back to back, as in the published runs.
+    /// rate; without it, frames follow each other back to back, as in the published runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle_power_w: Option<f64>,
-    /// How good the fit is, if the model was fitted.
+    /// The error of the fit, if the model was fitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub left_out: Option<FitError>,
 }
@@ -83,7 +83,7 @@ impl EnergyModel {
     /// Reads a model.
     ///
     /// # Errors
-    /// [`EvalError`] for a missing file, a key that does not exist, or a cost below zero.
+    /// [`EvalError`] for a missing file, an unknown key, or a negative cost.
     pub fn load(path: &Path) -> Result<Self, EvalError> {
         let text = read_text(path, "--energy-model names a file of config/energy")?;
         Self::read(&text).map_err(|what| EvalError::content(path, what))
@@ -125,7 +125,7 @@ impl EnergyModel {
             result.looked_frames as f64,
         ];
         let busy_s = self.time_ms.total(work) / 1e3;
-        // Where it is not known whether a frame was looked at, it was not.
+        // A frame without an entry was not examined.
         let examined = (result.examined.iter().copied()).chain(std::iter::repeat(false));
         let times = (result.sequence.iter().zip(examined))
             .map(|(&state, examined)| self.time_ms.total(work_of(state, examined)))
@@ -144,7 +144,7 @@ impl EnergyModel {
     }
 }
 
-/// Pieces of work of a frame: detector, predicted, screen, look.
+/// The kinds of work on a frame: detector, predicted, screen, look.
 fn work_of(state: FrameState, examined: bool) -> [f64; 4] {
     let is = |states: &[FrameState]| f64::from(u8::from(states.contains(&state)));
     [

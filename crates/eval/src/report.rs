@@ -1,5 +1,5 @@
-//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG, and
-//! `report.html`, which shows it all in one file that needs no other.
+//! Writes the files of `--out`: `summary.csv`, `report.json`, figures as SVG, and `report.html`, which shows all
+//! of it in one self-contained file.
 
 mod html;
 mod plot;
@@ -14,14 +14,14 @@ use crate::summary::PolicySummary;
 use serde::Serialize;
 use std::path::Path;
 
-/// A finished run.
+/// The report of a finished run.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    /// What was evaluated, for the heading.
+    /// The heading: what was evaluated.
     pub title: String,
-    /// The settings, name and value, in the order to show them.
+    /// Names and values of the settings, in the order in which they are shown.
     pub settings: Vec<(String, String)>,
-    /// What the data's reader left out.
+    /// What the reader of the data left out.
     pub data: LoadReport,
     /// One entry per policy.
     pub policies: Vec<PolicySummary>,
@@ -30,10 +30,10 @@ pub struct Report {
 }
 
 impl Report {
-    /// Writes all files into `folder`, making it if need be.
+    /// Writes all files into `folder`, which is created if needed.
     ///
     /// # Errors
-    /// [`EvalError`] naming the file.
+    /// [`EvalError`] when a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), EvalError> {
         files::write_csv(&folder.join("summary.csv"), &summary_csv::rows(&self.clips))?;
         files::write_json(&folder.join("report.json"), self)?;

@@ -10,14 +10,14 @@ use albireo_wire::FrameStates;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Where a time comes from. The two are never mixed in one figure.
+/// How a time was obtained. The two are never mixed in one figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Provenance {
-    /// Put together from times that were each measured on this machine: of the model on the frames it was
-    /// needed for, of the screen likewise, of the decision.
+    /// The sum of the times of the steps that a frame needed (detector, screen, decision), each measured on this
+    /// machine.
     Composed,
-    /// A model of a board, from the numbers of frames.
+    /// Computed with the model of a board from the numbers of frames.
     Projected,
 }
 
@@ -31,7 +31,7 @@ impl Provenance {
     }
 }
 
-/// How a time spreads over the frames of a clip.
+/// The distribution of a time over the frames of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     /// Mean.
@@ -45,7 +45,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// The spread of `values`; `None` without any.
+    /// The spread of `values`; `None` if there are none.
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         Some(Self {
@@ -60,10 +60,10 @@ impl Spread {
 /// Time per frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameTime {
-    /// Milliseconds.
+    /// The time in milliseconds.
     #[serde(flatten)]
     pub milliseconds: Spread,
-    /// Where the figures come from.
+    /// How the time was obtained.
     pub provenance: Provenance,
 }
 
@@ -80,7 +80,7 @@ pub struct Energy {
 
 impl Energy {
     /// The energy of a clip of `frames` frames.
-    pub fn new(joules: f64, duration_s: f64, frames: usize) -> Self {
+    pub(crate) fn new(joules: f64, duration_s: f64, frames: usize) -> Self {
         Self {
             joules,
             duration_s,
@@ -89,73 +89,73 @@ impl Energy {
     }
 }
 
-/// What one policy did with one clip.
+/// The figures of one policy on one clip.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ClipResult {
     /// Name of the clip.
     pub clip: String,
-    /// Whether the camera moves, where known.
+    /// `moving` or `fixed`, if known.
     pub camera: Option<String>,
     /// Label of the policy.
     pub policy: String,
     /// Number of frames.
     pub frames: usize,
-    /// Frames per second, where known.
+    /// Frames per second, if known.
     pub frame_rate: Option<f64>,
-    /// Frames by state.
+    /// The number of frames in each state.
     pub states: FrameStates,
-    /// Frames on which the detector ran.
+    /// The number of frames on which the detector ran.
     pub detector_frames: usize,
-    /// Frames on which the empty-scene screen ran.
+    /// The number of frames on which the empty-scene screen ran.
     pub screen_frames: usize,
-    /// Frames of which a grey picture was looked at.
+    /// The number of frames of which a grey picture was examined.
     pub looked_frames: usize,
-    /// Frames in which the detector finds something, looked at by this policy or not; 0 where only stored
-    /// detections were evaluated.
+    /// The number of frames in which the detector finds something, whether or not this policy ran it; 0 if only
+    /// stored detections were evaluated.
     pub occupied_frames: usize,
-    /// Those of them with state E: what the empty-scene screen misses.
+    /// The number of these frames with state E: those that the empty-scene screen misses.
     pub false_empty_frames: usize,
-    /// Frames that needed the detector and did not get it.
+    /// The number of frames that needed the detector and did not get it.
     pub degraded_frames: usize,
-    /// Detections refused by the policy because their numbers make no box.
+    /// The number of detections that the policy rejected because they are not valid boxes.
     pub rejected_detections: u64,
-    /// Boxes scored.
+    /// The number of scored boxes.
     pub boxes: usize,
     /// Accuracy of the boxes that a node publishes; `None` without ground truth.
     pub accuracy: Option<Accuracy>,
-    /// How well these keep identities; `None` where boxes or ground truth have none.
+    /// Tracking figures of these boxes; `None` if boxes or ground truth have no object numbers.
     pub tracking: Option<Tracking>,
     /// Accuracy of all boxes of the policy, also those too faint to be published; `None` under the published scoring.
     pub accuracy_all: Option<Accuracy>,
-    /// How well all boxes keep identities.
+    /// Tracking figures of all boxes.
     pub tracking_all: Option<Tracking>,
-    /// Accuracy with the confidences of the last detections, where the profile decays them.
+    /// Accuracy with the confidences of the last detections, if the profile decays confidences.
     pub accuracy_last_confidence: Option<Accuracy>,
     /// Accuracy of every class that has ground truth, by name.
     pub classes: BTreeMap<String, Accuracy>,
     /// Time inside the policy per frame in microseconds, measured on this machine.
     pub decision_us: Option<Spread>,
-    /// Time per frame, detector and all.
+    /// Time per frame, including detector and screen.
     pub frame_time: Option<FrameTime>,
     /// Energy, if projected.
     #[serde(rename = "projected_energy")]
     pub energy: Option<Energy>,
-    /// Mean frames by which a settled frame is held back.
+    /// Mean delay of settled frames, in frames.
     #[serde(skip)]
     pub delay: f64,
-    /// The states frame by frame.
+    /// The state of each frame.
     #[serde(skip)]
     pub sequence: Vec<FrameState>,
-    /// Whether a grey picture was looked at, frame by frame.
+    /// One entry per frame: true if a grey picture was examined.
     #[serde(skip)]
     pub examined: Vec<bool>,
-    /// The frames that lost most against the detector, where they were asked for.
+    /// The frames that lost the most objects against the detector, if `keep_worst` is set.
     #[serde(skip)]
     pub worst: Vec<WorstFrame>,
 }
 
 impl ClipResult {
-    /// Share of frames that skipped the detector, degraded ones not among them.
+    /// Share of frames that skipped the detector, without degraded ones.
     pub fn skip_rate(&self) -> f64 {
         self.states.skip_rate(self.degraded_frames as u64)
     }
@@ -165,7 +165,7 @@ impl ClipResult {
         FrameState::ALL.map(|state| self.states.get(state) as f64 / self.states.frames() as f64)
     }
 
-    /// Fills in what the driver's records say; accuracy, time and energy are left open.
+    /// Fills in the figures that follow from the replay's records, but not accuracy, frame time and energy.
     pub(crate) fn from_replay(clip: &str, policy: &str, replay: &Replay) -> Self {
         let frames = &replay.frames;
         let mut states = FrameStates::default();

@@ -1,8 +1,8 @@
-//! Judges boxes when frames arrive, with a detector that takes its time, and boxes that are settled afterwards.
+//! Judges boxes as they are published: at arrival, with a detector that takes time, or settled some frames later.
 //!
-//! At arrival, a frame is judged by what has been published when it comes. A policy that predicts answers each frame at
-//! once and takes detections late ([`LatePolicy`]). Any other one lets frames wait for the detector: it takes the newest
-//! frame when it is free, and every frame is judged by the boxes of the last frame that it has finished.
+//! At arrival, a frame is judged by what has been published when it arrives. A policy that predicts answers each frame at
+//! once and takes detections late ([`LatePolicy`]). With any other policy, frames wait for the detector: it takes the
+//! newest frame when it is free, and every frame is judged by the boxes of the last frame that is finished.
 
 mod run_times;
 
@@ -17,46 +17,46 @@ use crate::scoring::score_published;
 use crate::source::StoredEvidence;
 use crate::spec::{BASELINE, PolicySpec};
 use crate::summary::{Difference, PolicySummary, summarise};
-use crate::table::short;
-use crate::text::{self, Column, three};
+use crate::table::short_label;
+use crate::text::{self, Column, three_decimals};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler, decide,
 };
 use std::time::Duration;
 
-/// Settled frames are held back by this at most, as a node does.
-const LONGEST_DELAY: Duration = Duration::from_secs(2);
+/// The longest delay of a settled frame, as in a node.
+const MAX_DELAY: Duration = Duration::from_secs(2);
 
-/// Times are compared with this tolerance, seconds: frame times are sums of rounded intervals.
-const SAME_TIME: f64 = 1e-9;
+/// The tolerance when times are compared, seconds: frame times have rounding errors.
+const TIME_TOLERANCE: f64 = 1e-9;
 
-/// Which boxes of a frame are judged.
+/// The published boxes that are judged.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Stream {
-    /// Those that have been published when the frame comes.
+    /// The boxes that have been published when a frame arrives.
     AtArrival {
-        /// Times of the detector's runs.
+        /// The times of the detector's runs.
         detector: RunTimes,
     },
-    /// Those drawn between two detector calls; the detector takes no time.
+    /// The boxes drawn between two detector calls once the second is known; the detector takes no time.
     Settled,
 }
 
-/// All policies over all clips.
+/// The results of all policies over all clips.
 #[derive(Clone, Debug)]
 pub struct StreamResults {
     stream: Stream,
-    /// By clip or policy.
+    /// One entry per clip and policy.
     results: Vec<ClipResult>,
 }
 
-/// The boxes of a clip to be judged.
+/// The boxes of a clip that are judged, with the detector calls they took.
 #[derive(Default)]
 struct Published {
     boxes: Vec<Vec<OutputBox>>,
     calls: usize,
-    /// Summed delay, frames.
+    /// The delays of all frames together, in frames.
     delay: u64,
 }
 
@@ -123,16 +123,16 @@ fn publish(
     }
 }
 
-/// When frames and the detector's results come.
+/// The times at which frames and the detector's results arrive.
 #[derive(Clone, Copy, Debug)]
 struct Timing<'a> {
-    /// From frame to frame, seconds.
+    /// The time between two frames, seconds.
     interval: f64,
     detector: &'a RunTimes,
 }
 
 impl Timing<'_> {
-    /// How long `need` takes to be fetched after `calls` detector runs, seconds.
+    /// The seconds that it takes to fetch `need` after `calls` detector runs.
     fn of(self, need: Need, calls: usize) -> f64 {
         match need {
             Need::Detections => self.detector.of(calls),
@@ -141,7 +141,7 @@ impl Timing<'_> {
     }
 }
 
-/// Frames are answered at once; the detector works on one of them at a time.
+/// Answers frames at once; the detector works on one of them at a time.
 fn at_once(
     policy: Box<dyn Policy>,
     source: &mut StoredEvidence<'_>,
@@ -150,12 +150,12 @@ fn at_once(
     let mut late = LatePolicy::new(policy).map_err(EvalError::new)?;
     let mut published = Published::default();
     let (mut outcome, mut unused) = (Outcome::default(), Outcome::default());
-    // The frame that waits, what for, and when that comes.
+    // The frame that waits, its need, and the time at which that is met.
     let mut waits: Option<(usize, Need, f64)> = None;
     for frame in 0..source.frames() {
         let now = frame as f64 * timing.interval;
         while let Some((waiting_frame, need, at)) = waits
-            && at <= now + SAME_TIME
+            && at <= now + TIME_TOLERANCE
         {
             let mut stored = ClipFrame::new(source, waiting_frame);
             let evidence = stored.evidence(need)?;
@@ -175,7 +175,7 @@ fn at_once(
     Ok(published)
 }
 
-/// Frames wait for the detector; those that come meanwhile are lost but for the newest.
+/// Lets frames wait for the detector; of the frames that arrive meanwhile, only the newest is kept.
 fn when_known(
     policy: &mut dyn Policy,
     source: &mut StoredEvidence<'_>,
@@ -187,7 +187,7 @@ fn when_known(
     let mut next = 0;
     let mut last = Vec::new();
     while next < source.frames() {
-        let newest = (free / timing.interval + SAME_TIME).floor() as usize;
+        let newest = (free / timing.interval + TIME_TOLERANCE).floor() as usize;
         let frame = newest.max(next);
         if frame >= source.frames() {
             break;
@@ -203,9 +203,9 @@ fn when_known(
             published.calls += 1;
         }
         next = frame + 1;
-        // Frames that come before this answer show the one before it.
+        // Frames that arrive before this answer show the previous one.
         while published.boxes.len() < source.frames()
-            && (published.boxes.len() as f64 * timing.interval) < free - SAME_TIME
+            && (published.boxes.len() as f64 * timing.interval) < free - TIME_TOLERANCE
         {
             published.boxes.push(last.clone());
         }
@@ -215,22 +215,22 @@ fn when_known(
     Ok(published)
 }
 
-/// Frames wait for the detector, which takes no time, and are settled.
+/// Settles frames; the detector takes no time.
 fn settled(
     policy: &mut dyn Policy,
     source: &mut StoredEvidence<'_>,
     interval: Duration,
 ) -> Result<Published, EvalError> {
     let mut published = Published::default();
-    let mut settler = Settler::new(LONGEST_DELAY);
+    let mut settler = Settler::new(MAX_DELAY);
     let mut calls = 0;
     let mut boxes = Vec::new();
     let mut delay = 0;
-    drive(policy, source, &mut |_, played| {
-        calls += usize::from(played.record.detector);
-        let now = played.head.index;
+    drive(policy, source, &mut |_, decided| {
+        calls += usize::from(decided.record.detector);
+        let now = decided.head.index;
         let time = interval.saturating_mul(u32::try_from(now).unwrap_or(u32::MAX));
-        settler.frame(now, time, played.outcome, false, |frame| {
+        settler.frame(now, time, decided.outcome, false, |frame| {
             delay += now - frame.index;
             boxes.push(frame.boxes.to_vec());
         });
@@ -251,7 +251,7 @@ fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
 }
 
 impl StreamResults {
-    /// Name of the file for the table.
+    /// The name of the file for the table.
     pub fn file_name(&self) -> &'static str {
         match self.stream {
             Stream::AtArrival { .. } => "at-arrival.txt",
@@ -259,12 +259,12 @@ impl StreamResults {
         }
     }
 
-    /// Takes in the results of other clips, of the same policies and stream.
+    /// Adds the results of other clips, which must be of the same policies and stream.
     pub fn extend(&mut self, others: Self) {
         self.results.extend(others.results);
     }
 
-    /// The table: one line per policy, and one for its differences to the baseline.
+    /// Formats a table with one line per policy, and one with the differences to the baseline.
     pub fn table(&self) -> String {
         let title = match &self.stream {
             Stream::AtArrival { detector } => format!(
@@ -285,13 +285,13 @@ impl StreamResults {
         let figures = table(
             &summaries,
             &[
-                ("policy", |s| short(&s.policy).to_owned()),
+                ("policy", |s| short_label(&s.policy).to_owned()),
                 ("calls%", |s| format!("{:.1}", 100.0 * s.calls)),
-                ("AP@50", |s| three(s.ap50)),
-                ("AP@75", |s| three(s.ap75)),
-                ("F1@50 >=.3", |s| three(s.f1_50_shown)),
-                ("mAP", |s| three(s.map)),
-                ("all", |s| three(s.ap50_all)),
+                ("AP@50", |s| three_decimals(s.ap50)),
+                ("AP@75", |s| three_decimals(s.ap75)),
+                ("F1@50 >=.3", |s| three_decimals(s.f1_50_shown)),
+                ("mAP", |s| three_decimals(s.map)),
+                ("all", |s| three_decimals(s.ap50_all)),
                 ("delay", |s| format!("{:.1}", s.delay)),
             ],
         );
@@ -299,7 +299,7 @@ impl StreamResults {
         let differences = table(
             &summaries,
             &[
-                ("policy", |s| short(&s.policy).to_owned()),
+                ("policy", |s| short_label(&s.policy).to_owned()),
                 ("AP@50", |s| points(s.ap50_change)),
                 ("AP@75", |s| points(s.ap75_change)),
                 ("F1@50 >=.3", |s| points(s.f1_50_shown_change)),

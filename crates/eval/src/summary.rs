@@ -1,4 +1,4 @@
-//! One line per policy: means over the clips, differences to the baseline clip by clip, tests, frontiers.
+//! Summarises each policy over the clips: means, differences to the baseline, and the Pareto frontier.
 
 use crate::average_precision::Accuracy;
 use crate::result::{ClipResult, Energy, Provenance};
@@ -7,19 +7,19 @@ use crate::statistics::{half_interval, mean};
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
-/// Differences of one figure to the baseline's on the same clips.
+/// The mean difference of a figure to the baseline's on the same clips.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Clips compared.
+    /// The number of clips.
     pub clips: usize,
     /// Mean difference.
     pub mean: f64,
-    /// Its 95 % interval (paired t), from and to; `None` where it is undefined.
+    /// Lower and upper end of its 95 % interval (paired t); `None` if it is undefined.
     pub interval: Option<[f64; 2]>,
 }
 
 impl Difference {
-    /// The differences in `values`; `None` without any.
+    /// Summarises the differences in `values`; `None` if there are none.
     pub fn of(values: &[f64]) -> Option<Self> {
         let mean = mean(values.iter().copied())?;
         Some(Self {
@@ -30,17 +30,17 @@ impl Difference {
     }
 }
 
-/// One policy over the clips. Means are unweighted over clips, as in the paper. Where some clips have ground
-/// truth, all figures are over these, so that accuracy and savings speak of the same clips.
+/// The figures of one policy over the clips. Means are unweighted over clips, as in the paper. If some clips have
+/// ground truth, all figures are over these, so that accuracy and savings are about the same clips.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PolicySummary {
-    /// Its label.
+    /// The policy's label.
     pub policy: String,
-    /// Number of clips the figures are over.
+    /// The number of clips that the figures are over.
     pub clips: usize,
-    /// Clips left out of the figures because they lack the ground truth that others have.
+    /// The number of clips left out because they lack the ground truth that others have.
     pub clips_without_truth: usize,
-    /// Frames in the clips.
+    /// The number of frames in the clips.
     pub frames: usize,
     /// Mean share of skipped frames.
     pub skip_rate: f64,
@@ -61,7 +61,7 @@ pub struct PolicySummary {
     pub map: Option<f64>,
     /// Mean AP@75.
     pub ap75: Option<f64>,
-    /// Mean F1 at IoU 0.5 of the boxes with confidence to be shown.
+    /// Mean F1 at IoU 0.5 of the boxes that are confident enough to be shown.
     pub f1_50_shown: Option<f64>,
     /// Mean HOTA.
     pub hota: Option<f64>,
@@ -71,7 +71,7 @@ pub struct PolicySummary {
     pub ap50_by_class: BTreeMap<String, f64>,
     /// Mean time inside the policy per frame, microseconds, measured here.
     pub decision_us: Option<f64>,
-    /// Mean time per frame in milliseconds and where it comes from.
+    /// Mean time per frame in milliseconds, and its provenance.
     pub frame_time_ms: Option<(f64, Provenance)>,
     /// Mean energy of a clip, projected.
     #[serde(rename = "projected_energy")]
@@ -84,11 +84,11 @@ pub struct PolicySummary {
     pub f1_50_shown_change: Option<Difference>,
     /// mAP@50:95 minus the baseline's.
     pub map_change: Option<Difference>,
-    /// Whether no other policy has as many skips and as much AP@50 and more of one.
+    /// True if no other policy has at least the skip rate and the AP@50, and more of one of the two.
     pub on_skip_frontier: bool,
 }
 
-/// Sums up `results`, in the order in which the policies first occur.
+/// Summarises `results`, in the order in which the policies first occur.
 pub fn summarise(results: &[ClipResult]) -> Vec<PolicySummary> {
     let judged = results.iter().any(|result| result.accuracy.is_some());
     let mut order: Vec<&str> = Vec::new();
@@ -195,7 +195,7 @@ fn summarise_policy(
     }
 }
 
-/// Marks the policies that no other beats: none has at least the skips and the AP@50, and more of one of the two.
+/// Marks the policies that are on the Pareto frontier of skip rate and AP@50.
 fn mark_frontier(summaries: &mut [PolicySummary]) {
     let figures = |summary: &PolicySummary| (summary.skip_rate, summary.ap50);
     let all: Vec<_> = summaries.iter().map(figures).collect();

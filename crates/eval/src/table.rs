@@ -1,14 +1,14 @@
-//! The table of a run: its columns, for a terminal of [`WIDTH`] columns and for the page.
+//! Formats the table of a run for a terminal, and its columns for the HTML report.
 
 use crate::result::Provenance;
 use crate::summary::{Difference, PolicySummary};
-use crate::text::{self, Column, or_dash, three, wrapped};
+use crate::text::{self, Column, or_dash, three_decimals, wrapped};
 use albireo_core::policy::FrameState;
 
-/// Columns a table may take.
+/// Maximum width of the table in characters.
 pub(crate) const WIDTH: usize = 100;
 
-/// The table: one line per policy.
+/// Formats the table with one line per policy. Columns that do not fit are left out, and a note names them.
 pub fn render(summaries: &[PolicySummary]) -> String {
     let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
@@ -35,14 +35,14 @@ pub fn render(summaries: &[PolicySummary]) -> String {
     text
 }
 
-/// The columns that at least one policy has a figure for; the first holds the policies, `*` for those on the frontier of
-/// AP@50 and skip rate.
+/// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those on
+/// the Pareto frontier of AP@50 and skip rate.
 pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
     let ranked = ranked(summaries).into_iter();
     ranked.map(|(_, column)| column).collect()
 }
 
-/// The same with their ranks: those with a high one give way when the table would be too wide.
+/// Returns the same columns with ranks; the highest rank is left out first if the table is too wide.
 fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
     let column = |heads: [&str; 2], rank: u8, cell: &dyn Fn(&PolicySummary) -> String| {
         let cells = summaries.iter().map(cell).collect();
@@ -58,7 +58,7 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
     let mut columns = vec![
         column(["", "policy"], 0, &|s| {
             let star = if s.on_skip_frontier { "*" } else { "" };
-            format!("{}{star}", short(&s.policy))
+            format!("{}{star}", short_label(&s.policy))
         }),
         column(["skip", "%"], 0, &|s| percent(s.skip_rate)),
     ];
@@ -66,16 +66,16 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         columns.push(column([state.as_str(), "%"], 0, &|s| percent(s.states[at])));
     }
     columns.extend([
-        column(["AP@50", ""], 0, &|s| three(s.ap50)),
-        column(["AP@50", "all"], 0, &|s| three(s.ap50_all)),
+        column(["AP@50", ""], 0, &|s| three_decimals(s.ap50)),
+        column(["AP@50", "all"], 0, &|s| three_decimals(s.ap50_all)),
         column(["Δ", "pp"], 0, &|s| change(s.ap50_change)),
         column(["95 %", "pp"], 1, &|s| interval(s.ap50_change)),
-        column(["mAP", ""], 0, &|s| three(s.map)),
+        column(["mAP", ""], 0, &|s| three_decimals(s.map)),
         column(["Δ", "pp"], 3, &|s| change(s.map_change)),
-        column(["AP@75", ""], 1, &|s| three(s.ap75)),
-        column(["F1@50", ">=.3"], 1, &|s| three(s.f1_50_shown)),
-        column(["HOTA", ">=.3"], 2, &|s| three(s.hota)),
-        column(["IDF1", ">=.3"], 4, &|s| three(s.idf1)),
+        column(["AP@75", ""], 1, &|s| three_decimals(s.ap75)),
+        column(["F1@50", ">=.3"], 1, &|s| three_decimals(s.f1_50_shown)),
+        column(["HOTA", ">=.3"], 2, &|s| three_decimals(s.hota)),
+        column(["IDF1", ">=.3"], 4, &|s| three_decimals(s.idf1)),
         column(["time", "ms"], 4, &|s| {
             or_dash(s.frame_time_ms.map(|(time, kind)| {
                 let mark = match kind {
@@ -96,8 +96,8 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
     columns
 }
 
-/// The label without the part that all policies of a run share.
-pub(super) fn short(label: &str) -> &str {
+/// Shortens a label by the part that all policies of a run share.
+pub(super) fn short_label(label: &str) -> &str {
     label.split_once("-erd-").map_or(label, |(start, _)| start)
 }
 
@@ -105,7 +105,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}", share * 100.0)
 }
 
-/// How to read the table.
+/// Returns notes on how to read the table.
 pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
     let first = summaries.first();
     let clips = first.map_or(0, |summary| summary.clips);

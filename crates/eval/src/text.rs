@@ -1,8 +1,8 @@
-//! Text and tables for a terminal.
+//! Formats text and tables for a terminal.
 
 use std::fmt::Write;
 
-/// `text` broken at blanks into lines of at most `width` columns; a longer word has a line of its own.
+/// Breaks `text` at white space into lines of at most `width` columns; a longer word gets a line of its own.
 pub fn wrapped(text: &str, width: usize) -> String {
     let mut lines = String::new();
     let mut used = 0;
@@ -35,15 +35,15 @@ impl Column {
         }
     }
 
-    /// Its widest head or cell.
+    /// The width of the widest header line or cell.
     pub(crate) fn width(&self) -> usize {
         let texts = self.heads.iter().chain(&self.cells);
         texts.map(|text| text.chars().count()).max().unwrap_or(0)
     }
 }
 
-/// A table of `columns` with `gap` between them, the first to the left and the others to the right. A header line without a
-/// word is left out.
+/// Formats `columns` with `gap` between them, the first aligned to the left and the others to the right. A blank header
+/// line is left out.
 pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: &str) -> String {
     let mut text = String::new();
     let mut line = |cell: &dyn Fn(&'a Column) -> &'a str| {
@@ -71,8 +71,8 @@ pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: 
     text
 }
 
-/// A figure with three decimals, `-` where there is none.
-pub(crate) fn three(value: Option<f64>) -> String {
+/// Formats a figure with three decimals, or as `-` if there is none.
+pub(crate) fn three_decimals(value: Option<f64>) -> String {
     or_dash(value.map(|value| format!("{value:.3}")))
 }
 

@@ -1,4 +1,4 @@
-//! Traces: what a policy did and knows, frame by frame, as gzipped JSON Lines.
+//! Writes and reads traces: what a policy did and knew in each frame, as gzipped JSON Lines.
 //!
 //! One line per frame with the keys of [`TraceFrame`], one file per clip and policy:
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
@@ -19,16 +19,16 @@ pub struct TraceFrame {
     pub state: FrameState,
     /// Largest τ over the active objects after predicting, before the decision.
     pub tau_max: Option<f64>,
-    /// Number of active objects then.
+    /// Number of active objects at that point.
     pub active: usize,
-    /// Every object that is alive after the frame, in the policy's own order.
+    /// All objects after the frame, in the policy's own order.
     pub objects: Vec<ObjectRecord>,
 }
 
-/// Writes `frames` to `path`, making its folder.
+/// Writes `frames` to `path`, and creates its folder if needed.
 ///
 /// # Errors
-/// [`EvalError::Write`] when the folder or file cannot be written.
+/// [`EvalError`] when the folder or file cannot be written.
 pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), EvalError> {
     let attempt = || -> std::io::Result<()> {
         if let Some(folder) = path.parent() {

@@ -1,7 +1,7 @@
-//! How well boxes keep the identity of their object over a clip: HOTA and IDF1, as TrackEval computes them.
+//! Measures how well boxes keep the identity of their object over a clip: HOTA and IDF1, as in TrackEval.
 //!
-//! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] do not count: unlike average precision,
-//! neither figure knows confidences.
+//! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] are ignored: unlike average precision,
+//! neither figure ranks boxes by confidence.
 
 use crate::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_core::geometry::Corners;
@@ -16,12 +16,12 @@ const THRESHOLDS: usize = 19;
 pub struct Tracking {
     /// Higher Order Tracking Accuracy, 0 to 1.
     pub hota: f64,
-    /// Share of boxes that have the right identity, under the best one-to-one assignment of tracks to objects at
-    /// IoU 0.5: 0 to 1.
+    /// Share of boxes with the right identity under the best one-to-one assignment of tracks to objects at
+    /// IoU 0.5, 0 to 1.
     pub idf1: f64,
 }
 
-/// How often each track or object is seen, by its number in the order of the first sight.
+/// Counts how often each track or object appears; they are numbered in the order of their first appearance.
 #[derive(Default)]
 struct Appearances {
     numbers: HashMap<u64, usize>,
@@ -41,11 +41,11 @@ impl Appearances {
     }
 }
 
-/// One frame.
+/// The objects and tracks of one frame, and their overlaps.
 struct Overlaps {
     truths: Vec<usize>,
     tracks: Vec<usize>,
-    /// IoU of every truth (rows) with every track (columns).
+    /// The IoU of every truth (rows) with every track (columns).
     iou: Vec<f64>,
 }
 
@@ -56,16 +56,16 @@ impl Overlaps {
     }
 }
 
-/// Judges the tracks of `predictions` against `truth`, both one entry per frame.
+/// Judges the tracks of `predictions` against `truth`, both with one list per frame.
 ///
-/// `None` without ground truth, and when a box that counts does not say which object it shows.
+/// `None` without ground truth, or if a box that is not ignored has no object number.
 pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Option<Tracking> {
     let (mut objects, mut tracks) = (Appearances::default(), Appearances::default());
     let mut frames = Vec::new();
     for index in 0..predictions.len().max(truth.len()) {
-        let mut there: Vec<(usize, Corners)> = Vec::new();
+        let mut known_boxes: Vec<(usize, Corners)> = Vec::new();
         for known in truth.get(index).into_iter().flatten() {
-            there.push((objects.add(known.object?), known.corners));
+            known_boxes.push((objects.add(known.object?), known.corners));
         }
         let mut shown: Vec<(usize, Corners)> = Vec::new();
         for found in predictions.get(index).into_iter().flatten() {
@@ -79,8 +79,8 @@ pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Opt
             shown.iter().map(iou).collect::<Vec<f64>>()
         };
         frames.push(Overlaps {
-            iou: there.iter().flat_map(with_all).collect(),
-            truths: there.iter().map(|known| known.0).collect(),
+            iou: known_boxes.iter().flat_map(with_all).collect(),
+            truths: known_boxes.iter().map(|known| known.0).collect(),
             tracks: shown.iter().map(|found| found.0).collect(),
         });
     }
@@ -90,7 +90,7 @@ pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Opt
     })
 }
 
-/// The pairs of rows and columns of the highest sum. Scores are finite, so that there always is one.
+/// Pairs rows with columns so that the sum of their scores is highest. Scores are finite, so a solution always exists.
 fn assign(rows: usize, columns: usize, scores: &Vec<f64>) -> impl Iterator<Item = (usize, usize)> {
     let (rows, columns) = lsap::solve(rows, columns, scores, true).unwrap_or_default();
     rows.into_iter().zip(columns)
@@ -98,7 +98,7 @@ fn assign(rows: usize, columns: usize, scores: &Vec<f64>) -> impl Iterator<Item 
 
 fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64 {
     let columns = tracks.counts.len();
-    // How far each object and each track share their lives: matches, weighed by how clear each is in its frame.
+    // How often each object and each track match, where a match weighs less if other boxes overlap in its frame.
     let mut shared = vec![0.0; objects.counts.len() * columns];
     for frame in frames {
         let width = frame.tracks.len();
@@ -141,7 +141,7 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
             hits += count;
             association += count * count / either;
         }
-        // The root of detection accuracy, hits / (all - hits), times association accuracy, association / hits.
+        // The square root of detection accuracy, hits / (all - hits), times association accuracy, association / hits.
         (association / (objects.total() + tracks.total() - hits)).sqrt()
     };
     (0..THRESHOLDS).map(at).sum::<f64>() / THRESHOLDS as f64

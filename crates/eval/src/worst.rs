@@ -1,4 +1,4 @@
-//! The frames on which a policy lost the most against the detector: what a person wants to see first.
+//! Finds the frames on which a policy lost the most objects against the detector.
 
 use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use crate::data::Clip;
@@ -11,32 +11,32 @@ use albireo_core::policy::FrameState;
 use albireo_vision::picture::EncodedPicture;
 use std::path::PathBuf;
 
-/// Frames of a clip that are kept for each policy.
+/// The number of frames of a clip that are kept for each policy.
 const KEPT: usize = 2;
 
-/// Frames between two that are kept, so that they show two things.
-const APART: usize = 20;
+/// The fewest frames between two that are kept, so that they show different scenes.
+const MIN_DISTANCE: usize = 20;
 
-/// Policies whose frames are kept with their pictures, and shown.
+/// The number of policies whose frames are shown, with their pictures.
 pub(crate) const SHOWN_POLICIES: usize = 8;
 
-/// Where the picture of a frame is.
+/// The picture of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FramePicture {
-    /// In a file of the data set.
+    /// A file of the data set.
     File(PathBuf),
-    /// As it came from the footage.
+    /// The picture as it is in the footage.
     Encoded(EncodedPicture),
 }
 
-/// A frame without the detector on which objects were lost that the detector would have found.
+/// A frame that skipped the detector and lost objects that the detector would have found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorstFrame {
-    /// Its number in the clip, from 0.
+    /// The frame's index in the clip.
     pub frame: usize,
-    /// Its state.
+    /// The frame's state.
     pub state: FrameState,
-    /// How many objects of the ground truth the detector finds here (IoU 0.5) and the policy does not.
+    /// The number of ground-truth objects that the detector finds (IoU 0.5) and the policy does not.
     pub lost: usize,
     /// Size of the picture.
     pub picture: PictureSize,
@@ -44,15 +44,15 @@ pub struct WorstFrame {
     pub truth: Vec<Corners>,
     /// The policy's boxes.
     pub found: Vec<Corners>,
-    /// What is to be seen, where that is at hand.
+    /// The frame's picture, if there is one.
     pub shown: Option<FramePicture>,
 }
 
-/// Gives the frames in `results`, one clip's, the pictures of `source`, which is played again from its start as far as the
-/// last of them.
+/// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
+/// start to the last of these frames.
 ///
 /// # Errors
-/// [`EvalError`] when the source cannot be played again; the frames keep their boxes then.
+/// [`EvalError`] when the source cannot be read again; the frames then keep their boxes.
 pub fn attach_pictures(
     source: &mut dyn FrameSource,
     results: &mut [ClipResult],
@@ -80,7 +80,7 @@ pub fn attach_pictures(
     Ok(())
 }
 
-/// The frames of `replayed` that lost most, the worst first.
+/// Returns the frames of `replayed` that lost the most objects, the worst first.
 pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> Vec<WorstFrame> {
     let (Some(truth), Some(detections)) = (&clip.truth, &clip.detections) else {
         return Vec::new();
@@ -108,7 +108,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
     lost.sort_by_key(|&(missed, frame)| (std::cmp::Reverse(missed), frame));
     let mut kept: Vec<WorstFrame> = Vec::new();
     for (missed, frame) in lost {
-        let near = |other: &WorstFrame| other.frame.abs_diff(frame) < APART;
+        let near = |other: &WorstFrame| other.frame.abs_diff(frame) < MIN_DISTANCE;
         if kept.len() == KEPT || kept.iter().any(near) {
             continue;
         }
@@ -127,7 +127,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
     kept
 }
 
-/// Objects of `truth` that `found` has.
+/// Counts the objects of `truth` that `found` matches.
 fn hits(found: &[ScoredBox], truth: &[ScoredBox]) -> usize {
     let judged = accuracy(
         &[found.to_vec()],

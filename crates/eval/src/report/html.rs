@@ -1,13 +1,13 @@
-//! `report.html`: tables and figures in one page that loads nothing.
+//! Renders `report.html`: tables and figures on one page that loads no other file.
 
 use super::Report;
-use super::plot::Figure;
+use super::plot::Plot;
 use super::worst;
 use crate::conclusion::conclusion;
 use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use crate::summary::PolicySummary;
-use crate::table::{columns, notes, short};
+use crate::table::{columns, notes, short_label};
 use crate::text::{Column, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
@@ -15,8 +15,8 @@ use std::collections::{BTreeSet, HashMap};
 const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
-/// The page.
-pub(super) fn render(report: &Report, figures: &[Figure]) -> String {
+/// Renders the page.
+pub(super) fn render(report: &Report, figures: &[Plot]) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -64,7 +64,7 @@ pub(super) fn render(report: &Report, figures: &[Figure]) -> String {
     page.into_string()
 }
 
-/// The conclusion, before anything else.
+/// Renders the conclusion, which comes first.
 fn concluded(summaries: &[PolicySummary]) -> Markup {
     html! {
         div.conclusion {
@@ -95,7 +95,7 @@ fn settings(report: &Report) -> Markup {
     }
 }
 
-/// A cell of the table, `-` for a figure that does not exist.
+/// Renders a cell of a table; `-` is a figure that does not exist.
 fn cell(text: &str) -> Markup {
     html! {
         @if text == "-" {
@@ -108,7 +108,7 @@ fn cell(text: &str) -> Markup {
     }
 }
 
-/// A table that is sorted by a click on a column's head; the first column names the rows.
+/// Renders a table that a click on a column's heading sorts; the first column names the rows.
 fn sortable(columns: &[Column]) -> Markup {
     let Some((names, others)) = columns.split_first() else {
         return Markup::default();
@@ -140,7 +140,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
     }
 }
 
-/// AP@50 by class, where there is more than one.
+/// Renders AP@50 by class, if there is more than one.
 fn classes(summaries: &[PolicySummary]) -> Markup {
     let names: BTreeSet<&String> = summaries
         .iter()
@@ -149,7 +149,7 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
     if names.len() < 2 {
         return Markup::default();
     }
-    let policies = summaries.iter().map(|summary| short(&summary.policy));
+    let policies = summaries.iter().map(|summary| short_label(&summary.policy));
     let mut columns = vec![Column::new(
         ["Policy", ""],
         policies.map(str::to_owned).collect(),
@@ -167,7 +167,7 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
     }
 }
 
-/// A figure that may not exist, with that many digits after the point.
+/// Formats a figure with this many decimals, or as `-` if it does not exist.
 fn figure(value: Option<f64>, digits: usize) -> String {
     or_dash(value.map(|value| format!("{value:.digits$}")))
 }
@@ -188,7 +188,7 @@ fn clips(results: &[ClipResult]) -> Markup {
     };
     let columns = [
         column("Clip", &|result| result.clip.clone()),
-        column("Policy", &|result| short(&result.policy).to_owned()),
+        column("Policy", &|result| short_label(&result.policy).to_owned()),
         column("Frames", &|result| result.frames.to_string()),
         column("Skipped %", &|result| {
             figure(Some(result.skip_rate() * 100.0), 1)

@@ -3,7 +3,7 @@
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, split_label};
 use crate::summary::PolicySummary;
-use crate::table::short;
+use crate::table::short_label;
 use albireo_core::policy::FrameState;
 use plotters::chart::SeriesAnno;
 use plotters::coord::types::RangedCoordf64;
@@ -12,19 +12,19 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::HashMap;
 use std::ops::Range;
 
-/// A figure.
-pub(super) struct Figure {
+/// A figure of the report.
+pub(super) struct Plot {
     /// The name of its file, without extension.
     pub name: &'static str,
-    /// What it shows, as a heading.
+    /// The heading: what the figure shows.
     pub title: &'static str,
-    /// How to read it.
+    /// The caption: how to read the figure.
     pub caption: &'static str,
     /// The SVG document.
     pub svg: String,
 }
 
-/// What drawing may fail with.
+/// The error of drawing.
 pub(super) type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
 /// Width and height of a chart, in CSS pixels.
@@ -37,7 +37,7 @@ const GRID: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
 /// The Pareto frontier.
 const BAND: RGBColor = RGBColor(0xcd, 0xd2, 0xd9);
 
-/// Colours that the colour-blind can tell apart (Okabe and Ito, 2008), without yellow, which is faint on white; then a violet,
+/// Colours that colour-blind people can distinguish (Okabe and Ito, 2008), without yellow, which is faint on white; then a violet,
 /// a brown and three of P. Tol's "muted" colours.
 const PALETTE: [RGBColor; 11] = [
     RGBColor(0x00, 0x72, 0xb2),
@@ -53,7 +53,7 @@ const PALETTE: [RGBColor; 11] = [
     RGBColor(0x11, 0x77, 0x33),
 ];
 
-/// Fill and ink of a frame state: cool where the detector rests, warm where it runs.
+/// Fill and text colour of a frame state: cool if the detector is skipped, warm if it runs.
 const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
     match state {
         FrameState::E => (RGBColor(0x8f, 0xbc, 0xdb), INK),
@@ -64,15 +64,15 @@ const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
     }
 }
 
-/// The figures that `report` has the data for.
+/// Draws the figures for which `report` has the data.
 ///
 /// # Errors
 /// [`PlotError`] when one cannot be drawn.
-pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> {
+pub(super) fn figures(report: &super::Report) -> Result<Vec<Plot>, PlotError> {
     let families = families(report.policies.iter().map(|policy| policy.policy.as_str()));
     let mut figures = Vec::new();
     if report.policies.iter().any(|policy| policy.ap50.is_some()) {
-        figures.push(Figure {
+        figures.push(Plot {
             name: "ap50-against-skip-rate",
             title: "Accuracy against skip rate",
             caption: "Mean over clips. Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips, \
@@ -80,7 +80,7 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> 
             svg: tradeoff(&report.policies, &families)?,
         });
     }
-    figures.push(Figure {
+    figures.push(Plot {
         name: "frame-states",
         title: "Frame states",
         caption: "Mean share of frames over clips. E: screen says empty; P: predicted; E+I: screen, then detector; \
@@ -89,7 +89,7 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> 
     });
     let changes = changes(&report.clips, &families);
     if changes.iter().any(|changes| !changes.is_empty()) {
-        figures.push(Figure {
+        figures.push(Plot {
             name: "clips-ap50-change-against-skip-rate",
             title: "Change of accuracy clip by clip",
             caption: "Each marker is one clip under one policy: how much AP@50 changed against Vanilla, and how many frames \
@@ -102,7 +102,7 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Figure>, PlotError> 
 
 type Plane<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// A plane with the skip rate in percent across, which `draw` draws into, and the names of its series.
+/// Draws a chart with the skip rate in percent on the x axis; `draw` adds the series.
 fn chart(
     [x, y]: [Range<f64>; 2],
     y_name: &str,
@@ -143,7 +143,7 @@ fn chart(
     Ok(svg)
 }
 
-/// The names of `labels`' families in order, without repetition.
+/// Returns the families of `labels` in order, without repetition.
 fn families<'a>(labels: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut families = Vec::new();
     for label in labels {
@@ -155,7 +155,7 @@ fn families<'a>(labels: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     families
 }
 
-/// The colour of the `index`th family; the baseline is black.
+/// Returns the colour of the `index`th family; the baseline is black.
 fn color_of(index: usize, family: &str) -> RGBColor {
     match family == BASELINE {
         true => INK,
@@ -163,7 +163,7 @@ fn color_of(index: usize, family: &str) -> RGBColor {
     }
 }
 
-/// Draws the markers of the `index`th family, whose forms differ too: filled, or white with a coloured edge.
+/// Draws the markers of the `index`th family. Families differ in shape and colour.
 fn mark<'p, 'a>(
     plane: &'p mut Plane<'a>,
     points: &[(f64, f64)],
@@ -193,7 +193,7 @@ fn label<'a>(series: &mut SeriesAnno<'a, SVGBackend<'a>>, index: usize, family: 
     });
 }
 
-/// Accuracy against skip rate: one marker per policy, families joined, the frontier behind.
+/// Draws accuracy against skip rate: a marker per policy, a line per family, and the Pareto frontier.
 fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, PlotError> {
     let judged: Vec<(&PolicySummary, (f64, f64))> = (summaries.iter())
         .filter_map(|summary| Some((summary, (summary.skip_rate * 100.0, summary.ap50?))))
@@ -205,7 +205,7 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
         places
     };
     let across = range(judged.iter().map(|(_, at)| at.0), 0.09);
-    let up = heights(&judged);
+    let up = vertical_range(&judged);
     let (low, high) = (up.start, up.end);
     chart(
         [across.clone(), up],
@@ -239,16 +239,16 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
     )
 }
 
-/// The 95 % interval of a policy's AP@50.
+/// Returns the 95 % interval of a policy's AP@50.
 fn interval(summary: &PolicySummary) -> Option<(f64, f64)> {
     let (ap50, change) = (summary.ap50?, summary.ap50_change?);
     let [from, to] = change.interval?;
     Some((ap50 - change.mean + from, ap50 - change.mean + to))
 }
 
-/// The vertical range: all points, and of the intervals as much as leaves the points apart. Two clips can have an
-/// interval that is wider than every accuracy there is.
-fn heights(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
+/// Returns the vertical range: all points, and as much of the intervals as leaves the points distinguishable. The
+/// interval over two clips can be wider than the whole range of accuracies.
+fn vertical_range(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
     let points = range(judged.iter().map(|(_, at)| at.1), 0.0);
     let room = (points.end - points.start).max(0.02);
     let ends = judged.iter().flat_map(|(summary, (_, ap50))| {
@@ -259,7 +259,7 @@ fn heights(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
     all.start.max(0.0)..all.end.min(1.0 + 0.04 * (1.0 - points.start))
 }
 
-/// Each setting beside its marker, where no marker or setting is yet.
+/// Writes each setting beside its marker, where there is still room.
 fn settings(
     plane: &mut Plane<'_>,
     judged: &[(&PolicySummary, (f64, f64))],
@@ -290,13 +290,13 @@ fn settings(
     Ok(())
 }
 
-/// One bar per policy: how its frames were answered.
+/// Draws a bar per policy with the shares of its frame states.
 fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
     let rows = summaries.len();
     let size = (SIZE.0, 70 + 26 * rows.clamp(1, 60) as u32);
     let widest = summaries
         .iter()
-        .map(|summary| short(&summary.policy).len())
+        .map(|summary| short_label(&summary.policy).len())
         .max();
     let mut svg = String::new();
     {
@@ -327,7 +327,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
         for (row, summary) in summaries.iter().enumerate() {
             let middle = (rows - row) as f64 - 0.5;
             let (x, y) = plane.backend_coord(&(0.0, middle));
-            let name = short(&summary.policy).to_owned();
+            let name = short_label(&summary.policy).to_owned();
             root.draw(&Text::new(name, (x - 8, y), text(14, INK, HPos::Right)))?;
             let mut from = 0.0;
             for (state, share) in FrameState::ALL.into_iter().zip(summary.states) {
@@ -360,7 +360,7 @@ fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
     Ok(svg)
 }
 
-/// Skip rate in percent and change of AP@50 in percentage points of every clip with ground truth, for each of `families`.
+/// Returns skip rate (percent) and change of AP@50 (percentage points) of every clip with ground truth, by family.
 fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
     let ap50 = |result: &ClipResult| result.accuracy.map(|accuracy| accuracy.ap50);
     let (baselines, others): (Vec<_>, Vec<_>) =
@@ -381,7 +381,7 @@ fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
     families.iter().map(of).collect()
 }
 
-/// Clip by clip: the change of AP@50 against the skip rate.
+/// Draws the change of AP@50 against the skip rate, with a marker per clip.
 fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotError> {
     let all = || changes.iter().flatten();
     let across = range(all().map(|change| change.0), 0.05);
@@ -404,8 +404,8 @@ fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotE
     })
 }
 
-/// A range around `values` with that share of air, and never empty.
-fn range(values: impl Iterator<Item = f64>, air: f64) -> Range<f64> {
+/// Returns a range around `values`, extended by this share on both sides; it is never empty.
+fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
         (low.min(value), high.max(value))
     });
@@ -413,7 +413,7 @@ fn range(values: impl Iterator<Item = f64>, air: f64) -> Range<f64> {
         return 0.0..1.0;
     }
     let span = (high - low).max(high.abs() * 1e-3).max(1e-6);
-    low - air * span..high + air * span
+    low - margin * span..high + margin * span
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! `summary.csv`: one row per clip and policy.
+//! Makes the rows of `summary.csv`, one per clip and policy.
 //!
 //! The first columns are those of the summary published with the golden traces. `ap50` and `map` follow
 //! the run's profile; `_decayed` and `_lastconf` are the published scoring's two definitions of confidence
-//! and empty under profile `paper`, where the judged boxes are the published ones and `_all` are of all boxes of the policy.
+//! and empty under profile `paper`, where the judged boxes are the published ones and `_all` is for all boxes of the policy.
 //! A figure that does not exist is an empty cell, never a zero.
 
 use crate::average_precision::Accuracy;
@@ -10,7 +10,7 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
-/// The rows, each with names and cells.
+/// Returns the rows, each with column names and cells.
 pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<(&'static str, String)>> {
     let baseline: HashMap<&str, &ClipResult> = results
         .iter()
@@ -27,12 +27,12 @@ fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-/// Names and cells.
+/// Returns the column names and cells of a row.
 fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str, String)> {
     type Figure = fn(&Accuracy) -> f64;
     let accuracy = result.accuracy;
     let (last, all) = (result.accuracy_last_confidence, result.accuracy_all);
-    // Under the published scoring, and only there, both definitions exist.
+    // Only the published scoring has both definitions.
     let decayed = last.and(accuracy);
     let before = baseline.and_then(|baseline| baseline.accuracy);
     let of = |accuracy: Option<Accuracy>, figure: Figure| cell(accuracy.as_ref().map(figure));

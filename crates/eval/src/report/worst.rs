@@ -1,21 +1,21 @@
-//! The frames on which policies lost the most, as boxes in the picture's frame.
+//! Draws the frames on which policies lost the most objects.
 
 use crate::result::ClipResult;
-use crate::table::short;
+use crate::table::short_label;
 use crate::worst::{FramePicture, SHOWN_POLICIES, WorstFrame};
 use albireo_core::geometry::Corners;
 use albireo_vision::picture::{PictureFormat, read_picture_file};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use maud::{Markup, html};
 
-/// Frames that are shown of each policy.
+/// The number of frames that are shown of each policy.
 const SHOWN: usize = 3;
 
-/// The frames of each policy that lost most, over all clips; nothing where nothing was lost.
+/// Renders the frames of each policy that lost the most objects over all clips; nothing if none were lost.
 pub(super) fn frames(results: &[ClipResult]) -> Markup {
     let lost = results.iter().filter(|result| !result.worst.is_empty());
     let mut policies: Vec<&str> = lost.map(|result| result.policy.as_str()).collect();
-    // Results come by policy.
+    // Results are in order of policies.
     policies.dedup();
     if policies.is_empty() {
         return Markup::default();
@@ -32,11 +32,11 @@ pub(super) fn frames(results: &[ClipResult]) -> Markup {
             }
             @for (index, policy) in policies.into_iter().take(SHOWN_POLICIES).enumerate() {
                 @if index == 0 {
-                    h3 { (short(policy)) }
+                    h3 { (short_label(policy)) }
                     (frames_of(results, policy))
                 } @else {
                     details {
-                        summary { (short(policy)) }
+                        summary { (short_label(policy)) }
                         (frames_of(results, policy))
                     }
                 }
@@ -69,7 +69,7 @@ fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a str, &'a Wo
 
 fn picture(clip: &str, worst: &WorstFrame) -> Markup {
     let (width, height) = (worst.picture.width, worst.picture.height);
-    // Lines as wide on every picture, whatever its size.
+    // Lines are equally wide on pictures of all sizes.
     let stroke = f64::from(width) / 240.0;
     html! {
         figure.frame {
@@ -89,8 +89,8 @@ fn picture(clip: &str, worst: &WorstFrame) -> Markup {
     }
 }
 
-/// The picture as a part of the page: a file that is opened elsewhere must not lack its pictures. `None` for one that
-/// cannot be read or that no browser shows.
+/// Encodes a picture as part of the page, so that the page can be opened anywhere. `None` if the picture cannot be read
+/// or browsers do not show its format.
 fn data_uri(picture: &FramePicture) -> Option<String> {
     let (format, bytes) = match picture {
         FramePicture::Encoded(picture) => (picture.format, picture.bytes.clone()),

@@ -1,22 +1,22 @@
-//! How long the detector's runs take.
+//! Reads the times of the detector's runs.
 
 use std::path::Path;
 
-/// The longest time a run may have, milliseconds.
-const LONGEST_MS: f64 = 60_000.0;
+/// The longest time of a run, milliseconds.
+const MAX_MS: f64 = 60_000.0;
 
-/// Times of detector runs, which are used in turn; at least one.
+/// At least one time of a detector run; the times are used in turn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunTimes {
-    /// Seconds.
+    /// The times in seconds.
     seconds: Vec<f64>,
 }
 
 impl RunTimes {
-    /// Reads `text`: milliseconds, or else a file with the milliseconds of one measured run on each line.
+    /// Reads `text`: milliseconds, or the path of a file with the milliseconds of one measured run on each line.
     ///
     /// # Errors
-    /// A sentence with what was wrong and in which line.
+    /// A message that says what is wrong, and in which line.
     pub fn read(text: &str) -> Result<Self, String> {
         if text.parse::<f64>().is_ok() {
             return Self::parse([text].into_iter());
@@ -37,10 +37,10 @@ impl RunTimes {
                 continue;
             }
             match line.parse::<f64>() {
-                Ok(run) if run > 0.0 && run <= LONGEST_MS => seconds.push(run / 1e3),
+                Ok(run) if run > 0.0 && run <= MAX_MS => seconds.push(run / 1e3),
                 _ => {
                     return Err(format!(
-                        "line {}: {line:?} is not above 0 and at most {LONGEST_MS}",
+                        "line {}: {line:?} is not above 0 and at most {MAX_MS}",
                         index + 1
                     ));
                 }
@@ -58,12 +58,12 @@ impl RunTimes {
         Self { seconds }
     }
 
-    /// Time of run number `run`, seconds.
+    /// The time of run number `run`, seconds.
     pub(super) fn of(&self, run: usize) -> f64 {
         self.seconds[run % self.seconds.len()]
     }
 
-    /// What they are, for a title.
+    /// Describes the times for a title.
     pub(super) fn describe(&self) -> String {
         let mut sorted = self.seconds.clone();
         sorted.sort_by(f64::total_cmp);
