@@ -56,7 +56,7 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             "ctd:0.90",
         ]
         .map(str::to_owned);
-        let policies = resolve(&asked, &[], &base, Some(screen), false).expect("known policies");
+        let policies = resolve(&asked, &[], &base, screen, false).expect("known policies");
         let settings = Settings {
             profile: Profile::Reference,
             confidence: 0.5,

@@ -12,10 +12,9 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{Ffmpeg, FrameSource, Pictures, Thinned, Video, VideoEncoding};
+use albireo_eval::footage::{Downsampled, Ffmpeg, FrameSource, Pictures, Video, VideoEncoding};
 use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, Observer, Pass, PassSettings, StepTimes, against_vanilla, collect,
-    looks_at_pixels,
+    LOWEST_CONFIDENCE, ModelRunner, Pass, PassSettings, StepTimes, against_vanilla, collect,
 };
 use albireo_eval::result::{ClipResult, Provenance};
 use albireo_eval::run::{Settings, run as evaluate};
@@ -68,19 +67,19 @@ fn fixture_screen() -> ScreenConfig {
 }
 
 fn look(source: &mut dyn FrameSource, detector: &DetectorConfig, screen: &ScreenConfig) -> Clip {
-    let mut observer = Observer::start(detector, screen).unwrap();
+    let mut models = ModelRunner::start(detector, screen).unwrap();
     let keep = PassSettings {
         keep_grey: true,
         keep_small: None,
-        most_frames: None,
+        max_frames: None,
     };
     let mut report = LoadReport::default();
-    collect(source, &mut observer, &keep, &mut report, &mut || ()).unwrap()
+    collect(source, &mut models, &keep, &mut report, &mut || ()).unwrap()
 }
 
 fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
     let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
-    resolve(&asked, &[], &PolicyConfig::default(), Some(screen), true).unwrap()
+    resolve(&asked, &[], &PolicyConfig::default(), screen, true).unwrap()
 }
 
 fn settings(confidence: f64, screen: ScreenRule) -> Settings {
@@ -378,7 +377,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 #[test]
 fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
-    let asked = |policies: &[&str]| looks_at_pixels(&specs(policies, nonempty)).unwrap();
+    let asked = |policies: &[&str]| PassSettings::for_policies(&specs(policies, nonempty)).unwrap();
     assert_eq!(asked(&NO_PIXELS), PassSettings::default());
     assert!(asked(&["albireo", "statues:75"]).keep_grey);
     let flow = asked(&["expected-loss", "expected-loss+flow"]);
@@ -416,7 +415,7 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
     // Every second frame: a run of the detector is long.
     let mut clip = real_clip();
     let rate = clip.rate() / 2.0;
-    let mut video = Thinned::new(&mut clip, rate);
+    let mut video = Downsampled::new(&mut clip, rate);
     let pictured = look(&mut video, &detector, &screen);
     assert_eq!(pictured.frames, 38);
     let results = assert_replays_alike(&pictured, 0.5);

@@ -67,10 +67,10 @@ fn main() -> anyhow::Result<()> {
 /// The pictures of one round, all JPEG.
 fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
     let mut source: Box<dyn FrameSource> = match &arguments.pictures {
-        Some(folder) => Box::new(Pictures::of_folder(folder, Pictures::RATE)?),
+        Some(folder) => Box::new(Pictures::of_folder(folder, Pictures::DEFAULT_RATE)?),
         None => Box::new(Pictures::of_archive(
             Path::new("demo/road.tar"),
-            Pictures::RATE,
+            Pictures::DEFAULT_RATE,
         )?),
     };
     let mut frames = Vec::new();

@@ -1,4 +1,4 @@
-//! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
+//! `albireo eval`: compares accuracy, skip rate, time and energy of policies on recordings.
 
 mod advise;
 mod video;
@@ -105,14 +105,14 @@ fn profile_parser() -> impl TypedValueParser<Value = Profile> {
     })
 }
 
-/// What every comparison of policies takes.
+/// Arguments of every comparison of policies.
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
-    /// Whose definitions hold where the published code and the paper's text differ.
+    /// Whose definitions apply where the published code and the paper's text differ.
     #[arg(long, default_value = "paper", value_parser = profile_parser())]
     profile: Profile,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
-    /// several times. Vanilla always runs too.
+    /// several times. Vanilla always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.
@@ -121,7 +121,7 @@ struct RunArguments {
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
-    /// What the empty-scene screen says: never "empty", or "empty" exactly when nothing is detected.
+    /// Where the verdicts of the empty-scene screen come from.
     #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
     /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
@@ -140,15 +140,15 @@ struct RunArguments {
     /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
     #[arg(long, help_heading = JUDGED)]
     coco_interpolation: bool,
-    /// Judge boxes when frames arrive too, with a detector that takes this many milliseconds, or those of FILE in
+    /// Also judge boxes when frames arrive, with a detector that takes this many milliseconds, or those of FILE in
     /// turn, one measured run on each line; at-arrival.txt in --out.
     #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS|FILE", value_parser = RunTimes::read)]
     detector_ms: Option<RunTimes>,
-    /// Judge the boxes too that are drawn between two detector calls when the second is known; settled.txt in --out.
+    /// Also judge the boxes that are drawn between two detector calls once the second is known; settled.txt in --out.
     #[arg(long, help_heading = JUDGED)]
     settled: bool,
-    /// Project energy and frame time with the model of a board with this detector (config/energy); without one nothing
-    /// is said of energy.
+    /// Project energy and frame time with the model of a board with this detector (config/energy); without one,
+    /// energy is not reported.
     #[arg(long, help_heading = WRITTEN, value_name = "FILE")]
     energy_model: Option<PathBuf>,
     /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
@@ -157,7 +157,7 @@ struct RunArguments {
     /// Write summary.csv, report.json, plots and report.html here.
     #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Threads; 0 for as many as the machine has.
+    /// The number of threads; 0 for as many as the machine has.
     #[arg(long, default_value_t = 0)]
     threads: usize,
 }
@@ -165,7 +165,7 @@ struct RunArguments {
 /// Runs the command; tables go to standard output, everything else to standard error.
 ///
 /// # Errors
-/// A sentence with what was wrong, where, and what to do.
+/// When data cannot be read, an argument is invalid, or a file cannot be written.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     match &arguments.what {
         What::Recorded(of) => compare(recorded::read(&of.folder)?, &of.folder, &of.run),
@@ -196,7 +196,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Runs all policies asked for over `clips` and reports.
+/// Runs all selected policies over `clips`, and reports the results.
 fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Result<()> {
     anyhow::ensure!(
         (0.0..=1.0).contains(&arguments.confidence),
@@ -226,7 +226,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     conclude(&report, &streams, arguments)
 }
 
-/// Prints a finished run, and writes it where that was asked for.
+/// Prints the results, and writes them to `--out`.
 fn conclude(
     report: &Report,
     streams: &[StreamResults],
@@ -249,7 +249,7 @@ fn conclude(
     Ok(())
 }
 
-/// Which boxes are judged beside those of a detector that takes no time.
+/// Returns the streams that are judged besides the boxes of a detector that takes no time.
 fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
     let at_arrival = (arguments.detector_ms.clone()).map(|detector| Stream::AtArrival { detector });
     let settled = arguments.settled.then_some(Stream::Settled);
@@ -263,11 +263,11 @@ fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<Policy
         ..PolicyConfig::default()
     };
     let (asked, sweeps, screen) = (&arguments.policy, &arguments.sweep, arguments.screen);
-    Ok(resolve(asked, sweeps, &base, Some(screen), pixels)?)
+    Ok(resolve(asked, sweeps, &base, screen, pixels)?)
 }
 
-/// How the run judges. Makes the folders it will write to, so that a place where nothing can be written is
-/// known before the work and not after it.
+/// Returns the settings of the run. Creates the folders to write to, so that a folder that cannot be written is an
+/// error before the work and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     for folder in [&arguments.out, &arguments.traces].into_iter().flatten() {
         std::fs::create_dir_all(folder)
@@ -297,7 +297,7 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     })
 }
 
-/// The settings that decide what the figures mean.
+/// Lists the settings that decide what the figures mean.
 fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
     let confidence = arguments.confidence;
     let profile = match arguments.profile {
@@ -322,7 +322,7 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
     };
     let energy = match &arguments.energy_model {
         Some(model) => format!("projected with {}", model.display()),
-        None => "not known: --energy-model names no model".to_owned(),
+        None => "not known: no --energy-model was given".to_owned(),
     };
     [
         ("Profile", profile.to_owned()),

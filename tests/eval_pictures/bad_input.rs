@@ -6,7 +6,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::error::EvalError;
 use albireo_eval::footage::FrameSource;
-use albireo_eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
+use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat, collect};
 use albireo_vision::picture::EncodedPicture;
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
@@ -104,10 +104,10 @@ impl FrameSource for Nothing {
 #[test]
 #[ignore = "needs ONNX Runtime"]
 fn a_video_without_a_frame_is_an_error_not_a_zero() {
-    let mut observer = Observer::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
+    let mut models = ModelRunner::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();
     let keep = PassSettings::default();
-    let error = collect(&mut Nothing, &mut observer, &keep, &mut report, &mut || ()).unwrap_err();
+    let error = collect(&mut Nothing, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
     assert_says(&error.to_string(), &["nothing: not a single frame"]);
 }
 
@@ -133,7 +133,7 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
     let mut truth = labels(folder.path(), "by-hand", 3);
-    truth.of(&mut clip, false, &mut report).unwrap();
+    truth.attach_to(&mut clip, false, &mut report).unwrap();
     assert!(clip.ignored.is_empty());
     let found = clip.truth.take().unwrap();
     assert!(found.iter().all(|frame| frame.len() == 1));
@@ -141,16 +141,16 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
 
     for frames in [2, 4] {
         let mut other = labels(folder.path(), "by-hand", frames);
-        let error = other.of(&mut clip, false, &mut report).unwrap_err();
+        let error = other.attach_to(&mut clip, false, &mut report).unwrap_err();
         let expected = format!("is for {frames} frames, the clip has 3");
         assert_says(&error.to_string(), &[&expected]);
     }
 
     let mut other = labels(folder.path(), "other", 3);
-    other.of(&mut clip, false, &mut report).unwrap();
+    other.attach_to(&mut clip, false, &mut report).unwrap();
     assert_eq!(clip.truth, None);
     // The only ground truth is for the only clip, whatever it is called.
-    other.of(&mut clip, true, &mut report).unwrap();
+    other.attach_to(&mut clip, true, &mut report).unwrap();
     assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
@@ -165,11 +165,11 @@ fn ground_truth_for_pictures_of_another_size_is_refused() {
     albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
     let mut report = LoadReport::default();
-    truth.of(&mut clip, false, &mut report).unwrap();
+    truth.attach_to(&mut clip, false, &mut report).unwrap();
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
     let error = truth
-        .of(&mut clip, false, &mut report)
+        .attach_to(&mut clip, false, &mut report)
         .unwrap_err()
         .to_string();
     assert_says(&error, &["1280x720", "640x360"]);

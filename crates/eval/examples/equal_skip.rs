@@ -118,7 +118,7 @@ impl Recordings {
     /// Runs `NAME[:SETTING]` over `clips`.
     pub(crate) fn run(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
         let base = PolicyConfig::default();
-        let screen = Some(ScreenRule::Nonempty);
+        let screen = ScreenRule::Nonempty;
         let spec = resolve(&[policy.to_owned()], &[], &base, screen, false)?.pop();
         let spec = spec.ok_or("there is no policy")?;
         let value = spec.config.build()?.knob_value().unwrap_or_default();

@@ -1,9 +1,9 @@
-//! Advice: which value of a policy's threshold meets a target on a recording, with and without the screen, at what loss.
+//! Finds the value of a policy's threshold that meets a target on a recording, with and without the screen.
 //!
-//! A recording is what the user's own detector said of every frame of a drive or a day. The policy is replayed over it with
-//! many values of its threshold; what it shows on the frames without the detector is compared with what the detector said
-//! of them, as a node's audit does with a sample. No ground truth is needed, so nothing is said of accuracy against the
-//! truth. Policies are not compared: one that goes on showing what the detector misses loses here by being right.
+//! A recording has the detections of the user's own detector on every frame. The policy is replayed over it with many
+//! values of its threshold, and its boxes on the frames without the detector are compared with the detector's, as a
+//! node's audit does with a sample. This needs no ground truth, so it cannot measure accuracy against the truth. Nor can
+//! it compare policies: one that rightly goes on showing an object which the detector misses gets a worse figure.
 
 mod choose;
 mod estimate;

@@ -1,47 +1,47 @@
-//! The error of the evaluation.
+//! The error type of the evaluation.
 
 use albireo_vision::picture::PictureFileError;
 use std::fmt::Display;
 use std::path::Path;
 
-/// What is wrong, where, and what to do about it, in words.
+/// An error message: what is wrong, where, and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct EvalError(String);
 
 impl EvalError {
-    /// An error with that text.
+    /// Makes an error with this text.
     pub fn new(text: impl Display) -> Self {
         Self(text.to_string())
     }
 
-    /// A file or folder that cannot be opened or read.
+    /// Makes the error for a file or folder that cannot be read; `help` says what to do.
     pub(crate) fn read(path: &Path, error: impl Display, help: impl Display) -> Self {
         Self(format!("cannot read {}: {error}; {help}", path.display()))
     }
 
-    /// A file or folder that cannot be written.
+    /// Makes the error for a file or folder that cannot be written.
     pub(crate) fn write(path: &Path, error: impl Display) -> Self {
         Self(format!("cannot write {}: {error}", path.display()))
     }
 
-    /// A line of a text file, from 1, that is broken.
+    /// Makes the error for an invalid line of a text file; lines count from 1.
     pub(crate) fn line(path: &Path, line: u64, what: impl Display) -> Self {
         Self(format!("{}:{line}: {what}", path.display()))
     }
 
-    /// A file that is broken in a way no single line shows.
+    /// Makes the error for invalid content that is not tied to a single line.
     pub(crate) fn content(path: &Path, what: impl Display) -> Self {
         Self(format!("{}: {what}", path.display()))
     }
 
-    /// JSON of another form.
+    /// Makes the error for JSON that does not have the expected form.
     pub(crate) fn json(path: &Path, error: &serde_json::Error) -> Self {
         Self::line(path, error.line() as u64, error)
     }
 
-    /// The same error, of a part of the whole.
-    pub(crate) fn of(self, part: impl Display) -> Self {
+    /// Puts `part`, which the error is about, before the message.
+    pub(crate) fn context(self, part: impl Display) -> Self {
         Self(format!("{part}: {self}"))
     }
 }

@@ -1,14 +1,14 @@
-//! Footage: a video, a folder or an archive of pictures as a sequence of encoded pictures, the
-//! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
+//! Reads footage (a video, or a folder or an archive of pictures) as a sequence of encoded pictures, the
+//! form in which a camera sends them.
 
+mod downsampled;
 mod open;
 mod pictures;
 mod source;
-mod thinned;
 mod video;
 
+pub use downsampled::Downsampled;
 pub use open::SourceName;
 pub use pictures::Pictures;
 pub use source::{FrameSource, Stopper};
-pub use thinned::{Sieve, Thinned};
 pub use video::{Ffmpeg, Video, VideoEncoding};

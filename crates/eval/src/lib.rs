@@ -1,7 +1,7 @@
-//! The evaluation: data sets, replay of any policy over them, average precision, statistics, reports.
+//! Evaluates policies on recordings: reads data sets, replays policies, computes accuracy, and writes reports.
 //!
-//! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It drives the very
-//! policies the node runs, on stored detections or on pictures.
+//! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It runs the same policy code as the
+//! node, on stored detections or on pictures.
 
 pub mod advise;
 pub mod against_detector;
@@ -14,11 +14,11 @@ pub mod error;
 pub mod files;
 pub mod footage;
 pub mod pictures;
-pub mod replay;
+mod replay;
 pub mod report;
 pub mod result;
 pub mod run;
-pub mod scoring;
+mod scoring;
 pub mod source;
 pub mod spec;
 pub mod statistics;

@@ -1,4 +1,4 @@
-//! Replays one clip through one policy and records its answers.
+//! Replays a clip through a policy and records its answers.
 
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
@@ -14,45 +14,45 @@ use albireo_core::policy::{
 };
 use std::time::{Duration, Instant};
 
-/// What happened in one frame.
+/// What happened on one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameRecord {
+pub(crate) struct FrameRecord {
     /// The frame's state.
     pub state: FrameState,
-    /// The detector was needed and failed.
+    /// True if the detector was needed and failed.
     pub degraded: bool,
-    /// The detector ran.
+    /// True if the detector ran.
     pub detector: bool,
-    /// The empty-scene screen ran.
+    /// True if the empty-scene screen ran.
     pub screen: bool,
-    /// A grey picture was looked at.
+    /// True if a grey picture was examined.
     pub examined: bool,
-    /// Time inside the policy, without what was spent on evidence.
+    /// Time inside the policy, without the time spent on evidence.
     pub decision: Duration,
 }
 
 /// What a policy did with a clip.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Replay {
+pub(crate) struct Replay {
     /// One record per frame.
     pub frames: Vec<FrameRecord>,
     /// The boxes to judge, one list per frame: those a node publishes, or all with the published evaluator's confidence.
     pub boxes: Vec<Vec<ScoredBox>>,
-    /// All boxes of the policy, where only the published ones are judged.
+    /// All boxes of the policy, if only the published ones are judged.
     pub boxes_all: Option<Vec<Vec<ScoredBox>>>,
-    /// The same boxes with the confidence of their last detection, where the profile decays it.
+    /// The same boxes with the confidence of their last detection, if the profile decays confidences.
     pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
-    /// Detections the policy refused because their numbers make no box.
+    /// The number of detections that the policy rejected because they are not valid boxes.
     pub rejected_detections: u64,
-    /// The trace, if asked for.
+    /// The trace, if it was kept.
     pub trace: Option<Vec<TraceFrame>>,
 }
 
-/// Takes `policy` from its initial state through all frames of `source`. `min_confidence` selects the boxes that are
+/// Replays all frames of `source` through `policy` from its initial state. `min_confidence` selects the boxes that are
 /// judged under the profile `paper`.
 ///
 /// # Errors
-/// [`EvalError`] when the source cannot give what the policy asks for.
+/// [`EvalError`] when the source does not have what the policy needs.
 pub(crate) fn replay(
     policy: &mut dyn Policy,
     source: &mut StoredEvidence<'_>,
@@ -72,30 +72,30 @@ pub(crate) fn replay(
         ..Replay::default()
     };
     let mut objects = Vec::new();
-    drive(policy, source, &mut |policy, played| {
-        result.frames.push(played.record);
+    drive(policy, source, &mut |policy, decided| {
+        result.frames.push(decided.record);
         objects.clear();
         collect_objects(policy, &mut objects);
         match &mut result.boxes_last_confidence {
             None => {
                 let (published, all) =
-                    score_published(&played.outcome.boxes, picture, min_confidence);
+                    score_published(&decided.outcome.boxes, picture, min_confidence);
                 result.boxes.push(published);
                 result.boxes_all.get_or_insert_default().push(all);
             }
             Some(last) => {
                 let (decayed, undecayed) =
-                    score_as_published(&objects, played.outcome, picture, decay_u);
+                    score_as_published(&objects, decided.outcome, picture, decay_u);
                 result.boxes.push(decayed);
                 last.push(undecayed);
             }
         }
         if let Some(trace) = &mut result.trace {
             trace.push(TraceFrame {
-                frame: played.head.index,
-                state: played.outcome.state,
-                tau_max: played.outcome.tau_max,
-                active: played.outcome.active,
+                frame: decided.head.index,
+                state: decided.outcome.state,
+                tau_max: decided.outcome.tau_max,
+                active: decided.outcome.active,
                 objects: objects.clone(),
             });
         }
@@ -104,24 +104,24 @@ pub(crate) fn replay(
     Ok(result)
 }
 
-/// One frame that a policy was taken through.
-pub(crate) struct Played<'a> {
-    /// What the policy received.
+/// A frame that a policy has decided.
+pub(crate) struct DecidedFrame<'a> {
+    /// The head that the policy received.
     pub head: FrameHead,
-    /// What happened.
+    /// What happened on the frame.
     pub record: FrameRecord,
-    /// State and boxes.
+    /// The frame's state and boxes.
     pub outcome: &'a Outcome,
 }
 
-/// Takes `policy` from its initial state through all frames of `source`, and shows each to `each`.
+/// Runs all frames of `source` through `policy` from its initial state, and calls `each` after each of them.
 ///
 /// # Errors
-/// [`EvalError`] when the source cannot give what the policy asks for.
+/// [`EvalError`] when the source does not have what the policy needs.
 pub(crate) fn drive(
     policy: &mut dyn Policy,
     source: &mut StoredEvidence<'_>,
-    each: &mut dyn FnMut(&dyn Policy, &Played<'_>),
+    each: &mut dyn FnMut(&dyn Policy, &DecidedFrame<'_>),
 ) -> Result<(), EvalError> {
     policy.reset();
     let picture = source.picture();
@@ -133,21 +133,21 @@ pub(crate) fn drive(
             picture,
         };
         let record = decide_frame(policy, source, head, frame, &mut outcome)?;
-        let played = Played {
+        let decided = DecidedFrame {
             head,
             record,
             outcome: &outcome,
         };
-        each(&*policy, &played);
+        each(&*policy, &decided);
     }
     Ok(())
 }
 
-/// One frame of a clip as evidence; notes what was asked for, and times it.
+/// The evidence of one frame of a clip. It records what the policy asked for, and measures the time of fetching it.
 pub(crate) struct ClipFrame<'a, 'c> {
     clip: &'a mut StoredEvidence<'c>,
     frame: usize,
-    /// Whether the detector was asked.
+    /// True if the policy asked for detections.
     pub detector: bool,
     screen: bool,
     examined: bool,
@@ -184,7 +184,7 @@ impl EvidenceAtHand for ClipFrame<'_, '_> {
     }
 }
 
-/// One frame; times the policy and the evidence apart.
+/// Decides one frame; measures the time of the policy without that of the evidence.
 fn decide_frame(
     policy: &mut dyn Policy,
     clip: &mut StoredEvidence<'_>,
@@ -205,8 +205,8 @@ fn decide_frame(
     })
 }
 
-/// The boxes the published evaluator scores, with decayed and with last confidences: all objects, and the
-/// boxes that belong to none.
+/// Returns the boxes that the published evaluator scores, with decayed and with last confidences: those of all objects,
+/// and those that belong to no object.
 fn score_as_published(
     objects: &[ObjectRecord],
     outcome: &Outcome,

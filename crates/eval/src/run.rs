@@ -1,4 +1,4 @@
-//! A run: every policy over every clip, in parallel over the clips, with the figures of each.
+//! Runs every policy over every clip in parallel, and computes the figures of each.
 
 use crate::average_precision::{
     Accuracy, Classes, Interpolation, ScoredBox, accuracy, accuracy_by_class, outside_ignored,
@@ -18,30 +18,30 @@ use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
 
-/// How a run judges.
+/// The settings of a run.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Whose definitions hold where the published code and the paper's text differ: which boxes count, and how.
+    /// Whose definitions apply where the published code and the paper's text differ: which boxes count, and how.
     pub profile: Profile,
-    /// Detections below this are not shown to the policies.
+    /// Policies do not get detections below this confidence.
     pub confidence: f64,
-    /// The node's `report.confidence`: what is below it is not judged. `None` for the node's default.
+    /// The node's `report.confidence`: boxes below it are not judged. `None` for the node's default.
     pub report_confidence: Option<f64>,
-    /// What replaces the screen.
+    /// The source of the screen's verdicts.
     pub screen: ScreenRule,
     /// Frames in a row that a real screen may call empty before the detector runs anyway; 0 for any number.
     pub longest_empty_run: u32,
-    /// Whether classes are judged apart.
+    /// How classes are judged.
     pub classes: Classes,
-    /// How the area under the curve is taken.
+    /// How the area under the precision-recall curve is computed.
     pub interpolation: Interpolation,
-    /// Folder to write traces to.
+    /// The folder to write traces to.
     pub traces: Option<PathBuf>,
-    /// Whether the frames that lost most are kept, with their boxes.
+    /// True to keep the frames with the most lost objects, with their boxes.
     pub keep_worst: bool,
-    /// Projects energy and frame time where none is measured.
+    /// The model that projects energy and frame time, if any.
     pub energy_model: Option<EnergyModel>,
-    /// Threads; 0 for as many as the machine has.
+    /// The number of threads; 0 for as many as the machine has.
     pub threads: usize,
 }
 
@@ -65,17 +65,17 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// What a box needs to be published.
+    /// The confidence that a box needs to be published.
     pub(super) fn min_confidence(&self) -> MinConfidence {
         MinConfidence::new(self.report_confidence, self.confidence)
     }
 }
 
-/// Runs `policies` over `clips`. The results are in order of policies, then clips. `done` is called after each of
-/// these steps, from any thread.
+/// Runs `policies` over `clips`. The results are in order of policies, then clips. `done` is called after each
+/// policy on each clip, from any thread.
 ///
 /// # Errors
-/// The first [`EvalError`] met; the other threads stop at their next step.
+/// The first [`EvalError`]; the other threads stop at their next step.
 pub fn run<'a>(
     clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
@@ -85,10 +85,10 @@ pub fn run<'a>(
     in_parallel(clips, policies, settings, done, &run_policy)
 }
 
-/// Does `work` with every policy on every clip on as many threads as `settings` have.
+/// Calls `work` for every policy on every clip, on as many threads as `settings` say.
 ///
 /// # Errors
-/// A [`EvalError`] that was met; after one, no thread begins another step.
+/// An [`EvalError`] of `work`; after one, no thread begins another step.
 pub(super) fn in_parallel<'a>(
     clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
@@ -100,7 +100,7 @@ pub(super) fn in_parallel<'a>(
     let mut steps: Vec<(usize, usize)> = (0..policies.len())
         .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
         .collect();
-    // The longest clips first, so that no thread is left alone with one at the end.
+    // The longest clips come first, so that no thread is left with one at the end.
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.threads)
@@ -110,7 +110,7 @@ pub(super) fn in_parallel<'a>(
                 "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
             ))
         })?;
-    // A bridge hands the steps out in their order.
+    // A bridge keeps the order of the steps.
     let results: Result<Vec<_>, EvalError> = pool.install(|| {
         let steps = steps.iter().par_bridge();
         steps
@@ -129,21 +129,21 @@ pub(super) fn in_parallel<'a>(
 /// Builds a policy.
 ///
 /// # Errors
-/// When that cannot be.
+/// When its configuration is invalid.
 pub(super) fn build(policy: &PolicySpec) -> Result<Box<dyn Policy>, EvalError> {
     let label = &policy.label;
     (policy.config.build()).map_err(|error| EvalError::new(format!("policy {label}: {error}")))
 }
 
-/// The error of a clip whose evidence does not suffice for a policy.
+/// Makes the error for a clip that lacks the evidence that a policy needs.
 pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: EvalError) -> EvalError {
-    source.of(format!("policy {}, clip {}", policy.label, clip.name))
+    source.context(format!("policy {}, clip {}", policy.label, clip.name))
 }
 
-/// The figures of one policy over one clip.
+/// Computes the figures of one policy over one clip.
 ///
 /// # Errors
-/// [`EvalError`] when the policy cannot be built, asks for what the clip does not have, or the trace cannot be written.
+/// [`EvalError`] when the policy cannot be built, needs what the clip does not have, or the trace cannot be written.
 fn run_policy(
     clip: &Clip,
     policy: &PolicySpec,
@@ -169,7 +169,7 @@ fn run_policy(
     result.camera.clone_from(&clip.camera);
     result.frame_rate = clip.frame_rate;
     if let Some(truth) = &clip.truth {
-        // The published evaluator knows no ignored regions.
+        // The published evaluator has no ignored regions.
         let boxes = match profile {
             Profile::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
             Profile::Reference => replayed.boxes.clone(),
@@ -216,15 +216,15 @@ fn run_policy(
             provenance: Provenance::Composed,
         });
     }
-    // A board's model projects time too: what was measured here is another machine's.
+    // The model of a board projects time too, because times measured here are another machine's.
     if let Some(model) = &settings.energy_model {
         model.apply(&mut result);
     }
     Ok(result)
 }
 
-/// How a policy is judged in a run of that `profile`: one that is not of the paper has no published
-/// definition of its boxes and confidences, and counts as it reports.
+/// Returns the profile by which a policy is judged in a run of `profile`. Policies that are not from the paper have no
+/// published definition of their boxes and confidences, so they are judged by the boxes that they report.
 fn profile_of(policy: &str, profile: Profile) -> Profile {
     match policy {
         ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {
@@ -234,7 +234,7 @@ fn profile_of(policy: &str, profile: Profile) -> Profile {
     }
 }
 
-/// The accuracy of `boxes`, as the policy or the node has them.
+/// Computes the accuracy of `boxes`, without those in ignored regions.
 pub(super) fn judge(
     clip: &Clip,
     boxes: &[Vec<ScoredBox>],

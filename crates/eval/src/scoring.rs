@@ -1,37 +1,37 @@
-//! Which boxes of a frame are scored, where, and with what confidence.
+//! Selects the boxes of a frame that are scored, with their corners and confidences.
 //!
-//! The published evaluator and the paper's text differ here (the reference notes number the points):
+//! The published evaluator and the paper's text differ here:
 //!
-//! - `reference`: every object alive is scored, tentative ones too [18], with the filter's box [19] cut to
-//!   whole pixels towards zero and clamped to the picture [21], and with the confidence of its last
-//!   detection times `max(0.1, 1 − τ/u)` [20]. A policy without objects has its boxes cut but not clamped
-//!   and its confidences as they are.
-//! - `paper`: the boxes that a node publishes, as it publishes them; beside them all boxes of the policy.
+//! - `reference`: every object is scored, even a tentative one, with the filter's box truncated to whole pixels
+//!   towards zero and clamped to the picture, and with the confidence of its last detection times
+//!   `max(0.1, 1 − τ/u)`. The boxes of a policy without objects are truncated but not clamped, and keep their
+//!   confidences.
+//! - `paper`: the boxes are scored that a node publishes, as it publishes them, and separately all boxes of the policy.
 
 use crate::average_precision::ScoredBox;
 use crate::spec::takes_u;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::{MinConfidence, ObjectRecord, OutputBox, Policy};
 
-/// The published decay never takes more than nine tenths of a confidence.
+/// The published decay never reduces a confidence below this share.
 const DECAY_FLOOR: f64 = 0.1;
 
-/// The `u` that the published code decays with under policies that have none of their own.
+/// The `u` that the published code uses for the decay if the policy has none.
 const DEFAULT_DECAY_U: f64 = 3e-4;
 
-/// The threshold that the published code decays confidences with.
+/// Returns the threshold by which the published code decays confidences.
 pub(crate) fn decay_threshold(policy: &dyn Policy) -> f64 {
     let u = policy.knob_value().filter(|_| takes_u(policy));
     u.unwrap_or(DEFAULT_DECAY_U)
 }
 
-/// The confidence that the published code scores: it falls linearly with the uncertainty.
-pub fn decayed_confidence(last: f64, tau: f64, u: f64) -> f64 {
+/// Computes the confidence that the published code scores: it falls linearly with the uncertainty.
+pub(crate) fn decayed_confidence(last: f64, tau: f64, u: f64) -> f64 {
     last * (1.0 - tau / u).max(DECAY_FLOOR)
 }
 
-/// An object's box as the published evaluator scores it, with its last confidence.
-pub fn score_object(object: &ObjectRecord, picture: PictureSize) -> ScoredBox {
+/// Returns an object's box as the published evaluator scores it, with its last confidence.
+pub(crate) fn score_object(object: &ObjectRecord, picture: PictureSize) -> ScoredBox {
     let [center_x, center_y, width, height] = object.bounding_box.into();
     let (x1, x2) = whole_edges(center_x, width, picture.width);
     let (y1, y2) = whole_edges(center_y, height, picture.height);
@@ -43,9 +43,9 @@ pub fn score_object(object: &ObjectRecord, picture: PictureSize) -> ScoredBox {
     }
 }
 
-/// The two edges along one axis in whole pixels. Scaling comes before subtracting, as in the published
-/// code: a newborn object's edge can lie on a whole pixel, where the rounding of this very order decides
-/// whether the cut takes a pixel.
+/// Computes the two edges along one axis in whole pixels. Scaling comes before subtracting, as in the published
+/// code: the edge of a new object can lie on a whole pixel, where the rounding error of this order decides
+/// whether truncation removes a pixel.
 fn whole_edges(center: f64, side: f64, pixels: u32) -> (f64, f64) {
     let pixels = f64::from(pixels);
     let (center, half) = (center * pixels, side * pixels / 2.0);
@@ -53,7 +53,7 @@ fn whole_edges(center: f64, side: f64, pixels: u32) -> (f64, f64) {
     (cut(center - half), cut(center + half))
 }
 
-/// A detector's box as the published evaluator scores it under Vanilla: cut to whole pixels, not clamped.
+/// Returns a detector's box as the published evaluator scores it under Vanilla: truncated to whole pixels, not clamped.
 pub(crate) fn score_truncated(output: &OutputBox, picture: PictureSize) -> ScoredBox {
     let corners = output.bounding_box.pixel_corners(picture);
     ScoredBox {
@@ -69,7 +69,7 @@ pub(crate) fn score_truncated(output: &OutputBox, picture: PictureSize) -> Score
     }
 }
 
-/// A box as the policy has it.
+/// Returns a box as the policy reports it.
 fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
     ScoredBox {
         corners: output.bounding_box.pixel_corners(picture),
@@ -79,7 +79,7 @@ fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
     }
 }
 
-/// The boxes of a frame that a node publishes, and all that the policy has.
+/// Returns the boxes of a frame that a node publishes, and all boxes of the policy.
 pub(crate) fn score_published(
     boxes: &[OutputBox],
     picture: PictureSize,
@@ -94,8 +94,8 @@ pub(crate) fn score_published(
     (score(&published), score(boxes))
 }
 
-/// Cuts towards zero. A detector's edge on a whole pixel has been through the normalised form and may come
-/// back a rounding error short of it, which must not cost a pixel.
+/// Truncates towards zero. Normalising can move a detector's edge by a rounding error below its whole pixel,
+/// which must not cost a pixel.
 fn truncate(edge: f64) -> f64 {
     let nearest = edge.round();
     if (edge - nearest).abs() < 1e-9 {

@@ -10,17 +10,17 @@ use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_vision::screen::EmptyRun;
 use serde::{Deserialize, Serialize};
 
-/// What replaces the empty-scene screen when there are no pictures.
+/// The source of the empty-scene screen's verdicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ScreenRule {
     /// A screen that never says "empty".
     Nonempty,
-    /// A screen that is always right: "empty" exactly when the frame has no stored detection. Nothing limits how
-    /// long it is believed, as in the published code.
+    /// A screen that is always right: "empty" exactly when the frame has no stored detection. As in the published
+    /// code, any number of frames in a row may be empty.
     Detections,
-    /// What a real screen said when the pictures were there: `screen/*.csv` beside the detections.
-    /// Under the node's limit on empty frames in a row.
+    /// Recorded verdicts of a real screen, from `screen/*.csv` beside the detections, under the node's limit on empty
+    /// frames in a row.
     Recorded,
 }
 
@@ -35,23 +35,23 @@ impl ScreenRule {
     }
 }
 
-/// A clip as evidence.
+/// Answers a policy's questions with the stored data of a clip.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredEvidence<'a> {
     clip: &'a Clip,
     detections: Vec<Vec<Detection>>,
     screen: ScreenRule,
-    /// The limit that holds in the node for what a real screen says.
+    /// The node's limit on empty frames in a row, for recorded verdicts.
     run: EmptyRun,
     /// The current frame.
     frame: usize,
 }
 
 impl<'a> StoredEvidence<'a> {
-    /// The clip's detections as `settings` want them, and their screen.
+    /// Takes the clip's detections and screen verdicts that `settings` select.
     ///
     /// # Errors
-    /// When the clip has no detections stored, or none of the verdicts of a screen that are asked for.
+    /// When the clip has no stored detections, or lacks the screen verdicts that `settings` select.
     pub(crate) fn new(clip: &'a Clip, settings: &Settings) -> Result<Self, EvalError> {
         let stored = clip.detections.as_ref().ok_or_else(|| {
             EvalError::new(
@@ -89,15 +89,15 @@ impl<'a> StoredEvidence<'a> {
         self.detections.len()
     }
 
-    /// What the detector finds in every frame, at or above the run's confidence.
+    /// The detections of every frame, at or above the run's confidence.
     pub(crate) fn all_detections(&self) -> &[Vec<Detection>] {
         &self.detections
     }
 
-    /// What a policy needs to know of a frame. Questions come in order of frames, several of one frame perhaps.
+    /// Returns what a policy needs for a frame. Calls must be in order of frames; a frame may have several.
     ///
     /// # Errors
-    /// When the clip does not have such pictures.
+    /// When the policy needs pictures that the clip does not have.
     pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
         if self.frame != frame {
             self.frame = frame;
@@ -126,7 +126,7 @@ impl<'a> StoredEvidence<'a> {
         })
     }
 
-    /// The picture in grey, as small as `need` has it.
+    /// Returns the frame's grey picture in the size that `need` names.
     fn grey_picture(&self, frame: usize, need: Need) -> Result<GreyPicture<'_>, EvalError> {
         let kept = self.clip.pass.as_ref().and_then(|pass| match need {
             Need::SmallGreyPicture { width } if pass.small_width == Some(width) => {

@@ -1,5 +1,5 @@
-//! Which policies a run compares: `NAME[:ARGUMENT]` from the command line, sweeps, and the labels they
-//! carry in traces, tables and plots.
+//! Selects the policies of a run from `NAME[:ARGUMENT]` on the command line and sweeps, and gives them their labels
+//! in traces, tables and plots.
 
 use crate::error::EvalError;
 use crate::source::ScreenRule;
@@ -8,10 +8,11 @@ use albireo_core::policy::{
 };
 use std::collections::BTreeSet;
 
-/// The label and name of the policy all others are compared with.
+/// Name and label of the policy that all others are compared with.
 pub const BASELINE: &str = "vanilla";
 
-/// What `--policy all` means: every policy with the settings the paper reports, and our own beside them. Those that look at pixels are left out where there are none.
+/// The policies of `--policy all`: every policy with the settings that the paper reports, and our own. Those that look at
+/// pixels are left out if there are none.
 const ALL: [&str; 22] = [
     "albireo:3e-4",
     "albireo:5e-4",
@@ -37,21 +38,21 @@ const ALL: [&str; 22] = [
     "expected-loss:0.5",
 ];
 
-/// One policy with its settings, as one line of the results.
+/// A policy with its settings: one line of the results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicySpec {
     /// Its name in results, unique in a run: `albireo-u3e-4-erd-nonempty`, `fixedskip-2`, `vanilla`.
     pub label: String,
-    /// How it is made.
+    /// The configuration from which it is built.
     pub config: PolicyConfig,
 }
 
-/// Values of one setting to try one after the other: `u=3e-4,5e-4`.
+/// Values of a setting to try one after the other: `u=3e-4,5e-4`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
     /// Name of the setting, as the policy's knob is named.
     pub name: String,
-    /// Its values.
+    /// The values to try.
     pub values: Vec<f64>,
 }
 
@@ -79,8 +80,8 @@ impl std::str::FromStr for Sweep {
     }
 }
 
-/// The policies to run: `asked` in order, swept, without repetitions, and the baseline first. `screen` is what the
-/// empty-scene screen says, `None` when a real one is asked; `pixels` says whether there are pictures to look at.
+/// Returns the policies to run: the baseline, then `asked` in order with all values of `sweeps`, without repetitions.
+/// `screen` is part of the labels; `pixels` is true if there are pictures to look at.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -89,7 +90,7 @@ pub fn resolve(
     asked: &[String],
     sweeps: &[Sweep],
     base: &PolicyConfig,
-    screen: Option<ScreenRule>,
+    screen: ScreenRule,
     pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked = asked.iter().flat_map(|asked| match asked.as_str() {
@@ -105,11 +106,11 @@ pub fn resolve(
     swept(&asked, sweeps, base, |policy| label(policy, screen))
 }
 
-/// A policy, and what it was made from.
+/// A policy, and the configuration from which it was built.
 type Built = (PolicyConfig, Box<dyn Policy>);
 
-/// The policies `asked` for (`NAME[:ARGUMENT]` each) in order, without repetitions, with everything else as in `base`. One
-/// whose threshold is swept is there once for each value, unless it has an argument: that is the value wanted.
+/// Returns the policies `asked` for (`NAME[:ARGUMENT]` each) in order, without repetitions, with everything else as in
+/// `base`. A policy whose threshold is swept occurs once for each value, unless it has an argument of its own.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -140,7 +141,7 @@ pub(crate) fn swept(
     }
     match applied.iter().position(|applied| !applied) {
         Some(unused) => Err(EvalError::new(format!(
-            "no policy of this run has a setting `{}` left to try values of: add one that has, such as --policy albireo",
+            "no policy of this run has a setting `{}` left to try values of: add one that has it, such as --policy albireo",
             sweeps[unused].name
         ))),
         None => {
@@ -159,22 +160,23 @@ pub(crate) fn swept(
 
 /// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
 fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
-    let refused = |error: PolicyConfigError| EvalError::new(error).of(format!("--policy {asked}"));
+    let refused =
+        |error: PolicyConfigError| EvalError::new(error).context(format!("--policy {asked}"));
     let mut config = base.clone();
     config.select(asked).map_err(refused)?;
     let policy = config.build().map_err(refused)?;
     Ok((config, policy))
 }
 
-/// Whether its threshold is the paper's `u`.
+/// True if the policy's threshold is the paper's `u`.
 pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
     policy
         .knob()
         .is_some_and(|knob| knob.name == Albireo::KNOB.name)
 }
 
-/// The label of the published traces where they have one.
-fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
+/// Labels a policy as the published traces do, if they contain it.
+fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
     let name = match policy.name() {
         FixedSkip::NAME => "fixedskip",
         name => name,
@@ -185,18 +187,18 @@ fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),
     };
-    // Where the screen has a say, what it says is part of the label.
+    // The screen is part of the label of policies that ask it.
     let screened = !matches!(
         policy.name(),
         Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
     );
-    match screen {
-        Some(rule) if screened => format!("{name}{setting}-erd-{}", rule.as_str()),
-        _ => format!("{name}{setting}"),
+    match screened {
+        true => format!("{name}{setting}-erd-{}", screen.as_str()),
+        false => format!("{name}{setting}"),
     }
 }
 
-/// A label's family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
+/// Splits a label into its family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
 /// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none.
 pub(crate) fn split_label(label: &str) -> (&str, String) {
     let base = label.split_once("-erd-").map_or(label, |(base, _)| base);
@@ -221,7 +223,7 @@ mod tests {
         pixels: bool,
     ) -> Result<Vec<PolicySpec>, EvalError> {
         let base = PolicyConfig::default();
-        resolve(asked, sweeps, &base, Some(ScreenRule::Nonempty), pixels)
+        resolve(asked, sweeps, &base, ScreenRule::Nonempty, pixels)
     }
 
     fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {

@@ -1,4 +1,4 @@
-//! `albireo eval advise`: which value of a policy's threshold meets a target on a recording.
+//! `albireo eval advise`: finds the value of a policy's threshold that meets a target on a recording.
 
 use super::video::{PassArguments, look_at};
 use super::{JUDGED, WRITTEN};
@@ -11,7 +11,7 @@ use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
 
-/// The options.
+/// Arguments of `albireo eval advise`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -25,10 +25,10 @@ pub(super) struct AdviseArguments {
     /// hour of the road the camera sees is a good recording.
     #[arg(required = true)]
     recordings: Vec<PathBuf>,
-    /// What is to be met: recall (against the detector) or skip_rate.
+    /// The target to meet: recall (against the detector) or skip_rate.
     #[arg(long, value_name = "NAME=VALUE", default_value = "recall=0.95")]
     target: Target,
-    /// The policy whose threshold is sought.
+    /// The policy whose threshold is chosen.
     #[arg(long, value_name = "NAME", default_value = "albireo")]
     policy: String,
     /// Detections below this confidence are not used, as `detector.confidence` of a node.
@@ -50,7 +50,7 @@ pub(super) struct AdviseArguments {
 /// Runs the command; the advice goes to standard output, everything else to standard error.
 ///
 /// # Errors
-/// A sentence with what was wrong, where, and what to do; also when nothing meets the target.
+/// When a recording cannot be read, or no value meets the target.
 pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
     ensure!(
         (0.0..=1.0).contains(&arguments.confidence),
@@ -71,12 +71,12 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
         print!("{}", render(&advice));
     }
     if advice.best().is_none() {
-        bail!("nothing meets {} on this recording", arguments.target);
+        bail!("no value meets {} on this recording", arguments.target);
     }
     Ok(())
 }
 
-/// Detections that are recorded are read, everything else is looked at.
+/// Reads recorded detections, and runs the detector over all other recordings.
 fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
     let mut recordings = Vec::new();
     let mut footage = Vec::new();

@@ -1,14 +1,14 @@
-//! `albireo eval video`: a real detector's one pass over videos or pictures, then every policy on what it found.
+//! `albireo eval video`: runs a real detector once over videos or pictures, then every policy on its detections.
 
 use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
 use crate::cli::progress;
 use crate::cli::values::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{FrameSource, Pictures, SourceName, Thinned, VideoEncoding};
+use albireo_eval::footage::{Downsampled, FrameSource, Pictures, SourceName, VideoEncoding};
 use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, StepTimes, TruthFormat,
-    against_vanilla, collect, looks_at_pixels,
+    GroundTruth, LOWEST_CONFIDENCE, ModelRunner, PassSettings, StepTimes, TruthFormat,
+    against_vanilla, collect,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -25,7 +25,7 @@ use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
 
-/// A run that takes this long has failed; no camera waits for it.
+/// A detector run that takes longer has failed; no camera waits for it, so the limit is high.
 const TIMEOUT_MS: u64 = 60_000;
 
 /// Arguments of `albireo eval video`.
@@ -36,7 +36,7 @@ pub(super) struct VideoArguments {
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
     /// Frames per second of pictures.
-    #[arg(long, default_value_t = Pictures::RATE, value_parser = parse_rate)]
+    #[arg(long, default_value_t = Pictures::DEFAULT_RATE, value_parser = parse_rate)]
     rate: f64,
     /// Take this many frames per second, as if the camera were slower.
     #[arg(long, value_name = "FPS", conflicts_with = "ground_truth", value_parser = parse_rate)]
@@ -59,24 +59,24 @@ struct TruthArguments {
     /// against Vanilla's own output.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
     ground_truth: Vec<PathBuf>,
-    /// Its layout.
+    /// Layout of the ground truth.
     #[arg(long, value_enum, requires = "ground_truth")]
     truth_format: Option<TruthFormat>,
 }
 
-/// The models of the pass and what is kept of it.
+/// The models of the pass, and what is kept of it.
 #[derive(Debug, Args)]
 pub(super) struct PassArguments {
     /// The detector: an ONNX file.
     #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/yolox_nano.onnx")]
     detector: PathBuf,
-    /// How its output is read.
+    /// How the detector's output is read.
     #[arg(long, help_heading = LOOKED, value_enum, default_value_t = HeadName::Auto)]
     head: HeadName,
-    /// Names of its classes, one per line [default: those of its metadata, or the head's own list]
+    /// Names of the detector's classes, one per line [default: those of its metadata, or the head's own list]
     #[arg(long, help_heading = LOOKED, value_name = "FILE")]
     class_names: Option<PathBuf>,
-    /// What runs it.
+    /// The execution provider that runs the detector.
     #[arg(long, help_heading = LOOKED, value_enum, default_value_t = ExecutionProvider::Cpu)]
     provider: ExecutionProvider,
     /// The empty-scene screen, an ONNX file. Its verdicts take the place of --screen.
@@ -88,10 +88,10 @@ pub(super) struct PassArguments {
     /// Which of the screen's outputs means "empty".
     #[arg(long, help_heading = LOOKED, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
     screen_empty_class: u8,
-    /// Keep what detector and screen said, with the ground truth, in the layout of `albireo eval recorded`.
+    /// Save detections, screen verdicts and ground truth here, in the layout of `albireo eval recorded`.
     #[arg(long, help_heading = LOOKED, value_name = "DIR")]
     save_detections: Option<PathBuf>,
-    /// Look at this many frames of each clip at most.
+    /// Process at most this many frames of each clip.
     #[arg(long, help_heading = LOOKED, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
 }
@@ -108,7 +108,7 @@ pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
     for clips in &arguments.clips {
         for mut clip in clips.open_clips(Some(arguments.rate), arguments.encoding)? {
             match arguments.fps {
-                Some(rate) => evaluation.look(&mut Thinned::new(clip.as_mut(), rate))?,
+                Some(rate) => evaluation.look(&mut Downsampled::new(clip.as_mut(), rate))?,
                 None => evaluation.look(clip.as_mut())?,
             }
         }
@@ -116,7 +116,7 @@ pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
     evaluation.finish(title)
 }
 
-/// What a report is headed with: the clips' names, or the first of many.
+/// Returns the report's heading: the clips' names, or the first of many.
 fn title(names: &[String]) -> String {
     match names {
         [first, second, third, _, ..] => {
@@ -126,27 +126,27 @@ fn title(names: &[String]) -> String {
     }
 }
 
-/// A run in the making: clips are looked at one after the other and dropped when every policy is done.
+/// A run in progress. Clips are processed one after the other, and dropped when every policy is done.
 struct Evaluation<'a> {
     pass: &'a PassArguments,
     arguments: RunArguments,
     settings: Settings,
     policies: Vec<PolicySpec>,
     truth: Option<GroundTruth>,
-    /// Number of clips of the run that ground truth may be for.
+    /// The number of clips of the run.
     clips: usize,
-    observer: Observer,
-    keep: PassSettings,
+    models: ModelRunner,
+    pass_settings: PassSettings,
     report: LoadReport,
     results: Vec<ClipResult>,
-    /// Of all clips, one for each stream that was asked for.
+    /// The results of all clips, for each stream that was asked for.
     streams: Vec<StreamResults>,
     times: Vec<StepTimes>,
     /// The clips without their pictures, for `--save-detections`.
     kept: Vec<Clip>,
 }
 
-/// Picks one step out of the times of a frame.
+/// Selects the time of one step.
 type StepTime = fn(&StepTimes) -> f64;
 
 impl<'a> Evaluation<'a> {
@@ -180,19 +180,19 @@ impl<'a> Evaluation<'a> {
         if let Some(truth) = &truth {
             truth.check(&names)?;
         }
-        let observer = start_observer(pass)?;
+        let models = start_models(pass)?;
         Ok(Self {
             pass,
-            keep: PassSettings {
-                most_frames: most_frames(pass),
-                ..looks_at_pixels(&policies)?
+            pass_settings: PassSettings {
+                max_frames: max_frames(pass),
+                ..PassSettings::for_policies(&policies)?
             },
             arguments,
             settings,
             policies,
             truth,
             clips: names.len(),
-            observer,
+            models,
             report: LoadReport::default(),
             results: Vec::new(),
             streams: Vec::new(),
@@ -205,11 +205,16 @@ impl<'a> Evaluation<'a> {
     /// none was given, against Vanilla. The frames that lost most get their pictures from `source` once more: keeping all
     /// pictures until these frames are known takes memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
-        let mut clip = pass_over(source, &mut self.observer, &self.keep, &mut self.report)?;
+        let mut clip = pass_over(
+            source,
+            &mut self.models,
+            &self.pass_settings,
+            &mut self.report,
+        )?;
         let pass = clip.pass.take();
         self.times.extend(pass.iter().flat_map(|pass| &pass.times));
         if let Some(truth) = &mut self.truth {
-            truth.of(&mut clip, self.clips == 1, &mut self.report)?;
+            truth.attach_to(&mut clip, self.clips == 1, &mut self.report)?;
         }
         if self.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
@@ -239,7 +244,7 @@ impl<'a> Evaluation<'a> {
         Ok(())
     }
 
-    /// Saves, prints and reports.
+    /// Saves the detections, and prints and writes the report.
     fn finish(mut self, title: String) -> anyhow::Result<()> {
         for line in self.report.lines() {
             eprintln!("{line}");
@@ -288,9 +293,9 @@ impl<'a> Evaluation<'a> {
         Ok(())
     }
 
-    /// What looked at the pictures, and how long each step took it.
+    /// Lists the models, and the time of each step.
     fn models(&self) -> Vec<(String, String)> {
-        let provider = self.observer.provider().as_str();
+        let provider = self.models.provider().as_str();
         let mut rows = vec![(
             "Detector".to_owned(),
             format!(
@@ -304,16 +309,18 @@ impl<'a> Evaluation<'a> {
         }
         let steps: [(&str, bool, StepTime); 5] = [
             ("Time of the detector", true, |times| times.detector),
-            ("Time of the screen", self.observer.has_screen(), |times| {
+            ("Time of the screen", self.models.has_screen(), |times| {
                 times.screen
             }),
             ("Time of decoding", true, |times| times.decode),
-            ("Time of decoding to grey", self.keep.keep_grey, |times| {
-                times.grey
-            }),
+            (
+                "Time of decoding to grey",
+                self.pass_settings.keep_grey,
+                |times| times.grey,
+            ),
             (
                 "Time of decoding to a small grey picture",
-                self.keep.keep_small.is_some(),
+                self.pass_settings.keep_small.is_some(),
                 |times| times.small,
             ),
         ];
@@ -338,13 +345,13 @@ impl<'a> Evaluation<'a> {
 }
 
 /// Loads the models of the pass.
-fn start_observer(pass: &PassArguments) -> anyhow::Result<Observer> {
-    Ok(Observer::start(
+fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
+    Ok(ModelRunner::start(
         &DetectorConfig {
             model: pass.detector.clone(),
             head: pass.head,
             class_names: pass.class_names.clone().map(ClassNames::File),
-            // The evaluation has a mapping of its own.
+            // The evaluation maps classes itself.
             report_classes: Some(Vec::new()),
             confidence: LOWEST_CONFIDENCE,
             providers: vec![pass.provider],
@@ -361,18 +368,18 @@ fn start_observer(pass: &PassArguments) -> anyhow::Result<Observer> {
     )?)
 }
 
-fn most_frames(pass: &PassArguments) -> Option<usize> {
+fn max_frames(pass: &PassArguments) -> Option<usize> {
     (pass.frames).map(|most| usize::try_from(most).unwrap_or(usize::MAX))
 }
 
-/// The detector's pass over a clip, with a bar on a terminal and a line elsewhere.
+/// Passes over a clip, with a progress bar on a terminal and a line elsewhere.
 fn pass_over(
     source: &mut dyn FrameSource,
-    observer: &mut Observer,
+    models: &mut ModelRunner,
     settings: &PassSettings,
     report: &mut LoadReport,
 ) -> anyhow::Result<Clip> {
-    let most = settings.most_frames.map(|most| most as u64);
+    let most = settings.max_frames.map(|most| most as u64);
     let total = match (source.frames(), most) {
         (Some(known), Some(most)) => Some(known.min(most)),
         (known, most) => known.or(most),
@@ -380,25 +387,25 @@ fn pass_over(
     let bar = progress::bar(total, "frames").with_prefix(format!("{}: ", source.name()));
     if bar.is_hidden() {
         eprintln!(
-            "{}: looking at {} frames",
+            "{}: processing {} frames",
             source.name(),
-            total.map_or_else(|| "its".to_owned(), |total| total.to_string())
+            total.map_or_else(|| "all".to_owned(), |total| total.to_string())
         );
     }
-    let pictured = collect(source, observer, settings, report, &mut || bar.inc(1));
+    let pictured = collect(source, models, settings, report, &mut || bar.inc(1));
     bar.finish_and_clear();
     Ok(pictured?)
 }
 
-/// The detector's pass over videos and pictures. `rate` is the frames per second of pictures.
+/// Runs the detector over videos and pictures. `rate` is the frames per second of pictures.
 pub(super) fn look_at(
     clips: &[SourceName],
     rate: Option<f64>,
     pass: &PassArguments,
 ) -> anyhow::Result<Vec<Clip>> {
-    let mut observer = start_observer(pass)?;
+    let mut models = start_models(pass)?;
     let settings = PassSettings {
-        most_frames: most_frames(pass),
+        max_frames: max_frames(pass),
         ..PassSettings::default()
     };
     let mut report = LoadReport::default();
@@ -407,7 +414,7 @@ pub(super) fn look_at(
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
             pictured.push(pass_over(
                 source.as_mut(),
-                &mut observer,
+                &mut models,
                 &settings,
                 &mut report,
             )?);
@@ -423,11 +430,11 @@ pub(super) fn look_at(
     Ok(pictured)
 }
 
-/// What the empty-scene screen spared and what it missed, a line for each policy that asked it.
+/// Reports how many frames the screen called empty and how many of them wrongly, in a line per policy that asked it.
 fn screen_lines(results: &[ClipResult]) -> Vec<String> {
     let asked = results.iter().filter(|result| result.screen_frames > 0);
     let mut policies: Vec<&str> = asked.map(|result| result.policy.as_str()).collect();
-    // Results come by policy.
+    // Results are in order of policies.
     policies.dedup();
     let line = |policy: &str| {
         let of = || results.iter().filter(|result| result.policy == policy);

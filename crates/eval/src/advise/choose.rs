@@ -1,4 +1,4 @@
-//! The search for the value of the threshold that meets a target.
+//! Searches for the value of the threshold that meets a target.
 
 use super::estimate::Estimate;
 use super::target::Target;
@@ -12,10 +12,10 @@ use albireo_core::policy::{ExpectedLoss, Knob, PolicyConfig, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
 
-/// Values of the threshold that are tried, over its useful range.
+/// The number of threshold values that are tried.
 const VALUES: usize = 64;
 
-/// What a node would do with one value and one screen.
+/// A value of the threshold for one screen, and its figures on the recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Proposal {
     /// Name of the policy.
@@ -24,9 +24,9 @@ pub struct Proposal {
     pub knob: &'static str,
     /// The threshold's value.
     pub value: f64,
-    /// What the empty-scene screen says: never "empty", or what a model said.
+    /// The empty-scene screen: one that never says "empty", or the recorded one.
     pub screen: ScreenRule,
-    /// Whether the target is met; if not, this is the nearest that the threshold's useful range has.
+    /// True if the target is met; otherwise this is the nearest value in the threshold's useful range.
     pub meets_target: bool,
     /// Share of frames without the detector.
     pub skip_rate: Option<Estimate>,
@@ -34,13 +34,13 @@ pub struct Proposal {
     pub recall: Option<Estimate>,
     /// Share of the boxes shown on these frames that the detector confirms.
     pub precision: Option<Estimate>,
-    /// The same target sought on every second block of the recording, and what its value did on the blocks between.
+    /// The figures when the value is chosen on every second block of the recording and tried on the others.
     pub held_out: Option<HeldOut>,
     /// The lines for `node.toml`.
     pub node_toml: String,
 }
 
-/// What a value does on frames that it was not chosen on.
+/// The figures of a value on frames that it was not chosen on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct HeldOut {
     /// Recall against the detector.
@@ -49,25 +49,25 @@ pub struct HeldOut {
     pub skip_rate: Option<Estimate>,
 }
 
-/// The policy without a screen and, where its verdicts were recorded, with it; the proposed one first.
+/// The result of the search: a proposal without a screen and, if verdicts were recorded, one with it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
-    /// What was asked for.
+    /// The target that was asked for.
     pub target: Target,
-    /// Clips of the recording.
+    /// The number of clips of the recording.
     pub clips: usize,
-    /// Frames of the recording.
+    /// The number of frames of the recording.
     pub frames: usize,
-    /// The detector's boxes in it.
+    /// The number of the detector's boxes in the recording.
     pub boxes: usize,
-    /// Detections below this were not used.
+    /// Detections below this confidence were not used.
     pub confidence: f64,
-    /// The candidates, the best first.
+    /// The proposals, the best first.
     pub proposals: Vec<Proposal>,
 }
 
 impl Advice {
-    /// The candidate to take, if one meets the target.
+    /// The best proposal, if it meets the target.
     pub fn best(&self) -> Option<&Proposal> {
         self.proposals.first().filter(|best| best.meets_target)
     }
@@ -76,7 +76,7 @@ impl Advice {
 /// Finds the value of the threshold of `policy` that meets `target` on `clips`.
 ///
 /// # Errors
-/// [`EvalError`] when the policy cannot be built or has no threshold, or there is nothing to learn from.
+/// [`EvalError`] when the policy cannot be built or has no threshold, or the recording has no detections.
 pub fn advise(
     clips: &[Clip],
     target: Target,
@@ -142,7 +142,7 @@ pub fn advise(
     })
 }
 
-/// Values of two digits over the useful range, evenly spaced in the logarithm, rising.
+/// Returns rising values over the useful range in logarithmic steps, rounded to two digits.
 fn values(knob: &Knob) -> Vec<f64> {
     let (low, high) = (knob.useful_minimum, knob.useful_maximum);
     let value = |step: usize| {
@@ -165,10 +165,11 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Which of `trials`, by rising threshold, meets the target and saves most. A recall is met as far as none before falls
-    /// below it: a single lucky value behind bad ones is no reason. (Where little is skipped its interval is wide for want
-    /// of frames, and only later says something.) A skip rate is met from the first value that meets it.
-    fn edge(&self, trials: &[Trial]) -> Option<usize> {
+    /// Returns the index of the trial that meets the target and skips most; `trials` are in order of rising threshold. For
+    /// a recall, the search stops at the first trial whose recall is too low, so that one lucky value after bad ones is
+    /// not chosen. (Trials that skip too few frames for a narrow interval do not stop it.) For a skip rate, it is the
+    /// first trial that meets it.
+    fn best_trial(&self, trials: &[Trial]) -> Option<usize> {
         let meets = |trial: &Trial| trial.meets(self.target);
         match self.target {
             Target::SkipRate(_) => trials.iter().position(meets),
@@ -185,19 +186,19 @@ impl Search<'_> {
         let trials = (values(&self.knob).into_par_iter())
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
-        let edge = self.edge(&trials);
-        // Where none meets it, the end of the range that comes nearest.
+        let best = self.best_trial(&trials);
+        // If no trial meets the target, propose the end of the range that comes nearest.
         let nearest = match self.target {
             Target::Recall(_) => 0,
             Target::SkipRate(_) => trials.len() - 1,
         };
-        let chosen = &trials[edge.unwrap_or(nearest)];
+        let chosen = &trials[best.unwrap_or(nearest)];
         Ok(Proposal {
             policy: self.config.name.clone(),
             knob: self.knob.name,
             value: chosen.value,
             screen: self.screen,
-            meets_target: edge.is_some(),
+            meets_target: best.is_some(),
             skip_rate: chosen.skip_rate(),
             recall: chosen.recall(),
             precision: chosen.precision(),
@@ -206,12 +207,12 @@ impl Search<'_> {
         })
     }
 
-    /// The search on one half of the blocks, tried on the other, both ways.
+    /// Chooses a value on each half of the blocks and tries it on the other half.
     fn held_out(&self, trials: &[Trial]) -> Option<HeldOut> {
         let mut joined: Option<Trial> = None;
         for parity in [0, 1] {
             let seen: Vec<_> = trials.iter().map(|trial| trial.half(parity)).collect();
-            let chosen = self.edge(&seen)?;
+            let chosen = self.best_trial(&seen)?;
             let unseen = trials[chosen].half(1 - parity);
             match &mut joined {
                 Some(joined) => joined.blocks.extend(unseen.blocks),
@@ -234,7 +235,7 @@ impl Search<'_> {
             _ => "",
         };
         let mut number = short(value);
-        // TOML takes a number without a fraction for a whole one.
+        // TOML reads a number without a fraction as an integer.
         if !number.contains(['.', 'e']) {
             number.push_str(".0");
         }

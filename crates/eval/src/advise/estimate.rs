@@ -1,13 +1,13 @@
-//! Figures of a recording with their intervals.
+//! Estimates ratios over a recording with their confidence intervals.
 //!
-//! Frames that follow each other are alike, so that a thousand of them do not say a thousand times as much as one. The
-//! recording is therefore cut into blocks of consecutive frames, and every figure is a ratio of sums over the blocks,
-//! whose spread between the blocks says how well it is known (the variance of a ratio estimator, with Student's t).
+//! Consecutive frames are alike, so a thousand of them carry less information than a thousand independent ones. The
+//! recording is therefore cut into blocks of consecutive frames. Every figure is a ratio of sums over the blocks, and its
+//! interval follows from the spread between the blocks (the variance of a ratio estimator, with Student's t).
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// A figure, and between what it lies at a confidence of 95 % on other hours like these.
+/// A figure with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The figure.
@@ -16,25 +16,25 @@ pub struct Estimate {
     /// Lower end of the interval.
     #[serde(serialize_with = "rounded")]
     pub low: f64,
-    /// Upper end.
+    /// Upper end of the interval.
     #[serde(serialize_with = "rounded")]
     pub high: f64,
 }
 
-/// Four digits: no recording is more exact.
+/// Rounds to four digits: no recording is more precise.
 fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     let rounded = format!("{value:.3e}").parse().unwrap_or(*value);
     serializer.serialize_f64(rounded)
 }
 
 impl Estimate {
-    /// The ratio of the sums of `parts`, a numerator and a denominator each; `None` where the denominators add up to
-    /// nothing. The spread of a single part is unknown: its interval is then 0 to 1.
-    pub(super) fn share(parts: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
+    /// Estimates the ratio of two sums over `parts`, each a numerator and a denominator; `None` if the denominators sum
+    /// to zero. A single part has no spread, so its interval is 0 to 1.
+    pub(super) fn ratio(parts: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let mut count = 0.0;
         let (mut numerator, mut denominator) = (0.0, 0.0);
         for [above, below] in parts.clone() {
-            // A block that can say nothing does not count.
+            // A part without a denominator carries no information.
             if below > 0.0 {
                 count += 1.0;
                 numerator += above;
@@ -85,26 +85,26 @@ mod tests {
     #[test]
     fn blocks_that_agree_leave_little_doubt_and_blocks_that_do_not_much() {
         let alike = [[9.0, 10.0], [18.0, 20.0], [9.0, 10.0], [9.0, 10.0]];
-        let sure = Estimate::share(alike.into_iter()).unwrap();
+        let sure = Estimate::ratio(alike.into_iter()).unwrap();
         assert!((sure.value - 0.9).abs() < 1e-12);
         assert!(sure.high - sure.low < 1e-9);
         let apart = [[10.0, 10.0], [14.0, 20.0], [10.0, 10.0], [11.0, 10.0]];
-        let unsure = Estimate::share(apart.into_iter()).unwrap();
+        let unsure = Estimate::ratio(apart.into_iter()).unwrap();
         assert!(unsure.low < 0.7 && unsure.high == 1.0, "{unsure:?}");
     }
 
     #[test]
     fn one_block_says_nothing_of_the_spread_and_none_says_nothing() {
-        let one = Estimate::share([[9.0, 10.0], [0.0, 0.0]].into_iter()).unwrap();
+        let one = Estimate::ratio([[9.0, 10.0], [0.0, 0.0]].into_iter()).unwrap();
         assert_eq!((one.low, one.high), (0.0, 1.0));
-        assert_eq!(Estimate::share([[0.0, 0.0]].into_iter()), None);
+        assert_eq!(Estimate::ratio([[0.0, 0.0]].into_iter()), None);
     }
 
     #[test]
     fn the_interval_is_students_where_all_blocks_weigh_the_same() {
         // .45, .5, .5, .55 a block: mean .5, standard error 0.020412, t(3) = 3.182446.
         let parts = [0.45, 0.5, 0.5, 0.55].map(|value| [value, 1.0]);
-        let found = Estimate::share(parts.into_iter()).unwrap();
+        let found = Estimate::ratio(parts.into_iter()).unwrap();
         assert!(
             (found.low - (0.5 - 3.182_446 * 0.020_412)).abs() < 1e-4,
             "{found:?}"

@@ -1,4 +1,4 @@
-//! The advice in words: a table of the candidates, what they come to, and the lines for `node.toml`.
+//! Formats the advice as text: a table of the proposals, what to use, and the lines for `node.toml`.
 
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
@@ -8,15 +8,15 @@ use crate::text::{Column, or_dash, table, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
 
-/// Columns of the text.
+/// Width of the text in characters.
 const WIDTH: usize = 100;
 
 /// Below this share of frames the advice says that nothing is skipped.
-const NOTHING: f64 = 0.005;
+const NEGLIGIBLE_SKIP_RATE: f64 = 0.005;
 
 // Writing to a string cannot fail, so the results are dropped throughout.
 
-/// The advice, 100 columns wide.
+/// Formats the advice, 100 columns wide.
 pub fn render(advice: &Advice) -> String {
     let mut text = String::new();
     let _ = writeln!(
@@ -88,19 +88,21 @@ fn sentences(advice: &Advice) -> Vec<String> {
     sentences.push(
         "Recall and precision are against the detector, on the frames without it: a policy that goes on showing an object \
          which the detector misses loses precision here although it may be right, so they do not compare policies. In \
-         brackets: between what they lie on other hours like these (95 %)."
+         brackets: the 95 % interval over recordings like this one."
             .to_owned(),
     );
     sentences
 }
 
 fn skips(proposal: &Proposal) -> bool {
-    proposal.skip_rate.is_some_and(|rate| rate.value >= NOTHING)
+    proposal
+        .skip_rate
+        .is_some_and(|rate| rate.value >= NEGLIGIBLE_SKIP_RATE)
 }
 
 fn proposed(best: &Proposal) -> String {
     format!(
-        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames; of its boxes there {} are shown.",
+        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames, and {} of its boxes on these frames are shown.",
         best.policy,
         best.knob,
         digits(best.value),
@@ -119,8 +121,8 @@ fn checked(held_out: &HeldOut, target: Target) -> String {
         _ => true,
     };
     format!(
-        "Sought on every second stretch of the recording and tried on those between, the same search gives a recall of {} \
-         at {} skipped{}.",
+        "Chosen on every second part of the recording and tried on the others, a value gives a recall of {} at {} \
+         skipped{}.",
         share(held_out.recall),
         percent(held_out.skip_rate),
         if held {
@@ -151,7 +153,7 @@ fn percent(estimate: Option<Estimate>) -> String {
 fn share(estimate: Option<Estimate>) -> String {
     let bare = |value: f64| {
         let text = format!("{value:.3}");
-        // As wide as any other: `.953`, and 1 for all of them.
+        // `.953` for a share, and `1` for all.
         let short = text.strip_suffix(".000").unwrap_or(&text);
         short
             .strip_prefix("0.")

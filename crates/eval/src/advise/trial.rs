@@ -1,4 +1,4 @@
-//! One policy with one value of its threshold, over the whole recording.
+//! Tries one value of a policy's threshold on the whole recording.
 
 use super::estimate::Estimate;
 use super::target::Target;
@@ -10,13 +10,13 @@ use crate::source::ScreenRule;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::PolicyConfig;
 
-/// Blocks that a recording is cut into, if it is long enough.
+/// The number of blocks that a recording is cut into, if it is long enough.
 const BLOCKS: usize = 40;
 
-/// Frames of a block at least: one that ends with an object's visit says nothing of the next.
-const LEAST_FRAMES: usize = 20;
+/// The fewest frames of a block. Shorter blocks would share their objects, and so would not be independent.
+const MIN_BLOCK_FRAMES: usize = 20;
 
-/// Consecutive frames.
+/// The counts of a block of consecutive frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Block {
     frames: u32,
@@ -25,12 +25,12 @@ pub(super) struct Block {
     detected: u64,
     /// Shown boxes on the skipped frames.
     shown: u64,
-    /// Pairs of the two.
+    /// Pairs of a detected and a shown box.
     paired: u64,
 }
 
 impl Block {
-    /// Counts a frame and, where the detector was skipped, how its boxes compare.
+    /// Adds a frame and, if it skipped the detector, the comparison of its boxes.
     fn count(&mut self, compared: Option<&AuditSums>) {
         self.frames += 1;
         if let Some(sums) = compared {
@@ -42,7 +42,7 @@ impl Block {
     }
 }
 
-/// The outcome on a recording.
+/// The outcome of one value on a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Trial {
     /// The value of the threshold.
@@ -51,7 +51,7 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    /// Of the blocks whose number is `parity` modulo 2.
+    /// Returns the trial with only the blocks whose index is `parity` modulo 2.
     pub(super) fn half(&self, parity: usize) -> Self {
         let blocks = self.blocks.iter().enumerate();
         Self {
@@ -63,40 +63,40 @@ impl Trial {
         }
     }
 
-    fn share(&self, part: fn(&Block) -> [f64; 2]) -> Option<Estimate> {
-        Estimate::share(self.blocks.iter().map(part))
+    fn ratio(&self, part: fn(&Block) -> [f64; 2]) -> Option<Estimate> {
+        Estimate::ratio(self.blocks.iter().map(part))
     }
 
     /// Share of the detector's boxes on skipped frames that were shown; `None` where it has none.
     pub(super) fn recall(&self) -> Option<Estimate> {
-        self.share(|block| [block.paired as f64, block.detected as f64])
+        self.ratio(|block| [block.paired as f64, block.detected as f64])
     }
 
     /// Share of the boxes shown on skipped frames that the detector confirms.
     pub(super) fn precision(&self) -> Option<Estimate> {
-        self.share(|block| [block.paired as f64, block.shown as f64])
+        self.ratio(|block| [block.paired as f64, block.shown as f64])
     }
 
     pub(super) fn skip_rate(&self) -> Option<Estimate> {
-        self.share(|block| [block.skipped.into(), block.frames.into()])
+        self.ratio(|block| [block.skipped.into(), block.frames.into()])
     }
 
-    /// Whether this meets `target`.
+    /// True if this meets `target`.
     pub(super) fn meets(&self, target: Target) -> bool {
         match target {
-            // Where nothing was there to be shown nothing was lost.
+            // If the detector found nothing on the skipped frames, nothing was lost.
             Target::Recall(least) => self.recall().is_none_or(|recall| recall.low >= least),
             Target::SkipRate(least) => self.skip_rate().is_some_and(|rate| rate.value >= least),
         }
     }
 }
 
-/// The policy cannot be used for `reason`.
+/// Makes the error for a policy that cannot be used.
 pub(super) fn refused(reason: impl std::fmt::Display) -> EvalError {
-    EvalError::new(reason).of("--policy")
+    EvalError::new(reason).context("--policy")
 }
 
-/// Replays the policy of `config`, whose threshold is at `value`, over all clips.
+/// Replays the policy of `config`, with its threshold at `value`, over all clips.
 pub(super) fn try_out(
     clips: &[Clip],
     config: &PolicyConfig,
@@ -104,20 +104,20 @@ pub(super) fn try_out(
     screen: ScreenRule,
     settings: &Settings,
 ) -> Result<Trial, EvalError> {
-    let mut turned = config.clone();
-    (turned.set_argument(&format!("{value:e}"))).map_err(refused)?;
-    let mut policy = turned.build().map_err(refused)?;
+    let mut config = config.clone();
+    (config.set_argument(&format!("{value:e}"))).map_err(refused)?;
+    let mut policy = config.build().map_err(refused)?;
     let settings = Settings {
         screen,
         ..settings.clone()
     };
     let frames: usize = clips.iter().map(|clip| clip.frames).sum();
-    let length = (frames / BLOCKS).max(LEAST_FRAMES);
+    let length = (frames / BLOCKS).max(MIN_BLOCK_FRAMES);
     let mut blocks = Vec::new();
     for clip in clips {
         let compared = against_detector(policy.as_mut(), clip, &settings)
-            .map_err(|error| error.of(&clip.name))?;
-        // The rest of a clip, too short for a block of its own, belongs to its last one.
+            .map_err(|error| error.context(&clip.name))?;
+        // The last block of a clip includes the remainder, which is too short for a block of its own.
         let count = (compared.len() / length).max(1);
         let mut own = vec![Block::default(); count];
         for (index, frame) in compared.iter().enumerate() {

@@ -9,15 +9,15 @@ use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The demonstration's road, in the project's folder.
+/// The demonstration's road, relative to the project's folder.
 const ROAD: &str = "demo/road.tar";
 
-/// What to replay, as it is named on the command line.
+/// Footage as it is named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceName {
     /// A folder of JPEG and PNG files, or one such file.
     Pictures(PathBuf),
-    /// A tar archive of such folders; `demo` is the demonstration's.
+    /// A tar archive of such folders; `demo` is the demonstration's road.
     Archive(PathBuf),
     /// A video file.
     Video(PathBuf),
@@ -48,7 +48,7 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, EvalError> {
-        let pictures_rate = rate.unwrap_or(Pictures::RATE);
+        let pictures_rate = rate.unwrap_or(Pictures::DEFAULT_RATE);
         let path = self.existing()?;
         Ok(match self {
             Self::Pictures(_) => Box::new(Pictures::of_folder(path, pictures_rate)?),
@@ -60,7 +60,7 @@ impl SourceName {
         })
     }
 
-    /// Where it lies, if it does; an address is left to [`Video::open`] to refuse.
+    /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
     fn existing(&self) -> Result<&Path, EvalError> {
         let (Self::Pictures(path) | Self::Archive(path) | Self::Video(path)) = self;
         if path.exists() || path.to_string_lossy().contains("://") {
@@ -70,7 +70,7 @@ impl SourceName {
         }
     }
 
-    /// Opens each of its clips as a source: one, unless it is an archive.
+    /// Opens each clip as a source: one clip, unless it is an archive.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -82,14 +82,14 @@ impl SourceName {
         let Self::Archive(path) = self else {
             return Ok(vec![self.open(rate, encoding)?]);
         };
-        let archive = Pictures::of_archive(path, rate.unwrap_or(Pictures::RATE))?;
+        let archive = Pictures::of_archive(path, rate.unwrap_or(Pictures::DEFAULT_RATE))?;
         let clips = archive.into_clips().into_iter();
         Ok(clips
             .map(|clip| Box::new(clip) as Box<dyn FrameSource>)
             .collect())
     }
 
-    /// The names of its clips, without opening a video.
+    /// Returns the names of the clips, without opening a video.
     ///
     /// # Errors
     /// When it does not exist or is an archive that cannot be read.
@@ -97,11 +97,11 @@ impl SourceName {
         let path = self.existing()?;
         match self {
             Self::Archive(_) => {
-                let clips = Pictures::of_archive(path, Pictures::RATE)?.into_clips();
+                let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
                 return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
             }
-            // To find a folder without pictures before anything else is done.
-            Self::Pictures(_) => drop(Pictures::of_folder(path, Pictures::RATE)?),
+            // Opened so that a folder without pictures is reported before anything else is done.
+            Self::Pictures(_) => drop(Pictures::of_folder(path, Pictures::DEFAULT_RATE)?),
             Self::Video(_) => {}
         }
         Ok(vec![clip_name(path)])
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_source_is_told_by_its_name() {
+    fn a_source_is_recognised_by_its_name() {
         assert_eq!(
             "drive.mp4".parse(),
             Ok(SourceName::Video(PathBuf::from("drive.mp4")))

@@ -1,4 +1,4 @@
-//! Pictures one after the other: of a folder, of a tar archive, or in memory.
+//! Reads a sequence of pictures from a folder, a tar archive, or memory.
 
 use super::source::{FrameSource, clip_name, plain_name};
 use crate::error::EvalError;
@@ -10,7 +10,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Pictures one after the other. Cheap to clone.
+/// A sequence of pictures. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Pictures {
     name: String,
@@ -19,16 +19,16 @@ pub struct Pictures {
     rate: f64,
 }
 
-/// A picture, and the clip it belongs to where there are several.
+/// A picture, and the clip it belongs to if there are several.
 #[derive(Clone, Debug)]
 struct Member {
     clip: Option<Arc<str>>,
-    place: Place,
+    location: Location,
 }
 
-/// Where a picture lies.
+/// Where a picture is stored.
 #[derive(Clone, Debug)]
-enum Place {
+enum Location {
     File(PathBuf),
     /// In an archive.
     Archive {
@@ -40,8 +40,8 @@ enum Place {
 }
 
 impl Pictures {
-    /// Frames per second where none are given.
-    pub const RATE: f64 = 10.0;
+    /// Frames per second if none are given.
+    pub const DEFAULT_RATE: f64 = 10.0;
 
     fn new(name: String, pictures: Vec<Member>, rate: f64) -> Self {
         Self {
@@ -52,29 +52,29 @@ impl Pictures {
         }
     }
 
-    /// These pictures, `rate` of them a second.
+    /// Makes a sequence of these pictures, at `rate` frames per second.
     pub fn in_memory(name: String, pictures: Vec<EncodedPicture>, rate: f64) -> Self {
         let member = |picture| Member {
             clip: None,
-            place: Place::Memory(picture),
+            location: Location::Memory(picture),
         };
         Self::new(name, pictures.into_iter().map(member).collect(), rate)
     }
 
-    /// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`); or one such file.
+    /// Reads the JPEG and PNG files of a folder in natural order (`9.jpg` before `10.jpg`), or one such file.
     ///
     /// # Errors
     /// When the folder cannot be read or has no pictures.
     pub fn of_folder(path: &Path, rate: f64) -> Result<Self, EvalError> {
         let member = |file| Member {
             clip: None,
-            place: Place::File(file),
+            location: Location::File(file),
         };
         let pictures = picture_files(path)?.into_iter().map(member);
         Ok(Self::new(clip_name(path), pictures.collect(), rate))
     }
 
-    /// The JPEG and PNG files of a tar archive, in their order there; each folder in it is a clip.
+    /// Reads the JPEG and PNG files of a tar archive in their order in it; each folder is a clip.
     ///
     /// # Errors
     /// When the archive cannot be read or has no pictures.
@@ -99,14 +99,14 @@ impl Pictures {
             let folder = inside.parent().and_then(Path::file_name);
             let clip =
                 folder.map_or_else(|| name.clone(), |own| plain_name(&own.to_string_lossy()));
-            // Pictures of one clip share its name.
+            // Pictures of one clip share the memory of its name.
             let last = pictures.last().and_then(|last| last.clip.clone());
             let clip = last
                 .filter(|last| **last == *clip)
                 .unwrap_or_else(|| clip.into());
             pictures.push(Member {
                 clip: Some(clip),
-                place: Place::Archive {
+                location: Location::Archive {
                     archive: Arc::clone(&archive),
                     offset: entry.raw_file_position(),
                     length,
@@ -120,7 +120,7 @@ impl Pictures {
         Ok(Self::new(name, pictures, rate))
     }
 
-    /// A source for each clip.
+    /// Splits the sequence into its clips.
     pub fn into_clips(self) -> Vec<Self> {
         let parts = self.pictures.chunk_by(|a, b| a.clip == b.clip);
         let part = |pictures: &[Member]| {
@@ -154,10 +154,10 @@ impl FrameSource for Pictures {
             return Ok(None);
         };
         self.at += 1;
-        Ok(Some(match &member.place {
-            Place::Memory(picture) => picture.clone(),
-            Place::File(file) => read_picture_file(file)?,
-            Place::Archive {
+        Ok(Some(match &member.location {
+            Location::Memory(picture) => picture.clone(),
+            Location::File(file) => read_picture_file(file)?,
+            Location::Archive {
                 archive,
                 offset,
                 length,

@@ -1,4 +1,4 @@
-//! The trait of everything that gives frames to replay.
+//! Defines the trait for sources of frames.
 
 use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
@@ -12,13 +12,13 @@ pub trait FrameSource: Send {
     /// A short name, usable as a clip id: a file's stem.
     fn name(&self) -> &str;
 
-    /// Frames per second of its own.
+    /// The source's own frames per second.
     fn rate(&self) -> f64;
 
-    /// How many frames one pass has, where that is known beforehand.
+    /// The number of frames of one pass, if it is known beforehand.
     fn frames(&self) -> Option<u64>;
 
-    /// The clip of the picture that came last, where the source has several: nothing moves on from one to the next.
+    /// The clip of the last picture, if the source has several clips, which share no objects.
     fn clip(&self) -> Option<&str> {
         None
     }
@@ -35,23 +35,23 @@ pub trait FrameSource: Send {
     /// When the source cannot be opened again.
     fn rewind(&mut self) -> Result<(), EvalError>;
 
-    /// How to end a [`next`](Self::next) that waits for something outside, such as another program.
+    /// Returns a way to end a pending [`next`](Self::next), if it can wait for something such as another program.
     fn stopper(&self) -> Option<Stopper> {
         None
     }
 }
 
-/// The name that the clip of a file or folder gets: its stem, or its parent's for the folder `img1`, in which
-/// MOTChallenge keeps every sequence's pictures.
+/// Names the clip of a file or folder after its stem, or after its parent for the folder `img1`, in which
+/// MOTChallenge keeps the pictures of every sequence.
 pub(crate) fn clip_name(path: &Path) -> String {
     let own = path.file_stem().unwrap_or_default();
     let parent = path.parent().and_then(Path::file_name);
     let stem = parent.filter(|_| own == "img1").unwrap_or(own);
-    // A name that begins with a dot hides the files named after it.
+    // A leading dot would hide the files that are named after the clip.
     plain_name(stem.to_string_lossy().trim_start_matches('.'))
 }
 
-/// `text` as a name that is valid in a clip id.
+/// Turns `text` into a name that is valid as a clip id.
 pub(super) fn plain_name(text: &str) -> String {
     let name: String = text
         .chars()

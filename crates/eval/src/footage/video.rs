@@ -1,4 +1,4 @@
-//! A video file as a source of frames, decoded by the `ffmpeg` program.
+//! Reads the frames of a video file, which the `ffmpeg` program decodes.
 
 use super::source::{FrameSource, Stopper, clip_name};
 use crate::error::EvalError;
@@ -14,12 +14,12 @@ use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-/// The two programs.
+/// The paths of the two programs.
 #[derive(Clone, Debug)]
 pub struct Ffmpeg {
     /// The decoder.
     pub ffmpeg: PathBuf,
-    /// The prober, of the same package.
+    /// The program that reads a video's properties, from the same package.
     pub ffprobe: PathBuf,
 }
 
@@ -42,16 +42,16 @@ pub enum VideoEncoding {
     Png,
 }
 
-/// Most bytes of one picture.
-const MOST_BYTES: u64 = 256 << 20;
+/// The most bytes of one picture.
+const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
-/// Bytes that are read from ffmpeg at once: a picture is far more than a pipe holds.
+/// Bytes that are read from ffmpeg at once: a picture is far larger than a pipe's buffer.
 const BUFFER: usize = 1 << 18;
 
-/// Most bytes that are kept of what ffmpeg says.
-const LONGEST_COMPLAINT: u64 = 16 << 10;
+/// The most bytes that are kept of ffmpeg's error output.
+const MAX_ERROR_OUTPUT_BYTES: u64 = 16 << 10;
 
-/// A video. Its `ffmpeg` ends with it.
+/// A video file. Dropping it ends its `ffmpeg`.
 #[derive(Debug)]
 pub struct Video {
     file: String,
@@ -60,15 +60,15 @@ pub struct Video {
     programs: Ffmpeg,
     rate: f64,
     frames: Option<u64>,
-    pass: Option<Pass>,
+    output: Option<FfmpegOutput>,
     process: Arc<Mutex<Process>>,
 }
 
-/// One run of ffmpeg through the file.
+/// The output of a running ffmpeg.
 #[derive(Debug)]
-struct Pass {
-    output: BufReader<ChildStdout>,
-    complaints: JoinHandle<String>,
+struct FfmpegOutput {
+    pictures: BufReader<ChildStdout>,
+    errors: JoinHandle<String>,
 }
 
 /// The running ffmpeg, shared with the thread that may stop it.
@@ -81,7 +81,7 @@ struct Process {
 impl Process {
     fn end(&mut self) {
         if let Some(mut child) = self.child.take() {
-            // It fails only when the program has ended already.
+            // This fails only if the program has already ended.
             let _ = child.kill();
             let _ = child.wait();
         }
@@ -101,14 +101,14 @@ struct ProbedStream {
     nb_frames: Option<String>,
 }
 
-/// `30000/1001` as a number, if it is a rate.
+/// Reads a frame rate such as `30000/1001`.
 fn rate(text: &str) -> Option<f64> {
     let (numerator, denominator) = text.split_once('/').unwrap_or((text, "1"));
     let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
     (rate.is_finite() && rate > 0.0 && rate <= 1000.0).then_some(rate)
 }
 
-/// What ffprobe is asked about a file.
+/// The arguments of ffprobe, without the file.
 const PROBE: [&str; 8] = [
     "-v",
     "error",
@@ -120,34 +120,35 @@ const PROBE: [&str; 8] = [
     "json",
 ];
 
-/// Every frame of the file exactly once, whatever its time stamp: frames get numbers for time stamps, which a constant
-/// output rate then neither repeats nor drops. (`-fps_mode passthrough` is unknown before ffmpeg 5.1, `-vsync` after 7.)
+/// Arguments that output every frame exactly once, whatever its time stamp: frames get consecutive time stamps, so that
+/// a constant output rate neither repeats nor drops any. (`-fps_mode passthrough` is unknown before ffmpeg 5.1, `-vsync`
+/// after 7.)
 const EACH_FRAME: [&str; 6] = ["-map", "0:v:0", "-vf", "settb=1/25,setpts=N", "-r", "25"];
 
 impl Video {
-    /// Probes and opens a video file. `wanted_rate` is for files that have no rate of their own.
+    /// Probes and opens a video file. `default_rate` is for files that have no rate of their own.
     ///
     /// # Errors
     /// When a program is not installed or finds no video stream.
     pub fn open(
         file: &str,
-        wanted_rate: Option<f64>,
+        default_rate: Option<f64>,
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> Result<Self, EvalError> {
         if file.contains("://") {
-            // It may hold a password and is not repeated.
+            // The address may contain a password, so it is not repeated.
             return Err(EvalError::new(
                 "a live camera is not footage: a node opens it as the `source` of a [[camera]], or `albireo publish` sends \
                  it to one",
             ));
         }
-        // A name that begins with a dash is no option.
+        // A name that begins with a dash would be read as an option.
         let file = match file.strip_prefix('-') {
             Some(rest) => format!("./-{rest}"),
             None => file.to_owned(),
         };
-        let (rate, frames) = probe(&file, wanted_rate, &programs)?;
+        let (rate, frames) = probe(&file, default_rate, &programs)?;
         let mut video = Self {
             name: clip_name(Path::new(&file)),
             file,
@@ -155,27 +156,27 @@ impl Video {
             programs,
             rate,
             frames,
-            pass: None,
+            output: None,
             process: Arc::default(),
         };
         video.rewind()?;
         Ok(video)
     }
 
-    /// The output is over: an error if `ffmpeg` failed.
-    fn ended(&mut self) -> Result<(), EvalError> {
-        let Some(pass) = self.pass.take() else {
+    /// Waits for `ffmpeg` at the end of its output; an error if it failed.
+    fn wait(&mut self) -> Result<(), EvalError> {
+        let Some(output) = self.output.take() else {
             return Ok(());
         };
-        let complaints = pass.complaints.join().unwrap_or_default();
+        let errors = output.errors.join().unwrap_or_default();
         let mut process = self.process.lock();
         let status = process.child.take().map(|mut child| child.wait());
         let reason = match status {
             Some(Ok(status)) if !status.success() && !process.stopped => {
-                if complaints.is_empty() {
+                if errors.is_empty() {
                     format!("it ended with {status}")
                 } else {
-                    complaints
+                    errors
                 }
             }
             Some(Err(error)) => error.to_string(),
@@ -185,10 +186,10 @@ impl Video {
     }
 }
 
-/// Rate and number of the frames of a file.
+/// Reads the frame rate of a file and, if known, its number of frames.
 fn probe(
     file: &str,
-    fallback: Option<f64>,
+    default_rate: Option<f64>,
     programs: &Ffmpeg,
 ) -> Result<(f64, Option<u64>), EvalError> {
     let mut command = Command::new(&programs.ffprobe);
@@ -200,7 +201,7 @@ fn probe(
     }
     let wrong = |what: String| EvalError::new(format!("{file}: {what}"));
     let probed: Probed = serde_json::from_slice(&probed.stdout)
-        .map_err(|error| wrong(format!("ffprobe's answer is not understood: {error}")))?;
+        .map_err(|error| wrong(format!("ffprobe's output cannot be read: {error}")))?;
     let Some(stream) = probed.streams.first() else {
         return Err(wrong("there is no video in it".to_owned()));
     };
@@ -208,7 +209,7 @@ fn probe(
         .into_iter()
         .flatten()
         .find_map(|text| rate(text))
-        .or(fallback)
+        .or(default_rate)
         .ok_or_else(|| wrong("ffprobe reports no frame rate; give one with --rate".to_owned()))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
     Ok((rate, frames))
@@ -228,16 +229,16 @@ fn unreadable(file: &str, reason: impl Display) -> EvalError {
     EvalError::new(format!("{file}: ffmpeg cannot read it: {reason}"))
 }
 
-/// Reads what a program says to its end, so that it never waits for a reader, and keeps the beginning.
-fn listen(mut errors: ChildStderr) -> String {
-    let mut said = Vec::new();
-    // What cannot be read is not there.
+/// Reads a program's error output to the end, so that the program never blocks, and keeps the beginning.
+fn read_errors(mut errors: ChildStderr) -> String {
+    let mut text = Vec::new();
+    // An error message is not worth an error of its own.
     let _ = errors
         .by_ref()
-        .take(LONGEST_COMPLAINT)
-        .read_to_end(&mut said);
+        .take(MAX_ERROR_OUTPUT_BYTES)
+        .read_to_end(&mut text);
     let _ = std::io::copy(&mut errors, &mut std::io::sink());
-    String::from_utf8_lossy(&said).trim().replace('\n', "; ")
+    String::from_utf8_lossy(&text).trim().replace('\n', "; ")
 }
 
 impl FrameSource for Video {
@@ -254,12 +255,12 @@ impl FrameSource for Video {
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
-        let Some(pass) = &mut self.pass else {
+        let Some(output) = &mut self.output else {
             return Ok(None);
         };
         let picture = match self.encoding {
-            VideoEncoding::Jpeg => read_part(&mut pass.output, MOST_BYTES),
-            VideoEncoding::Png => read_png(&mut pass.output, MOST_BYTES),
+            VideoEncoding::Jpeg => read_part(&mut output.pictures, MAX_PICTURE_BYTES),
+            VideoEncoding::Png => read_png(&mut output.pictures, MAX_PICTURE_BYTES),
         };
         match picture {
             Ok(Some(picture)) => picture_of_file(Bytes::from(picture), &FrameLimits::default())
@@ -267,15 +268,15 @@ impl FrameSource for Video {
                 .map_err(|fault| {
                     EvalError::new(format!("{}: a frame cannot be sent: {fault}", self.file))
                 }),
-            Ok(None) => self.ended().map(|()| None),
+            Ok(None) => self.wait().map(|()| None),
             Err(cut) => {
                 if self.process.lock().stopped {
                     return Ok(None);
                 }
                 // A failed ffmpeg explains a cut stream better than the cut does.
-                self.ended()?;
+                self.wait()?;
                 Err(EvalError::new(format!(
-                    "{}: ffmpeg's output is cut: {cut}",
+                    "{}: ffmpeg's output is incomplete: {cut}",
                     self.file
                 )))
             }
@@ -283,7 +284,7 @@ impl FrameSource for Video {
     }
 
     fn rewind(&mut self) -> Result<(), EvalError> {
-        self.pass = None;
+        self.output = None;
         let mut process = self.process.lock();
         process.end();
         if process.stopped {
@@ -301,14 +302,14 @@ impl FrameSource for Video {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // Ctrl-C in a terminal is for the owner, who ends it.
+            // Ctrl-C in a terminal must not reach ffmpeg: this program ends it.
             .process_group(0)
             .spawn()
             .map_err(|error| not_started(&self.programs.ffmpeg, error))?;
         if let (Some(output), Some(errors)) = (child.stdout.take(), child.stderr.take()) {
-            self.pass = Some(Pass {
-                output: BufReader::with_capacity(BUFFER, output),
-                complaints: std::thread::spawn(move || listen(errors)),
+            self.output = Some(FfmpegOutput {
+                pictures: BufReader::with_capacity(BUFFER, output),
+                errors: std::thread::spawn(move || read_errors(errors)),
             });
         }
         process.child = Some(child);

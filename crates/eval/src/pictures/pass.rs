@@ -1,6 +1,6 @@
-//! The one pass over a clip's pictures: what detector and screen say of every frame, and how long it took.
+//! Passes once over a clip's pictures: runs detector and screen on every frame and measures the time.
 
-use super::observer::{Observation, Observer};
+use super::model_runner::{ModelResults, ModelRunner};
 use crate::average_precision::ScoredBox;
 use crate::data::{Clip, LoadReport};
 use crate::error::EvalError;
@@ -12,49 +12,67 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Need;
 use albireo_vision::picture::Picture;
 
-/// What to keep of the pass.
+/// Settings of the pass: what to keep, and how many frames to process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PassSettings {
-    /// Whether to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
+    /// True to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
     pub keep_grey: bool,
-    /// Width of the small grey pictures to keep.
+    /// Width of the small grey pictures to keep; `None` to keep none.
     pub keep_small: Option<u32>,
-    /// Look at no more frames than this.
-    pub most_frames: Option<usize>,
+    /// The most frames to process; `None` for all.
+    pub max_frames: Option<usize>,
 }
 
-/// Milliseconds that each step took on one frame.
+impl PassSettings {
+    /// Keeps the grey pictures that `policies` need.
+    ///
+    /// # Errors
+    /// When a policy cannot be built.
+    pub fn for_policies(policies: &[PolicySpec]) -> Result<Self, EvalError> {
+        let mut settings = Self::default();
+        for policy in policies {
+            match build(policy)?.pictures() {
+                Some(Need::GreyPicture) => settings.keep_grey = true,
+                Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
+                _ => {}
+            }
+        }
+        Ok(settings)
+    }
+}
+
+/// The milliseconds that each step took on one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepTimes {
     /// Decoding to colour.
     pub decode: f64,
-    /// Letterbox, model and head.
+    /// The detector: letterbox, model and head.
     pub detector: f64,
     /// The screen; 0 without one.
     pub screen: f64,
-    /// Decoding to grey at half size; 0 where that is not kept.
+    /// Decoding to grey at half size; 0 if it is not kept.
     pub grey: f64,
-    /// Decoding to a small grey picture; 0 where that is not kept.
+    /// Decoding to a small grey picture; 0 if it is not kept.
     pub small: f64,
 }
 
-/// What the pass over a clip's pictures keeps beside detections and verdicts.
+/// The data that the pass over a clip's pictures keeps besides detections and verdicts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pass {
-    /// The grey picture of each frame at half size; empty when not kept.
+    /// The grey picture of each frame at half size; empty if not kept.
     pub grey: Vec<Picture>,
-    /// The small grey picture of each frame; empty when not kept.
+    /// The small grey picture of each frame; empty if not kept.
     pub small: Vec<Picture>,
-    /// The width that was asked for when these were made.
+    /// The width for which the small grey pictures were made.
     pub small_width: Option<u32>,
     /// The time of each step on each frame.
     pub times: Vec<StepTimes>,
 }
 
 impl Pass {
-    /// Milliseconds of each frame under a policy that looks at `pictures`: its decision as `records` has it, and the steps
-    /// that it asked for as they were measured in the pass. Screen and detector share one decoded picture; `screened` says
-    /// whether it was this clip's screen that answered.
+    /// Composes the milliseconds of each frame under a policy that needs `pictures`: its decision time from `records`, and
+    /// the times of its steps as measured in the pass. Screen and detector share one decoded picture; `screened` is true
+    /// if the clip's own screen gave the verdicts.
     pub(crate) fn frame_times(
         &self,
         records: &[FrameRecord],
@@ -80,30 +98,14 @@ impl Pass {
     }
 }
 
-/// What the pass has to keep for `policies`.
-///
-/// # Errors
-/// When one cannot be built.
-pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PassSettings, EvalError> {
-    let mut settings = PassSettings::default();
-    for policy in policies {
-        match build(policy)?.pictures() {
-            Some(Need::GreyPicture) => settings.keep_grey = true,
-            Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
-            _ => {}
-        }
-    }
-    Ok(settings)
-}
-
-/// Looks at every picture of `source`. What is left out goes to `report`; `seen` is called after each frame.
+/// Runs the models on every picture of `source`. `report` counts what is left out; `progress` is called after each frame.
 ///
 /// # Errors
 /// [`EvalError`] at the first frame that cannot be read or examined: frames would no longer be in step with
 /// their ground truth.
 pub fn collect(
     source: &mut dyn FrameSource,
-    observer: &mut Observer,
+    models: &mut ModelRunner,
     settings: &PassSettings,
     report: &mut LoadReport,
     progress: &mut dyn FnMut(),
@@ -114,33 +116,33 @@ pub fn collect(
     let mut verdicts = Vec::new();
     let (mut grey, mut small) = (Vec::new(), Vec::new());
     let mut times = Vec::new();
-    while settings.most_frames.is_none_or(|most| times.len() < most) {
+    while settings.max_frames.is_none_or(|most| times.len() < most) {
         let next = source.next()?;
         let Some(encoded) = next else { break };
         let frame = times.len();
         let first = *size.get_or_insert(encoded.size);
         if encoded.size != first {
             return Err(EvalError::new(format!(
-                "{name}, frame {frame}: the picture is {}, those before it are {first}: a clip has pictures of one size",
+                "{name}, frame {frame}: the picture is {}, those before it are {first}: all pictures of a clip must have the same size",
                 encoded.size
             )));
         }
-        let failed = |error: EvalError| error.of(format!("{name}, frame {frame}"));
-        let observed = observer.look(&encoded).map_err(failed)?;
-        let mut step = observed.times;
+        let failed = |error: EvalError| error.context(format!("{name}, frame {frame}"));
+        let results = models.run(&encoded).map_err(failed)?;
+        let mut step = results.times;
         if settings.keep_grey {
-            let (picture, time) = observer.grey(&encoded, Need::GreyPicture).map_err(failed)?;
+            let (picture, time) = models.grey(&encoded, Need::GreyPicture).map_err(failed)?;
             grey.push(picture);
             step.grey = time;
         }
         if let Some(width) = settings.keep_small {
             let need = Need::SmallGreyPicture { width };
-            let (picture, time) = observer.grey(&encoded, need).map_err(failed)?;
+            let (picture, time) = models.grey(&encoded, need).map_err(failed)?;
             small.push(picture);
             step.small = time;
         }
-        verdicts.push(observed.empty);
-        detections.push(stored(&observed, first, &name, frame, report));
+        verdicts.push(results.empty);
+        detections.push(stored(&results, first, &name, frame, report));
         times.push(step);
         progress();
     }
@@ -150,18 +152,18 @@ pub fn collect(
             "{name}: not a single frame came out of it"
         )));
     };
-    if observer.has_screen() {
-        let silent = verdicts.iter().filter(|verdict| verdict.is_none()).count();
-        if silent > 0 {
+    if models.has_screen() {
+        let missing = verdicts.iter().filter(|verdict| verdict.is_none()).count();
+        if missing > 0 {
             report.notes.push(format!(
-                "{name}: the screen could not say on {silent} frames"
+                "{name}: the screen gave no verdict on {missing} frames"
             ));
         }
     }
     Ok(Clip {
         frame_rate: Some(source.rate()),
         detections: Some(detections),
-        screen: observer.has_screen().then_some(verdicts),
+        screen: models.has_screen().then_some(verdicts),
         pass: Some(Pass {
             grey,
             small,
@@ -172,25 +174,25 @@ pub fn collect(
     })
 }
 
-/// The detections as they are stored, in pixels. The replay starts from these in the same process too, so
-/// that a run on files of `--save-detections` decides alike to the last bit.
+/// Converts detections to pixels, as they are stored. The replay in this process starts from these too, so that
+/// a run on the files of `--save-detections` decides the same to the last bit.
 fn stored(
-    observed: &Observation,
+    results: &ModelResults,
     picture: PictureSize,
     clip: &str,
     frame: usize,
     report: &mut LoadReport,
 ) -> Vec<ScoredBox> {
     let place = || format!("{clip}, frame {frame}");
-    for class in &observed.unmapped {
+    for class in &results.unmapped {
         report.leave_out_class(class, place);
     }
     let (width, height) = (f64::from(picture.width), f64::from(picture.height));
-    let mut kept = Vec::with_capacity(observed.detections.len());
-    for detection in &observed.detections {
+    let mut kept = Vec::with_capacity(results.detections.len());
+    for detection in &results.detections {
         let corners = detection.bounding_box.pixel_corners(picture);
-        // The detector cuts boxes at the picture's edge; the way through the normalised form may take them
-        // over it again by a rounding error.
+        // The detector cuts boxes at the picture's edge, but normalising them can move them beyond it again by a
+        // rounding error.
         let corners = Corners {
             x1: corners.x1.clamp(0.0, width),
             y1: corners.y1.clamp(0.0, height),

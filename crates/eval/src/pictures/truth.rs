@@ -1,12 +1,13 @@
-//! What a clip of pictures is judged against: ground truth from a file, or Vanilla's own output.
+//! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
 use crate::average_precision::ScoredBox;
 use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::error::EvalError;
+use albireo_core::geometry::PictureSize;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Layout of ground truth.
+/// The layout of ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum TruthFormat {
     /// JSON of BDD100K MOT (box_track_20), or any labels in the Scalabel form.
@@ -27,12 +28,12 @@ pub enum TruthFormat {
 pub struct GroundTruth {
     paths: Vec<PathBuf>,
     format: TruthFormat,
-    /// Paths whose report has been handed on.
+    /// Paths whose report has been added to the run's.
     reported: BTreeSet<PathBuf>,
 }
 
 impl GroundTruth {
-    /// Files or folders of one layout.
+    /// Takes files or folders of one layout.
     pub fn new(paths: Vec<PathBuf>, format: TruthFormat) -> Self {
         Self {
             paths,
@@ -41,10 +42,10 @@ impl GroundTruth {
         }
     }
 
-    /// Reads all files, to find out what is wrong before the pictures are looked at.
+    /// Reads all files, to find errors before the pictures are processed.
     ///
     /// # Errors
-    /// [`EvalError`] when one cannot be read, or none is for one of the clips `names`.
+    /// [`EvalError`] when one cannot be read, or none is for any of the clips `names`.
     pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
         let mut truths = Vec::new();
         for path in &self.paths {
@@ -63,12 +64,12 @@ impl GroundTruth {
         )))
     }
 
-    /// Gives `clip` its ground truth, if there is any: that of its name, or the only one there is when it is the only clip
-    /// (`alone`). `None` if there is none for it. What is left out goes to `report`.
+    /// Gives `clip` the ground truth of its name, if there is any, or the only one there is if it is the only clip
+    /// (`alone`). `report` counts what is left out.
     ///
     /// # Errors
-    /// [`EvalError`] when it cannot be read or is of other pictures.
-    pub fn of(
+    /// [`EvalError`] when it cannot be read or is for other pictures.
+    pub fn attach_to(
         &mut self,
         clip: &mut Clip,
         alone: bool,
@@ -90,7 +91,7 @@ impl GroundTruth {
                 let (clip, path) = (&clip.name, path.display());
                 EvalError::new(format!("{clip}: its ground truth ({path}) is for {what}"))
             };
-            // Only these say for how many frames they are; the others end with the last object.
+            // Only these layouts say how many frames they are for; the others end with the last object.
             let counted = matches!(
                 self.format,
                 TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
@@ -102,13 +103,13 @@ impl GroundTruth {
                     clip.frames
                 )));
             }
-            // KITTI's labels do not say their size; where it has no pictures either, the usual one is taken.
+            // KITTI's labels have no picture size; the reader assumes the usual one if there are no pictures.
             if found.picture != clip.picture && self.format != TruthFormat::Kitti {
                 let (truth, clip) = (found.picture, clip.picture);
                 return Err(wrong(format!("pictures of {truth}, the clip's are {clip}")));
             }
             truth.resize(clip.frames, Vec::new());
-            // The file's rows are counted once, however many clips are in it.
+            // A file's rows are counted once, even if it contains several clips.
             if first {
                 merge(report, read.report);
             }
@@ -118,11 +119,7 @@ impl GroundTruth {
         Ok(())
     }
 
-    fn read(
-        &self,
-        path: &std::path::Path,
-        picture: albireo_core::geometry::PictureSize,
-    ) -> Result<Clips, EvalError> {
+    fn read(&self, path: &Path, picture: PictureSize) -> Result<Clips, EvalError> {
         match self.format {
             TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
                 truth: Some(path),
@@ -138,7 +135,7 @@ impl GroundTruth {
     }
 }
 
-/// Adds what a reader of ground truth left out. Its notes are about detections, which it does not have.
+/// Adds the counts of a reader of ground truth. Its notes are about detections, which ground truth does not have.
 fn merge(report: &mut LoadReport, other: LoadReport) {
     for (reason, (count, place)) in other.left_out {
         report.left_out.entry(reason).or_insert((0, place)).0 += count;
@@ -149,7 +146,7 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
     report.reaching_outside += other.reaching_outside;
 }
 
-/// Vanilla's own output as truth: the clip's detections from `confidence` on. What it measures is how far a
+/// Returns Vanilla's own output as ground truth: the clip's detections from `confidence` on. It measures how far a
 /// policy departs from running the detector on every frame, not how right either is.
 pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<ScoredBox>> {
     let sure = |frame: &Vec<ScoredBox>| {

@@ -1,5 +1,6 @@
 use super::*;
 use crate::average_precision::ScoredBox;
+use crate::source::ScreenRule;
 use crate::spec::resolve;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
@@ -45,7 +46,8 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
 
 fn policies(asked: &[&str]) -> Vec<PolicySpec> {
     let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
-    resolve(&asked, &[], &PolicyConfig::default(), None, false).unwrap()
+    let base = PolicyConfig::default();
+    resolve(&asked, &[], &base, ScreenRule::Nonempty, false).unwrap()
 }
 
 fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {

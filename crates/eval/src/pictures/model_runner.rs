@@ -1,4 +1,4 @@
-//! Looks at one picture as a node does: decodes it, asks the detector and the screen, and takes the time of
+//! Processes a picture as a node does: decodes it, runs the detector and the screen, and measures the time of
 //! each step.
 
 use super::pass::StepTimes;
@@ -19,36 +19,36 @@ use tokio::runtime::Runtime;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
-/// What was seen in one picture.
+/// The results for one picture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Observation {
-    /// What the detector finds, best first, with the evaluation's class numbers.
+pub(super) struct ModelResults {
+    /// The detections, best first, with the evaluation's class numbers.
     pub detections: Vec<Detection>,
-    /// Class names of detections that are not evaluated.
+    /// The class names of detections whose class is not evaluated.
     pub unmapped: Vec<String>,
-    /// Whether the screen says that nothing is in view; `None` without a screen, or when it could not say.
+    /// True if the screen says that nothing is in view; `None` without a screen or if it gave no verdict.
     pub empty: Option<bool>,
     /// The time of each step.
     pub times: StepTimes,
 }
 
-/// A detector and perhaps a screen, ready to look at pictures one after the other.
-pub struct Observer {
+/// A detector and perhaps a screen, which process one picture after another.
+pub struct ModelRunner {
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
     /// For each class of the detector, its number in the evaluation.
     classes: Vec<Option<ClassId>>,
     limits: FrameLimits,
     picture: Arc<Picture>,
-    /// Dropped last: the handles' tasks run on it.
+    /// Declared last, so that it is dropped last: the handles' tasks run on it.
     runtime: Runtime,
 }
 
-impl Observer {
+impl ModelRunner {
     /// Loads the models and warms them up.
     ///
     /// # Errors
-    /// [`EvalError`] when one does not load or fit, or the detector has no class that is evaluated.
+    /// [`EvalError`] when a model cannot be loaded or used, or the detector has no class that is evaluated.
     pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, EvalError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -86,21 +86,21 @@ impl Observer {
         })
     }
 
-    /// Whether there is a screen to ask.
+    /// True if there is a screen.
     pub fn has_screen(&self) -> bool {
         self.screen.is_some()
     }
 
-    /// What runs the detector.
+    /// The detector's execution provider.
     pub fn provider(&self) -> ExecutionProvider {
         self.detector.provider()
     }
 
-    /// Looks at one picture.
+    /// Runs the models on a picture.
     ///
     /// # Errors
     /// [`EvalError`] when it cannot be decoded or the detector fails on it.
-    pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, EvalError> {
+    pub(super) fn run(&mut self, encoded: &EncodedPicture) -> Result<ModelResults, EvalError> {
         let mut times = StepTimes::default();
         let start = Instant::now();
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
@@ -144,7 +144,7 @@ impl Observer {
                 ),
             }
         }
-        Ok(Observation {
+        Ok(ModelResults {
             detections,
             unmapped,
             empty,
@@ -152,16 +152,11 @@ impl Observer {
         })
     }
 
-    /// The picture last looked at.
-    pub fn picture(&self) -> &Picture {
-        &self.picture
-    }
-
-    /// The picture in grey, as small as `need` has it, and the milliseconds that took.
+    /// Decodes the picture to grey in the size that `need` names; also returns the milliseconds that this took.
     ///
     /// # Errors
-    /// When it cannot be decoded or has no half.
-    pub(crate) fn grey(
+    /// When it cannot be decoded or is too small to be halved.
+    pub(super) fn grey(
         &self,
         encoded: &EncodedPicture,
         need: Need,

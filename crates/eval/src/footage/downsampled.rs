@@ -1,22 +1,22 @@
-//! Footage at a lower frame rate: some frames are taken, the others left out, as evenly as can be.
+//! Lowers the frame rate of footage by taking only some frames, as evenly spaced as possible.
 
 use super::source::{FrameSource, Stopper};
 use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 
-/// Which frames are taken of footage that is thinned from one frame rate to another.
+/// Selects the frames that are taken when the frame rate is lowered.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sieve {
-    /// Frames taken for each frame there is, 1 at most.
+struct FrameSelection {
+    /// The share of frames that are taken, at most 1.
     share: f64,
 }
 
-impl Sieve {
-    /// From `rate` frames per second to `wanted`; all of them if there are no more than that.
-    pub fn new(rate: f64, wanted: f64) -> Self {
+impl FrameSelection {
+    /// Lowers `rate` frames per second to `wanted`; takes all frames if there are no more than that.
+    fn new(rate: f64, wanted: f64) -> Self {
         let share = wanted / rate;
         Self {
-            // Written so that NaN takes them all.
+            // Written so that NaN takes all frames.
             share: if share > 0.0 && share < 1.0 {
                 share
             } else {
@@ -25,28 +25,28 @@ impl Sieve {
         }
     }
 
-    /// Whether frame `index` is taken, counted from the first one taken.
-    pub fn takes(&self, index: u64) -> bool {
-        // A product of 3 · 0.2 or the like must not fall short of the whole number that it is.
+    /// True if frame `index` is taken; frame 0 always is.
+    fn takes(&self, index: u64) -> bool {
+        // A rounding error must not put a product just below the whole number that it should be.
         let due = |index: u64| (index as f64 * self.share + 1e-9).floor();
         index == 0 || due(index) > due(index - 1)
     }
 }
 
 /// A source of which only some frames per second are taken.
-pub struct Thinned<'a> {
+pub struct Downsampled<'a> {
     source: &'a mut dyn FrameSource,
-    sieve: Sieve,
+    selection: FrameSelection,
     rate: f64,
     passed: u64,
 }
 
-impl<'a> Thinned<'a> {
+impl<'a> Downsampled<'a> {
     /// `source` at `rate` frames per second, or at its own if that is lower.
     pub fn new(source: &'a mut dyn FrameSource, rate: f64) -> Self {
         let own = source.rate();
         Self {
-            sieve: Sieve::new(own, rate),
+            selection: FrameSelection::new(own, rate),
             rate: own.min(rate),
             source,
             passed: 0,
@@ -54,7 +54,7 @@ impl<'a> Thinned<'a> {
     }
 }
 
-impl FrameSource for Thinned<'_> {
+impl FrameSource for Downsampled<'_> {
     fn name(&self) -> &str {
         self.source.name()
     }
@@ -65,7 +65,11 @@ impl FrameSource for Thinned<'_> {
 
     fn frames(&self) -> Option<u64> {
         let frames = self.source.frames()?;
-        Some((0..frames).filter(|index| self.sieve.takes(*index)).count() as u64)
+        Some(
+            (0..frames)
+                .filter(|index| self.selection.takes(*index))
+                .count() as u64,
+        )
     }
 
     fn clip(&self) -> Option<&str> {
@@ -79,7 +83,7 @@ impl FrameSource for Thinned<'_> {
             };
             let index = self.passed;
             self.passed += 1;
-            if self.sieve.takes(index) {
+            if self.selection.takes(index) {
                 return Ok(Some(picture));
             }
         }
@@ -101,18 +105,23 @@ mod tests {
     use crate::footage::Pictures;
     use std::path::Path;
 
-    fn taken(sieve: Sieve, frames: u64) -> Vec<u64> {
-        (0..frames).filter(|index| sieve.takes(*index)).collect()
+    fn taken(selection: FrameSelection, frames: u64) -> Vec<u64> {
+        (0..frames)
+            .filter(|index| selection.takes(*index))
+            .collect()
     }
 
     #[test]
     fn frames_are_taken_as_evenly_as_can_be() {
-        assert_eq!(taken(Sieve::new(25.0, 5.0), 20), [0, 5, 10, 15]);
-        assert_eq!(taken(Sieve::new(25.0, 10.0), 11), [0, 3, 5, 8, 10]);
-        assert_eq!(taken(Sieve::new(12.5, 25.0), 3), [0, 1, 2]);
-        assert_eq!(taken(Sieve::new(30_000.0 / 1001.0, 5.0), 300).len(), 50);
+        assert_eq!(taken(FrameSelection::new(25.0, 5.0), 20), [0, 5, 10, 15]);
+        assert_eq!(taken(FrameSelection::new(25.0, 10.0), 11), [0, 3, 5, 8, 10]);
+        assert_eq!(taken(FrameSelection::new(12.5, 25.0), 3), [0, 1, 2]);
+        assert_eq!(
+            taken(FrameSelection::new(30_000.0 / 1001.0, 5.0), 300).len(),
+            50
+        );
         for wanted in [1.0, 3.0, 7.0, 24.9] {
-            let frames = taken(Sieve::new(25.0, wanted), 2500);
+            let frames = taken(FrameSelection::new(25.0, wanted), 2500);
             let count = frames.len() as f64;
             assert!((count - 100.0 * wanted).abs() <= 1.0, "{wanted}: {count}");
             let gaps: Vec<_> = frames.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -122,19 +131,19 @@ mod tests {
     }
 
     #[test]
-    fn a_thinned_source_gives_the_pictures_between_which_the_others_lie() {
+    fn a_downsampled_source_gives_evenly_spaced_pictures() {
         let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
         let mut source = Pictures::of_archive(road, 10.0).unwrap();
         let pictures: Vec<_> = (0..5).map(|_| source.next().unwrap().unwrap()).collect();
         source.rewind().unwrap();
-        let mut thinned = Thinned::new(&mut source, 5.0);
-        assert_eq!(thinned.rate(), 5.0);
+        let mut downsampled = Downsampled::new(&mut source, 5.0);
+        assert_eq!(downsampled.rate(), 5.0);
         for _ in 0..2 {
             for index in [0, 2, 4] {
-                let picture = thinned.next().unwrap().unwrap();
+                let picture = downsampled.next().unwrap().unwrap();
                 assert_eq!(picture.bytes, pictures[index].bytes, "{index}");
             }
-            thinned.rewind().unwrap();
+            downsampled.rewind().unwrap();
         }
     }
 }
