@@ -14,7 +14,7 @@ use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Downsampled, Ffmpeg, FrameSource, Pictures, Video, VideoEncoding};
 use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, ModelRunner, Pass, PassSettings, StepTimes, against_vanilla, collect,
+    LOWEST_CONFIDENCE, ModelRunner, Pass, PassSettings, StepTimes, run_pass, vanilla_as_truth,
 };
 use albireo_eval::result::{ClipResult, Provenance};
 use albireo_eval::run::{Settings, run as evaluate};
@@ -74,7 +74,7 @@ fn look(source: &mut dyn FrameSource, detector: &DetectorConfig, screen: &Screen
         max_frames: None,
     };
     let mut report = LoadReport::default();
-    collect(source, &mut models, &keep, &mut report, &mut || ()).unwrap()
+    run_pass(source, &mut models, &keep, &mut report, &mut || ()).unwrap()
 }
 
 fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
@@ -120,7 +120,11 @@ fn assert_replays_alike(pictured: &Clip, confidence: f64) -> Vec<ClipResult> {
     assert_eq!(live.len(), replayed.len());
     for (live, replayed) in live.iter().zip(&replayed) {
         assert_eq!(live.policy, replayed.policy);
-        assert_eq!(live.sequence, replayed.sequence, "{}", live.policy);
+        assert_eq!(
+            live.states_by_frame, replayed.states_by_frame,
+            "{}",
+            live.policy
+        );
         assert_eq!(live.boxes, replayed.boxes, "{}", live.policy);
     }
     live
@@ -365,7 +369,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
         ..pictured.detections.as_ref().unwrap()[0][0]
     };
     pictured.detections.as_mut().unwrap()[0].push(unsure);
-    let truth = against_vanilla(&pictured, 0.5);
+    let truth = vanilla_as_truth(&pictured, 0.5);
     assert!(truth.iter().all(|frame| frame.len() == 1));
     pictured.truth = Some(truth);
     let policies = specs(&["vanilla"], ScreenRule::Nonempty);

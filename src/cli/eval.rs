@@ -8,7 +8,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, Profile};
 use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::conclusion::conclusion;
-use albireo_eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
+use albireo_eval::data::{DataSet, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::files;
 use albireo_eval::report::Report;
@@ -196,30 +196,30 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Runs all selected policies over `clips`, and reports the results.
-fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Result<()> {
+/// Runs all selected policies over the clips of `data`, and reports the results.
+fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Result<()> {
     anyhow::ensure!(
         (0.0..=1.0).contains(&arguments.confidence),
         "--confidence {} is not between 0 and 1",
         arguments.confidence
     );
-    let clips = clips.only_with_detections(path)?;
+    let data = data.only_with_detections(path)?;
     let policies = policies(arguments, false)?;
     let settings = settings(arguments)?;
-    for line in clips.report.lines() {
+    for line in data.report.lines() {
         eprintln!("{line}");
     }
-    let steps = clips.clips.len() * policies.len();
+    let steps = data.clips.len() * policies.len();
     let bar = progress::bar(Some(steps as u64), "clips x policies");
-    let results = run_policies(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
+    let results = run_policies(&data.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let streams = (streams_asked(arguments).into_iter())
-        .map(|stream| streams::run(&clips.clips, &policies, &settings, stream))
+        .map(|stream| streams::run(&data.clips, &policies, &settings, stream))
         .collect::<Result<Vec<_>, _>>()?;
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
         settings: listed(arguments),
-        data: clips.report,
+        data: data.report,
         policies: summary::summarise(&results),
         clips: results,
     };

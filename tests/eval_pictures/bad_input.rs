@@ -6,7 +6,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::error::EvalError;
 use albireo_eval::footage::FrameSource;
-use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat, collect};
+use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat, run_pass};
 use albireo_vision::picture::EncodedPicture;
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
@@ -107,7 +107,7 @@ fn a_video_without_a_frame_is_an_error_not_a_zero() {
     let mut models = ModelRunner::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();
     let keep = PassSettings::default();
-    let error = collect(&mut Nothing, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
+    let error = run_pass(&mut Nothing, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
     assert_says(&error.to_string(), &["nothing: not a single frame"]);
 }
 

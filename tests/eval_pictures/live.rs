@@ -172,7 +172,7 @@ pub(crate) fn assert_live_alike(
         for (policy, replayed) in policies.iter().zip(&replayed) {
             let mut decider = policy.config.build().unwrap();
             let (states, looked) = decided(&node, decider.as_mut(), &pictures).await;
-            assert_eq!(states, replayed.sequence, "{}", policy.label);
+            assert_eq!(states, replayed.states_by_frame, "{}", policy.label);
             forced += looked;
         }
         forced

@@ -1,6 +1,6 @@
 //! Reads data sets: clips with stored detections, ground truth, or both. Each layout has a module.
 //!
-//! Every reader returns [`Clips`]: the clips, and how many rows were left out for which reason. A
+//! Every reader returns [`DataSet`]: the clips, and how many rows were left out for which reason. A
 //! file that cannot be what it claims to be (missing, a row with the wrong number of columns, a frame
 //! number outside the clip) is an error that names file and line; a row that is well-formed but
 //! meaningless (an inverted box, a score that is not a number, a class outside the mapping) is left out,
@@ -74,7 +74,7 @@ impl Clip {
 
 /// The clips of a data set, and a report on reading them.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Clips {
+pub struct DataSet {
     /// The clips that can be evaluated.
     pub clips: Vec<Clip>,
     /// What was left out, and notes on the data.
@@ -235,7 +235,7 @@ pub(crate) struct LabelledBox<'a> {
     pub object: Option<u64>,
 }
 
-impl Clips {
+impl DataSet {
     /// Adds a clip and notes what it lacks; a clip without frames is only counted. The name is made unique and valid
     /// as a file name.
     pub(crate) fn push(&mut self, mut clip: Clip) {

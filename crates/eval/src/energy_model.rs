@@ -127,7 +127,7 @@ impl EnergyModel {
         let busy_s = self.time_ms.total(work) / 1e3;
         // A frame without an entry was not examined.
         let examined = (result.examined.iter().copied()).chain(std::iter::repeat(false));
-        let times = (result.sequence.iter().zip(examined))
+        let times = (result.states_by_frame.iter().zip(examined))
             .map(|(&state, examined)| self.time_ms.total(work_of(state, examined)))
             .collect();
         result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
@@ -186,7 +186,7 @@ mod tests {
         let replay = Replay::default();
         let mut result = ClipResult::from_replay("clip", "policy", &replay);
         result.frames = states.len();
-        result.sequence = states.to_vec();
+        result.states_by_frame = states.to_vec();
         for &state in states {
             result.states.count(state);
             result.detector_frames += usize::from(!state.is_skipped());

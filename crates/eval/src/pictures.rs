@@ -1,6 +1,6 @@
 //! Runs a real detector over pictures.
 //!
-//! One pass over a clip's pictures ([`collect`]) runs the detector, at a low confidence, and the
+//! One pass over a clip's pictures ([`run_pass`]) runs the detector, at a low confidence, and the
 //! empty-scene screen on every frame, and keeps their results and the time of each step. Every policy and
 //! threshold then replays that [`Clip`](crate::data::Clip), so a sweep over fifteen settings costs one pass.
 
@@ -9,8 +9,8 @@ mod pass;
 mod truth;
 
 pub use model_runner::ModelRunner;
-pub use pass::{Pass, PassSettings, StepTimes, collect};
-pub use truth::{GroundTruth, TruthFormat, against_vanilla};
+pub use pass::{Pass, PassSettings, StepTimes, run_pass};
+pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
 
 /// The pass keeps detections from this confidence on; a run may use any higher one.
 pub const LOWEST_CONFIDENCE: f64 = 0.05;

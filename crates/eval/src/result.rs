@@ -145,7 +145,7 @@ pub struct ClipResult {
     pub delay: f64,
     /// The state of each frame.
     #[serde(skip)]
-    pub sequence: Vec<FrameState>,
+    pub states_by_frame: Vec<FrameState>,
     /// One entry per frame: true if a grey picture was examined.
     #[serde(skip)]
     pub examined: Vec<bool>,
@@ -187,7 +187,7 @@ impl ClipResult {
             rejected_detections: replay.rejected_detections,
             boxes: replay.boxes.iter().map(Vec::len).sum(),
             decision_us: Spread::of(decisions.collect()),
-            sequence: frames.iter().map(|frame| frame.state).collect(),
+            states_by_frame: frames.iter().map(|frame| frame.state).collect(),
             examined: frames.iter().map(|frame| frame.examined).collect(),
             ..Self::default()
         }

@@ -203,7 +203,7 @@ fn run_policy(
             .all_detections()
             .iter()
             .map(|found| !found.is_empty());
-        let states = result.sequence.iter().zip(occupied);
+        let states = result.states_by_frame.iter().zip(occupied);
         let occupied = states.filter(|(_, occupied)| *occupied);
         result.occupied_frames = occupied.clone().count();
         result.false_empty_frames = occupied

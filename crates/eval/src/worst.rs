@@ -39,13 +39,13 @@ pub struct WorstFrame {
     /// The number of ground-truth objects that the detector finds (IoU 0.5) and the policy does not.
     pub lost: usize,
     /// Size of the picture.
-    pub picture: PictureSize,
+    pub size: PictureSize,
     /// The ground truth.
     pub truth: Vec<Corners>,
     /// The policy's boxes.
     pub found: Vec<Corners>,
     /// The frame's picture, if there is one.
-    pub shown: Option<FramePicture>,
+    pub picture: Option<FramePicture>,
 }
 
 /// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
@@ -74,7 +74,7 @@ pub fn attach_pictures(
         }
         let Some(picture) = source.next()? else { break };
         while let Some(worst) = wanted.next_if(|worst| worst.frame == frame) {
-            worst.shown = Some(FramePicture::Encoded(picture.clone()));
+            worst.picture = Some(FramePicture::Encoded(picture.clone()));
         }
     }
     Ok(())
@@ -116,12 +116,12 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             frame,
             state: replayed.frames[frame].state,
             lost: missed,
-            picture: clip.picture,
+            size: clip.picture,
             truth: truth[frame].iter().map(|truth| truth.corners).collect(),
             found: (replayed.boxes[frame].iter())
                 .map(|found| found.corners)
                 .collect(),
-            shown: clip.pictures.get(frame).cloned().map(FramePicture::File),
+            picture: clip.pictures.get(frame).cloned().map(FramePicture::File),
         });
     }
     kept

@@ -7,8 +7,8 @@ use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Downsampled, FrameSource, Pictures, SourceName, VideoEncoding};
 use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, ModelRunner, PassSettings, StepTimes, TruthFormat,
-    against_vanilla, collect,
+    GroundTruth, LOWEST_CONFIDENCE, ModelRunner, PassSettings, StepTimes, TruthFormat, run_pass,
+    vanilla_as_truth,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -221,7 +221,7 @@ impl<'a> Evaluation<'a> {
         }
         clip.pass = pass;
         if self.truth.is_none() {
-            clip.truth = Some(against_vanilla(&clip, self.settings.confidence));
+            clip.truth = Some(vanilla_as_truth(&clip, self.settings.confidence));
         } else if clip.truth.is_none() {
             let note = format!("{}: not in the ground truth, left out", clip.name);
             self.report.notes.push(note);
@@ -392,7 +392,7 @@ fn pass_over(
             total.map_or_else(|| "all".to_owned(), |total| total.to_string())
         );
     }
-    let pictured = collect(source, models, settings, report, &mut || bar.inc(1));
+    let pictured = run_pass(source, models, settings, report, &mut || bar.inc(1));
     bar.finish_and_clear();
     Ok(pictured?)
 }
@@ -440,7 +440,7 @@ fn screen_lines(results: &[ClipResult]) -> Vec<String> {
         let of = || results.iter().filter(|result| result.policy == policy);
         let frames: usize = of().map(|result| result.frames).sum();
         let empty: usize = of()
-            .flat_map(|result| &result.sequence)
+            .flat_map(|result| &result.states_by_frame)
             .filter(|state| **state == FrameState::E)
             .count();
         let occupied: usize = of().map(|result| result.occupied_frames).sum();

@@ -7,7 +7,7 @@
 
 use super::classes::from_name;
 use super::rows::MAX_FRAMES;
-use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension};
+use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension};
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
 use crate::files::read_text;
@@ -78,9 +78,9 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that occurs twice.
-pub fn read(source: &Source<'_>) -> Result<Clips, EvalError> {
-    let mut clips = Clips::default();
-    let (picture, report) = (source.picture, &mut clips.report);
+pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
+    let mut data = DataSet::default();
+    let (picture, report) = (source.picture, &mut data.report);
     let mut truths = source
         .truth
         .map(|path| read_videos(path, picture, false, report))
@@ -99,7 +99,7 @@ pub fn read(source: &Source<'_>) -> Result<Clips, EvalError> {
         let truth = truths.as_mut().and_then(|truths| truths.remove(&name));
         let detections = found.as_mut().and_then(|found| found.remove(&name));
         let frames = length(truth.as_ref()).max(length(detections.as_ref()));
-        clips.push(Clip {
+        data.push(Clip {
             frame_rate: source.frame_rate,
             detections: detections.map(|detections| spread(detections, frames)),
             truth: truth.map(|truth| spread(truth, frames)),
@@ -107,7 +107,7 @@ pub fn read(source: &Source<'_>) -> Result<Clips, EvalError> {
         });
     }
     let place = source.truth.or(source.detections).unwrap_or(Path::new("."));
-    clips.nonempty(place)
+    data.nonempty(place)
 }
 
 fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {

@@ -5,7 +5,7 @@
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 
 use super::classes::from_name;
-use super::{Clip, Clips, LabelledBox, LeftOut};
+use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
@@ -67,7 +67,7 @@ struct Video {
 /// # Errors
 /// [`EvalError`] for a missing or broken file, a box on an image that is not there, or pictures of
 /// different sizes within a clip.
-pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> {
+pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let names: HashMap<u64, &str> = set
         .categories
@@ -76,8 +76,8 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> 
         .collect();
     let has_truth = set.annotations.is_some();
     let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
-    let mut clips = Clips::default();
-    let report = &mut clips.report;
+    let mut data = DataSet::default();
+    let report = &mut data.report;
     let labelled = |annotation: &Annotation, confidence| {
         let name = names.get(&annotation.category_id).copied();
         let known = name.map_or(Err(LeftOut::UnmappedClass), from_name);
@@ -122,9 +122,9 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, EvalError> 
         }
     }
     for clip in drafts {
-        clips.push(clip);
+        data.push(clip);
     }
-    clips.nonempty(dataset)
+    data.nonempty(dataset)
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {

@@ -6,7 +6,7 @@
 
 use super::classes::from_kitti;
 use super::rows::{GONE, Row, Table};
-use super::{Clip, Clips, LabelledBox, LoadReport, entries, has_extension, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension, pictures_in};
 use crate::average_precision::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -22,7 +22,7 @@ const FRAME_RATE: f64 = 10.0;
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, EvalError> {
+pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let labels = folder.join("label_02");
     let files = entries(&labels, |path| has_extension(path, &["txt"])).map_err(|error| {
         EvalError::read(
@@ -31,13 +31,13 @@ pub fn read(folder: &Path) -> Result<Clips, EvalError> {
             "give the folder that contains label_02 with one file per sequence",
         )
     })?;
-    let mut clips = Clips::default();
+    let mut data = DataSet::default();
     for file in files {
         let name = file.file_stem().unwrap_or_default().to_string_lossy();
-        let clip = read_sequence(folder, &name, &mut clips.report)?;
-        clips.push(clip);
+        let clip = read_sequence(folder, &name, &mut data.report)?;
+        data.push(clip);
     }
-    clips.nonempty(folder)
+    data.nonempty(folder)
 }
 
 fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, EvalError> {

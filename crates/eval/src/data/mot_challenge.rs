@@ -7,7 +7,7 @@
 
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{GONE, Row, Table};
-use super::{Clip, Clips, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
 use crate::error::EvalError;
 use crate::files::read_text;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -19,7 +19,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, EvalError> {
+pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let is_sequence = |folder: &Path| folder.join("seqinfo.ini").exists();
     let folders = if is_sequence(folder) {
         vec![folder.to_owned()]
@@ -32,12 +32,12 @@ pub fn read(folder: &Path) -> Result<Clips, EvalError> {
             )
         })?
     };
-    let mut clips = Clips::default();
+    let mut data = DataSet::default();
     for folder in folders {
-        let clip = read_sequence(&folder, &mut clips.report)?;
-        clips.push(clip);
+        let clip = read_sequence(&folder, &mut data.report)?;
+        data.push(clip);
     }
-    clips.nonempty(folder)
+    data.nonempty(folder)
 }
 
 fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalError> {

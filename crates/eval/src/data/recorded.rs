@@ -12,7 +12,7 @@
 //! (`ground_truth_boxes`) must have the file. [`write`] writes the same layout.
 
 use super::rows::{Row, Table};
-use super::{Clip, Clips, LabelledBox, LoadReport};
+use super::{Clip, DataSet, LabelledBox, LoadReport};
 use crate::error::EvalError;
 use crate::files::{self, read_text};
 use albireo_core::detection::ClassId;
@@ -48,7 +48,7 @@ struct Entry {
 ///
 /// # Errors
 /// [`EvalError`] for a missing or broken file, with the line where there is one.
-pub fn read(folder: &Path) -> Result<Clips, EvalError> {
+pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let path = folder.join("sequences.json");
     let text = read_text(
         &path,
@@ -56,7 +56,7 @@ pub fn read(folder: &Path) -> Result<Clips, EvalError> {
     )?;
     let index: Index =
         serde_json::from_str(&text).map_err(|error| EvalError::json(&path, &error))?;
-    let mut clips = Clips::default();
+    let mut data = DataSet::default();
     let mut names = std::collections::BTreeSet::new();
     for entry in index.sequences {
         check(&entry, &path)?;
@@ -66,10 +66,10 @@ pub fn read(folder: &Path) -> Result<Clips, EvalError> {
                 format!("the sequence `{}` is listed twice", entry.name),
             ));
         }
-        let clip = read_sequence(folder, entry, &mut clips.report)?;
-        clips.push(clip);
+        let clip = read_sequence(folder, entry, &mut data.report)?;
+        data.push(clip);
     }
-    clips.nonempty(folder)
+    data.nonempty(folder)
 }
 
 fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {

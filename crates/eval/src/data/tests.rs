@@ -14,7 +14,7 @@ fn folder(files: &[(&str, &str)]) -> TempDir {
 }
 
 /// That `read` was refused with a sentence that has all of `parts`.
-fn assert_refused(read: Result<Clips, EvalError>, parts: &[&str]) {
+fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     let message = read.expect_err("it must be refused").to_string();
     for part in parts {
         assert!(message.contains(part), "{part} in {message}");
@@ -26,7 +26,7 @@ const INDEX: &str =
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
 
-fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Clips, EvalError> {
+fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<DataSet, EvalError> {
     let detections = rows.map(|rows| format!("{HEADER}{rows}"));
     let truth = truth.map(|rows| format!("{TRUTH_HEADER}{rows}"));
     let mut files = vec![("sequences.json", index)];
@@ -343,7 +343,7 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
 
 #[test]
 fn clips_of_one_name_get_different_names_fit_for_files() {
-    let mut clips = Clips::default();
+    let mut clips = DataSet::default();
     for name in ["a/b", "a-b", "..", "a-b"] {
         clips.push(Clip::new(name.to_owned(), PictureSize::new(10, 10), 1));
     }

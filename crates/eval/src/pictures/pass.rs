@@ -103,7 +103,7 @@ impl Pass {
 /// # Errors
 /// [`EvalError`] at the first frame that cannot be read or examined: frames would no longer be in step with
 /// their ground truth.
-pub fn collect(
+pub fn run_pass(
     source: &mut dyn FrameSource,
     models: &mut ModelRunner,
     settings: &PassSettings,

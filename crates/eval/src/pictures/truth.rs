@@ -1,7 +1,7 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
 use crate::average_precision::ScoredBox;
-use crate::data::{Clip, Clips, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
+use crate::data::{Clip, DataSet, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::error::EvalError;
 use albireo_core::geometry::PictureSize;
 use std::collections::BTreeSet;
@@ -49,8 +49,8 @@ impl GroundTruth {
     pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
         let mut truths = Vec::new();
         for path in &self.paths {
-            let clips = self.read(path, bdd100k::BDD100K_SIZE)?;
-            truths.extend(clips.clips.into_iter().map(|clip| clip.name));
+            let data = self.read(path, bdd100k::BDD100K_SIZE)?;
+            truths.extend(data.clips.into_iter().map(|clip| clip.name));
         }
         let alone = truths.len() == 1 && names.len() == 1;
         if alone || names.iter().any(|name| truths.contains(name)) {
@@ -119,7 +119,7 @@ impl GroundTruth {
         Ok(())
     }
 
-    fn read(&self, path: &Path, picture: PictureSize) -> Result<Clips, EvalError> {
+    fn read(&self, path: &Path, picture: PictureSize) -> Result<DataSet, EvalError> {
         match self.format {
             TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
                 truth: Some(path),
@@ -148,7 +148,7 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
 
 /// Returns Vanilla's own output as ground truth: the clip's detections from `confidence` on. It measures how far a
 /// policy departs from running the detector on every frame, not how right either is.
-pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<ScoredBox>> {
+pub fn vanilla_as_truth(clip: &Clip, confidence: f64) -> Vec<Vec<ScoredBox>> {
     let sure = |frame: &Vec<ScoredBox>| {
         let sure = frame.iter().filter(|found| found.confidence >= confidence);
         sure.copied().collect()

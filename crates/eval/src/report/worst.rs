@@ -26,7 +26,7 @@ pub(super) fn frames(results: &[ClipResult]) -> Markup {
             p.legend {
                 "Frames without the detector on which most objects were lost that it would have found: "
                 span.truth-word { "ground truth" } ", " span.found-word { "the policy's boxes" } "."
-                @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.shown.is_none()) {
+                @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.picture.is_none()) {
                     " The recording has detections and no pictures, so only boxes are drawn."
                 }
             }
@@ -68,7 +68,7 @@ fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a str, &'a Wo
 }
 
 fn picture(clip: &str, worst: &WorstFrame) -> Markup {
-    let (width, height) = (worst.picture.width, worst.picture.height);
+    let (width, height) = (worst.size.width, worst.size.height);
     // Lines are equally wide on pictures of all sizes.
     let stroke = f64::from(width) / 240.0;
     html! {
@@ -76,7 +76,7 @@ fn picture(clip: &str, worst: &WorstFrame) -> Markup {
             svg viewBox={ "0 0 " (width) " " (height) } role="img"
                 aria-label={ (worst.truth.len()) " objects, " (worst.found.len()) " boxes" } {
                 rect.ground width=(width) height=(height) {}
-                @if let Some(picture) = worst.shown.as_ref().and_then(data_uri) {
+                @if let Some(picture) = worst.picture.as_ref().and_then(data_uri) {
                     image href=(picture) width=(width) height=(height) {}
                 }
                 @for truth in &worst.truth { (rectangle("truth", truth, stroke)) }
@@ -137,17 +137,17 @@ mod tests {
             frame: 3,
             state: FrameState::P,
             lost: 1,
-            picture: PictureSize::new(16, 16),
+            size: PictureSize::new(16, 16),
             truth: vec![Corners::default()],
             found: Vec::new(),
-            shown: Some(FramePicture::File(file)),
+            picture: Some(FramePicture::File(file)),
         };
         let drawn = picture("a clip", &worst).into_string();
         let image = drawn
             .find("data:image/jpeg;base64,/9j/")
             .expect("the picture");
         assert!(image < drawn.find("class=\"truth\"").expect("the box"));
-        worst.shown = Some(FramePicture::File(folder.path().join("gone.jpg")));
+        worst.picture = Some(FramePicture::File(folder.path().join("gone.jpg")));
         let drawn = picture("a clip", &worst).into_string();
         assert!(!drawn.contains("<image") && drawn.contains("class=\"truth\""));
     }
