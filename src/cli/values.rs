@@ -4,16 +4,16 @@ use albireo_core::geometry::PictureSize;
 
 /// The fewest frames per second: one in 17 minutes. A period is computed from the rate, and a rate that means a period of
 /// a billion years is a typing error.
-pub(super) const LEAST: f64 = 0.001;
+pub(super) const MIN_RATE: f64 = 0.001;
 
 /// The most frames per second.
-pub(super) const MOST: f64 = 1000.0;
+pub(super) const MAX_RATE: f64 = 1000.0;
 
 /// Reads a number of frames per second.
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(rate) if (LEAST..=MOST).contains(&rate) => Ok(rate),
-        _ => Err(format!("must be a number from {LEAST} to {MOST}")),
+        Ok(rate) if (MIN_RATE..=MAX_RATE).contains(&rate) => Ok(rate),
+        _ => Err(format!("must be a number from {MIN_RATE} to {MAX_RATE}")),
     }
 }
 

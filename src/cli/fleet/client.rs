@@ -11,7 +11,7 @@ use std::time::Duration;
 /// How long a plain answer may take.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
 /// The longest line of a stream.
-const LONGEST_LINE: usize = 1 << 20;
+const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// A hub, or a node.
 pub(in crate::cli) struct Client {
@@ -134,8 +134,8 @@ impl Client {
                     serde_json::from_slice(&text).context("a line of the answer cannot be read")?,
                 )?;
             }
-            if unread.len() > LONGEST_LINE {
-                bail!("a line of the answer is longer than {LONGEST_LINE} bytes");
+            if unread.len() > MAX_LINE_BYTES {
+                bail!("a line of the answer is longer than {MAX_LINE_BYTES} bytes");
             }
         }
         Ok(())

@@ -13,7 +13,7 @@ use std::time::Duration;
 /// The number of nodes per page.
 const PAGE: usize = 500;
 /// The most nodes that are listed.
-const MOST: usize = 200_000;
+const MAX_NODES: usize = 200_000;
 /// From this many seconds on, a period of `energy` begins with a day (UTC).
 const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
 const DAY_MS: i64 = 86_400_000;
@@ -87,7 +87,7 @@ async fn nodes(
     limit: usize,
 ) -> anyhow::Result<Vec<NodeView>> {
     let mut found: Vec<NodeView> = Vec::new();
-    while found.len() < limit.min(MOST) {
+    while found.len() < limit.min(MAX_NODES) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
         query.push(("sort", sort.to_owned()));
         // The worst, the last heard and the most waiting first.

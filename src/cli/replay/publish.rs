@@ -58,7 +58,7 @@ fn parse_rate(text: &str) -> Result<Rate, String> {
         return Ok(Rate::Unpaced);
     }
     values::parse_rate(text).map(Rate::PerSecond).map_err(|_| {
-        let (least, most) = (values::LEAST, values::MOST);
+        let (least, most) = (values::MIN_RATE, values::MAX_RATE);
         format!("must be `max` or a number from {least} to {most}")
     })
 }
