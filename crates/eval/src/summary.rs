@@ -173,11 +173,8 @@ fn summarise_policy(
             .collect(),
         decision_us: over(&|result| result.decision_us.map(|spread| spread.mean)),
         frame_time_ms: results.first().and_then(|first| {
-            let provenance = first.frame_time?.provenance;
-            Some((
-                over(&|result| Some(result.frame_time?.milliseconds.mean))?,
-                provenance,
-            ))
+            let mean = over(&|result| Some(result.frame_time?.milliseconds.mean))?;
+            Some((mean, first.frame_time?.provenance))
         }),
         energy: results.first().and_then(|first| first.energy).map(|_| {
             let mean = |figure: fn(Energy) -> f64| all(&|result| result.energy.map_or(0.0, figure));
