@@ -109,6 +109,11 @@ mod tests {
         Metadata::new([("names".to_owned(), names.to_owned())])
     }
 
+    fn refused(given: Option<&ClassNames>, metadata: &Metadata, classes: usize) -> String {
+        let refused = read(given, metadata, HeadName::Yolo, Some(classes));
+        refused.unwrap_err().to_string()
+    }
+
     fn file_with(text: &str) -> (tempfile::NamedTempFile, ClassNames) {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text.as_bytes()).unwrap();
@@ -126,13 +131,16 @@ mod tests {
         let categories = names(Detr, Some(91)).unwrap();
         assert_eq!(categories.len(), 91);
         // Category numbers from the annotation files of COCO 2017.
-        for (number, name) in [(1, "person"), (3, "car"), (13, "stop sign"), (18, "dog")] {
+        for (number, name) in [
+            (0, ""),
+            (1, "person"),
+            (3, "car"),
+            (13, "stop sign"),
+            (18, "dog"),
+            (90, "toothbrush"),
+        ] {
             assert_eq!(categories[number], name);
         }
-        assert_eq!(
-            (categories[0].as_str(), categories[90].as_str()),
-            ("", "toothbrush")
-        );
         for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {
             let error = names(head, classes).unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
@@ -143,23 +151,16 @@ mod tests {
     fn what_is_given_comes_before_the_metadata_and_these_before_the_own_list() {
         let (head, classes) = (HeadName::Yolo, Some(2));
         let metadata = metadata("{0: 'car', 1: 'bus'}");
-        assert_eq!(
-            read(None, &metadata, head, classes).unwrap(),
-            ["car", "bus"]
-        );
+        let read = |given| read(given, &metadata, head, classes).unwrap();
+        assert_eq!(read(None), ["car", "bus"]);
         let list = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
-        assert_eq!(
-            read(Some(&list), &metadata, head, classes).unwrap(),
-            ["Auto", "Bus"]
-        );
+        assert_eq!(read(Some(&list)), ["Auto", "Bus"]);
     }
 
     #[test]
     fn the_number_of_names_must_be_that_of_the_classes() {
         let metadata = metadata("{0: 'car', 1: 'bus'}");
-        let error = read(None, &metadata, HeadName::Yolo, Some(3))
-            .unwrap_err()
-            .to_string();
+        let error = refused(None, &metadata, 3);
         assert!(
             error.contains("3 classes") && error.contains("2 names"),
             "{error}"
@@ -181,25 +182,19 @@ mod tests {
     fn a_gap_or_an_empty_file_is_an_error_that_names_the_file() {
         for text in ["", "car\n\nbus\n"] {
             let (file, names) = file_with(text);
-            let (head, classes) = (HeadName::Yolo, Some(3));
-            let error = read(Some(&names), &Metadata::default(), head, classes)
-                .unwrap_err()
-                .to_string();
+            let error = refused(Some(&names), &Metadata::default(), 3);
             assert!(error.contains("detector.class_names"), "{error}");
-            assert!(
-                error.contains(&file.path().display().to_string()),
-                "{error}"
-            );
+            let path = file.path().display().to_string();
+            assert!(error.contains(&path), "{error}");
         }
     }
 
     #[test]
     fn names_in_the_metadata_that_cannot_be_read_are_an_error_unless_others_are_given() {
-        let (head, classes) = (HeadName::Yolo, Some(1));
         let broken = metadata("{0: car}");
-        let error = read(None, &broken, head, classes).unwrap_err().to_string();
+        let error = refused(None, &broken, 1);
         assert!(error.contains("metadata"), "{error}");
         let list = ClassNames::List(vec!["car".to_owned()]);
-        assert!(read(Some(&list), &broken, head, classes).is_ok());
+        assert!(read(Some(&list), &broken, HeadName::Yolo, Some(1)).is_ok());
     }
 }

@@ -59,10 +59,8 @@ mod tests {
                 empty
             })
             .collect();
-        assert_eq!(
-            limited,
-            [true, true, true, false, true, true, true, false, true]
-        );
+        let expected = [true, true, true, false, true, true, true, false, true];
+        assert_eq!(limited, expected);
         assert_eq!(overruled, 2);
     }
 

@@ -170,11 +170,8 @@ impl Stage {
 
     /// The cameras of the next run.
     async fn next_run(&mut self) -> Vec<usize> {
-        let cameras = self.started.recv().await.unwrap();
-        cameras
-            .into_iter()
-            .map(|CameraSlot(camera)| camera)
-            .collect()
+        let cameras = self.started.recv().await.unwrap().into_iter();
+        cameras.map(|CameraSlot(camera)| camera).collect()
     }
 
     /// Asks and waits until the model has the picture.
@@ -188,14 +185,33 @@ impl Stage {
         self.steps.send(step).unwrap();
     }
 
+    /// Asks for a picture of camera 0 and ends its run; what the caller gets.
+    async fn run(&mut self, step: Step) -> Result<Answer<CameraSlot>, InferenceError> {
+        let asked = self.begin(0).await;
+        self.end(step);
+        asked.await.unwrap()
+    }
+
+    /// As [`run`](Self::run), of a run that costs the model; the error that the caller gets.
+    async fn fail(&mut self, step: Step) -> InferenceError {
+        let error = self.run(step).await.unwrap_err();
+        self.ended.recv().await.unwrap();
+        error
+    }
+
+    /// Stops the worker in a task of its own.
+    fn stop(&self) -> tokio::task::JoinHandle<()> {
+        let worker = self.worker.clone();
+        tokio::spawn(async move { worker.stop().await })
+    }
+
     fn counts(&self) -> WorkerCounts {
         self.worker.meter.read()
     }
 
     async fn until_waiting(&self, pictures: u64) {
-        while self.counts().waiting != pictures {
-            tokio::task::yield_now().await;
-        }
+        self.until_counted(|counts| counts.waiting == pictures)
+            .await;
     }
 
     async fn until_ready(&self) {
@@ -210,6 +226,11 @@ impl Stage {
             DetectorStatus::Degraded { reason, .. } => reason.clone(),
             other => panic!("{other:?}"),
         }
+    }
+
+    async fn until_rebuilds_failed(&self, times: u64) {
+        let counted = |counts: WorkerCounts| counts.rebuilds_failed == times;
+        self.until_counted(counted).await;
     }
 
     async fn until_counted(&self, fits: impl Fn(WorkerCounts) -> bool) {
@@ -308,15 +329,13 @@ async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() 
     pass(TIMEOUT).await;
     late.await.unwrap().unwrap_err();
     stage.end(Step::Fail);
-    stage.ended.recv().await.unwrap();
-    settle().await;
+    // The task has heard of it, and its pause has begun.
+    stage.until_counted(|counts| counts.failed == 1).await;
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
     let counts = stage.counts();
-    assert_eq!(
-        (counts.timed_out, counts.failed, counts.rebuilds),
-        (1, 1, 1)
-    );
+    assert_eq!((counts.timed_out, counts.rebuilds), (1, 1));
+    assert_eq!(stage.ended.recv().await, Some(()));
 }
 
 #[tokio::test(start_paused = true)]
@@ -346,9 +365,7 @@ async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
 #[tokio::test(start_paused = true)]
 async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
     let mut stage = stage(settings()).await;
-    let nonsense = stage.begin(0).await;
-    stage.end(Step::Implausible);
-    let error = nonsense.await.unwrap().unwrap_err();
+    let error = stage.run(Step::Implausible).await.unwrap_err();
     assert_eq!(
         error,
         InferenceError::Implausible("scripted nonsense".to_owned())
@@ -361,9 +378,7 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
         }
     );
     assert!(stage.worker.accepts().is_ok());
-    let good = stage.begin(0).await;
-    stage.end(Step::Answer);
-    good.await.unwrap().unwrap();
+    stage.run(Step::Answer).await.unwrap();
     assert!(matches!(
         *stage.worker.status.borrow(),
         DetectorStatus::Ready { .. }
@@ -378,50 +393,37 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
 #[tokio::test(start_paused = true)]
 async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let mut stage = stage(settings()).await;
-    let failing = stage.begin(0).await;
-    stage.end(Step::Fail);
-    let error = failing.await.unwrap().unwrap_err();
+    let error = stage.fail(Step::Fail).await;
     assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
     // The status is set before the answer goes out.
     assert!(matches!(
         *stage.worker.status.borrow(),
         DetectorStatus::Degraded { .. }
     ));
-    stage.ended.recv().await.unwrap();
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
 
-    let panicking = stage.begin(0).await;
-    stage.end(Step::Panic);
-    let error = panicking.await.unwrap().unwrap_err();
+    let error = stage.fail(Step::Panic).await;
     assert_eq!(error, InferenceError::Panicked("scripted panic".to_owned()));
-    stage.ended.recv().await.unwrap();
     pass(Duration::from_millis(200)).await;
     stage.until_ready().await;
 
-    let good = stage.begin(0).await;
-    stage.end(Step::Answer);
-    good.await.unwrap().unwrap();
-    let counters = stage.counts();
-    assert_eq!(
-        counters,
-        WorkerCounts {
-            completed: 1,
-            batches: 1,
-            failed: 1,
-            panicked: 1,
-            rebuilds: 2,
-            ..WorkerCounts::default()
-        }
-    );
+    stage.run(Step::Answer).await.unwrap();
+    let expected = WorkerCounts {
+        completed: 1,
+        batches: 1,
+        failed: 1,
+        panicked: 1,
+        rebuilds: 2,
+        ..WorkerCounts::default()
+    };
+    assert_eq!(stage.counts(), expected);
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_model_that_does_not_answer_every_picture_counts_as_failed() {
     let mut stage = stage(settings()).await;
-    let failing = stage.begin(0).await;
-    stage.end(Step::AnswerTooFew);
-    let error = failing.await.unwrap().unwrap_err().to_string();
+    let error = stage.run(Step::AnswerTooFew).await.unwrap_err().to_string();
     assert!(error.contains("answered 0 of 1"), "{error}");
     assert_eq!(stage.counts().failed, 1);
 }
@@ -473,14 +475,7 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
         assert_eq!(stage.next_run().await, [camera]);
         stage.end(Step::Answer);
         let queued = asked.await.unwrap().unwrap().queued;
-        assert_eq!(
-            queued,
-            if camera == 1 {
-                BATCH_WAIT
-            } else {
-                Duration::ZERO
-            }
-        );
+        assert_eq!(queued, BATCH_WAIT * camera as u32);
     }
     // Complete before the time is over.
     let one = stage.ask(1);
@@ -537,9 +532,7 @@ async fn a_batch_that_fails_or_hangs_is_answered_to_all_who_share_it() {
 #[tokio::test(start_paused = true)]
 async fn stopping_ends_the_wait_for_a_batch() {
     let mut stage = stage(in_threes()).await;
-    let first = stage.begin(0).await;
-    stage.end(Step::Answer);
-    first.await.unwrap().unwrap();
+    stage.run(Step::Answer).await.unwrap();
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     stage.worker.stop().await;
@@ -553,20 +546,14 @@ async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
     let longest = [(30_000, false), (30_000, false), (100, true), (200, false)];
     for (rebuilds, (pause, good_run_before)) in (1..).zip(doubling.chain(longest)) {
         if good_run_before {
-            let good = stage.begin(0).await;
-            stage.end(Step::Answer);
-            good.await.unwrap().unwrap();
+            stage.run(Step::Answer).await.unwrap();
         }
-        let failing = stage.begin(0).await;
-        stage.end(Step::Fail);
-        failing.await.unwrap().unwrap_err();
-        stage.ended.recv().await.unwrap();
-        settle().await;
+        stage.fail(Step::Fail).await;
         pass(Duration::from_millis(pause - 1)).await;
         assert_eq!(stage.counts().rebuilds, rebuilds - 1, "pause {pause}");
         pass(Duration::from_millis(1)).await;
         stage
-            .until_counted(|counters| counters.rebuilds == rebuilds)
+            .until_counted(|counts| counts.rebuilds == rebuilds)
             .await;
         stage.until_ready().await;
     }
@@ -576,16 +563,10 @@ async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
 async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why() {
     let mut stage = stage(settings()).await;
     stage.failing_builds.store(2, Ordering::SeqCst);
-    let failing = stage.begin(0).await;
-    stage.end(Step::Fail);
-    failing.await.unwrap().unwrap_err();
-    stage.ended.recv().await.unwrap();
+    stage.fail(Step::Fail).await;
     for (pause, failed) in [(100, 1), (200, 2)] {
         pass(Duration::from_millis(pause)).await;
-        stage
-            .until_counted(|counters| counters.rebuilds_failed == failed)
-            .await;
-        settle().await;
+        stage.until_rebuilds_failed(failed).await;
         let reason = stage.until_degraded().await;
         assert!(reason.contains("scripted build failure"), "{reason}");
     }
@@ -598,15 +579,9 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
 async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back() {
     let mut stage = stage(settings()).await;
     stage.facts.store(8, Ordering::SeqCst);
-    let failing = stage.begin(0).await;
-    stage.end(Step::Fail);
-    failing.await.unwrap().unwrap_err();
-    stage.ended.recv().await.unwrap();
+    stage.fail(Step::Fail).await;
     pass(Duration::from_millis(100)).await;
-    stage
-        .until_counted(|counters| counters.rebuilds_failed == 1)
-        .await;
-    settle().await;
+    stage.until_rebuilds_failed(1).await;
     let reason = stage.until_degraded().await;
     assert!(reason.contains("than when the program started"), "{reason}");
     stage.facts.store(7, Ordering::SeqCst);
@@ -621,10 +596,7 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
     let in_hand = stage.begin(0).await;
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
-    let stopping = {
-        let worker = stage.worker.clone();
-        tokio::spawn(async move { worker.stop().await })
-    };
+    let stopping = stage.stop();
     assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
     assert_eq!(
         stage.ask(2).await.unwrap().unwrap_err(),
@@ -642,10 +614,7 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
 async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
-    let stopping = {
-        let worker = stage.worker.clone();
-        tokio::spawn(async move { worker.stop().await })
-    };
+    let stopping = stage.stop();
     pass(TIMEOUT).await;
     stopping.await.unwrap();
     assert!(matches!(

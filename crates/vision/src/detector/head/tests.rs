@@ -19,10 +19,7 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
 fn signature(input: &[i64], outputs: &[(&str, &[i64])]) -> Signature {
     Signature {
         inputs: vec![spec("images", input)],
-        outputs: outputs
-            .iter()
-            .map(|(name, shape)| spec(name, shape))
-            .collect(),
+        outputs: outputs.iter().map(|one| spec(one.0, one.1)).collect(),
         metadata: Metadata::default(),
     }
 }
@@ -32,7 +29,7 @@ fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
         metadata: Metadata::new(
             entries
                 .iter()
-                .map(|&(key, value)| (key.to_owned(), value.to_owned())),
+                .map(|pair| (pair.0.to_owned(), pair.1.to_owned())),
         ),
         ..signature
     }
@@ -50,6 +47,7 @@ type Shapes = Vec<Vec<i64>>;
 /// which does not know, and an input of 64x32.
 fn heads() -> Vec<(Head, Shapes)> {
     let input = [1, 3, 32, 64];
+    let detr: [(&str, &[i64]); 2] = [("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])];
     let one = |name, shape: &[i64]| {
         let head = bound(name, &input, &[("output", shape)]);
         (head, vec![shape.to_vec()])
@@ -60,12 +58,8 @@ fn heads() -> Vec<(Head, Shapes)> {
         one(HeadName::Yolox, &[1, 42, 7]),
         one(HeadName::FastestDet, &[1, 7, 2, 4]),
         (
-            bound(
-                HeadName::Detr,
-                &input,
-                &[("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])],
-            ),
-            vec![vec![1, 4, 2], vec![1, 4, 4]],
+            bound(HeadName::Detr, &input, &detr),
+            detr.map(|(_, shape)| shape.to_vec()).to_vec(),
         ),
     ]
 }
@@ -78,6 +72,12 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     let mut candidates = Vec::new();
     let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
     (rejected, candidates)
+}
+
+/// What a head finds in its only output, of that shape, of a picture of 64x32.
+fn read_one(name: HeadName, shape: &[i64], values: &[f32]) -> (u64, Vec<Candidate>) {
+    let head = bound(name, &[1, 3, 32, 64], &[("output", shape)]);
+    read(&head, &[(shape, values)])
 }
 
 #[track_caller]
@@ -116,11 +116,6 @@ fn columns<const ROW: usize>(count: usize, given: &[(usize, [f32; ROW])]) -> Vec
 
 #[test]
 fn yolo_reads_columns_of_centre_size_and_scores() {
-    let head = bound(
-        HeadName::Yolo,
-        &[1, 3, 640, 640],
-        &[("output0", &[1, 6, 8400])],
-    );
     let output = columns(
         8400,
         &[
@@ -136,7 +131,9 @@ fn yolo_reads_columns_of_centre_size_and_scores() {
             (74, [10.0, 20.0, f32::INFINITY, 8.0, 0.6, 0.1]),
         ],
     );
-    let (rejected, found) = read(&head, &[(&[1, 6, 8400], &output)]);
+    let shape = [1, 6, 8400];
+    let head = bound(HeadName::Yolo, &[1, 3, 640, 640], &[("output0", &shape)]);
+    let (rejected, found) = read(&head, &[(&shape, &output)]);
     assert_eq!(rejected, 5);
     assert_candidates(
         &found,
@@ -149,11 +146,6 @@ fn yolo_reads_columns_of_centre_size_and_scores() {
 
 #[test]
 fn end_to_end_reads_corners_score_and_class() {
-    let head = bound(
-        HeadName::EndToEnd,
-        &[1, 3, 32, 64],
-        &[("output0", &[1, 300, 6])],
-    );
     let output = rows(
         300,
         &[
@@ -168,20 +160,17 @@ fn end_to_end_reads_corners_score_and_class() {
             (8, [1.0, 2.0, 30.0, 20.0, f32::NAN, 0.0]),
         ],
     );
-    let (rejected, found) = read(&head, &[(&[1, 300, 6], &output)]);
+    let (rejected, found) = read_one(HeadName::EndToEnd, &[1, 300, 6], &output);
     assert_eq!(rejected, 6);
     let corners = [1.0, 2.0, 30.0, 20.0];
     assert_candidates(&found, &[(corners, 79, 0.9), (corners, 0, 0.8)]);
-    assert!(!head.overlaps);
 }
 
 #[test]
 fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
-    let head = bound(
-        HeadName::EndToEnd,
-        &[1, 3, 32, 64],
-        &[("output0", &[-1, -1, 6])],
-    );
+    let outputs: [(&str, &[i64]); 1] = [("output0", &[-1, -1, 6])];
+    let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &outputs);
+    assert!(!head.overlaps);
     for boxes in [0, 1, 7] {
         let output = vec![0.0; boxes * 6];
         let shape = [1, boxes as i64, 6];
@@ -222,21 +211,16 @@ fn detr_keeps_as_many_pairs_as_there_are_queries_and_counts_queries_that_are_not
     let (_, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
     let classes: Vec<_> = found.iter().map(|found| found.class.0).collect();
     assert_eq!(classes, [2, 1]);
-    let broken = [1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0];
-    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &broken)]);
-    assert_eq!((rejected, found.len()), (1, 2));
-    let boxes = [[0.5, 0.5, f32::NAN, 1.0], whole].concat();
-    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
-    assert_eq!((rejected, found.len()), (1, 2));
+    let no_logit = [1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0];
+    let no_box = [[0.5, 0.5, f32::NAN, 1.0], whole].concat();
+    for (boxes, logits) in [(&boxes, &no_logit), (&no_box, &logits)] {
+        let (rejected, found) = read(&head, &[(shapes[0], boxes), (shapes[1], logits)]);
+        assert_eq!((rejected, found.len()), (1, 2));
+    }
 }
 
 #[test]
 fn fastestdet_decodes_its_cells_by_channel() {
-    let head = bound(
-        HeadName::FastestDet,
-        &[1, 3, 32, 64],
-        &[("758", &[1, 7, 2, 4])],
-    );
     let output = columns(
         8,
         &[
@@ -248,7 +232,7 @@ fn fastestdet_decodes_its_cells_by_channel() {
             (4, [0.9, 0.0, 0.0, 0.0, 0.0, 0.9, f32::NAN]),
         ],
     );
-    let (rejected, found) = read(&head, &[(&[1, 7, 2, 4], &output)]);
+    let (rejected, found) = read_one(HeadName::FastestDet, &[1, 7, 2, 4], &output);
     assert_eq!(rejected, 2);
     let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
     assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
@@ -271,8 +255,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
             (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
         ],
     );
-    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
+    let (rejected, found) = read_one(HeadName::Yolox, &[1, 42, 7], &output);
     assert_eq!(rejected, 0);
     assert_candidates(
         &found,
@@ -306,8 +289,7 @@ fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
             (8, good),
         ],
     );
-    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
+    let (rejected, found) = read_one(HeadName::Yolox, &[1, 42, 7], &output);
     assert_eq!((rejected, found.len()), (8, 1));
 }
 
@@ -347,6 +329,15 @@ fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
     }
 }
 
+/// Outputs of these shapes, each with the first of these numbers.
+fn views<'a>(shapes: &'a [Vec<i64>], numbers: &'a [f32]) -> Vec<TensorView<'a>> {
+    let view = |shape: &'a Vec<i64>| TensorView {
+        shape,
+        values: &numbers[..shape.iter().product::<i64>() as usize],
+    };
+    shapes.iter().map(view).collect()
+}
+
 fn any_number() -> impl Strategy<Value = f32> {
     prop_oneof![
         6 => 0.0_f32..1.0,
@@ -364,13 +355,7 @@ proptest! {
     ) {
         for (head, shapes) in heads() {
             let mut candidates = Vec::new();
-            let views: Vec<_> = shapes
-                .iter()
-                .map(|shape| TensorView {
-                    shape,
-                    values: &numbers[..shape.iter().product::<i64>() as usize],
-                })
-                .collect();
+            let views = views(&shapes, &numbers);
             let rejected = head.read(&views, confidence, &mut candidates).unwrap();
             let rows = if head.name == HeadName::Detr { 8 } else { 42 };
             prop_assert!(rejected as usize + candidates.len() <= rows);
@@ -394,13 +379,7 @@ proptest! {
     ) {
         let (low, high) = (low.min(high), low.max(high));
         for (head, shapes) in heads() {
-            let views: Vec<_> = shapes
-                .iter()
-                .map(|shape| TensorView {
-                    shape,
-                    values: &numbers[..shape.iter().product::<i64>() as usize],
-                })
-                .collect();
+            let views = views(&shapes, &numbers);
             let (mut many, mut few) = (Vec::new(), Vec::new());
             head.read(&views, low, &mut many).unwrap();
             head.read(&views, high, &mut few).unwrap();

@@ -12,11 +12,7 @@ const LOST: &str = "Status Message: CUDA failure 719: unspecified launch failure
 impl Stage {
     /// A run that fails with `reason`; returns the error that the caller gets.
     async fn fail_with(&mut self, reason: &'static str) -> String {
-        let failing = self.begin(0).await;
-        self.end(Step::FailWith(reason));
-        let error = failing.await.unwrap().unwrap_err();
-        self.ended.recv().await.unwrap();
-        error.to_string()
+        self.fail(Step::FailWith(reason)).await.to_string()
     }
 
     async fn until_lost(&self) -> String {
@@ -39,7 +35,7 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
         assert!(status.contains("CUDA failure 2: out of memory"), "{status}");
         pass(Duration::from_millis(pause)).await;
         stage
-            .until_counted(|counters| counters.rebuilds == rebuilds)
+            .until_counted(|counts| counts.rebuilds == rebuilds)
             .await;
         stage.until_ready().await;
     }
@@ -65,9 +61,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
     ));
     for (pause, failed) in [(100, 1), (200, 2)] {
         pass(Duration::from_millis(pause)).await;
-        stage
-            .until_counted(|counters| counters.rebuilds_failed == failed)
-            .await;
+        stage.until_rebuilds_failed(failed).await;
         let reason = stage.until_lost().await;
         for part in [
             "scripted.onnx",
@@ -83,7 +77,6 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
         );
     }
     // It came back after all.
-    settle().await;
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 3);
@@ -96,10 +89,7 @@ async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
     stage.failing_builds.store(1, Ordering::SeqCst);
     stage.fail_with(LOST).await;
     pass(Duration::from_millis(100)).await;
-    stage
-        .until_counted(|counters| counters.rebuilds_failed == 1)
-        .await;
-    settle().await;
+    stage.until_rebuilds_failed(1).await;
     let reason = stage.until_degraded().await;
     assert!(reason.contains("CUDA failure 2"), "{reason}");
 }

@@ -26,12 +26,11 @@ async fn a_spare_picture_runs_when_no_camera_waits_and_counts_separately() {
     stage.end(Step::Answer);
     let answer = spare.await.unwrap().unwrap().unwrap();
     assert_eq!((answer.output, answer.pictures), (CameraSlot(7), 1));
-    let counters = stage.counts();
     let expected = WorkerCounts {
         spare: 1,
         ..WorkerCounts::default()
     };
-    assert_eq!(counters, expected);
+    assert_eq!(stage.counts(), expected);
 }
 
 #[tokio::test(start_paused = true)]
@@ -85,8 +84,7 @@ async fn a_stopped_task_looks_at_no_spare_picture() {
     let mut stage = stage(settings()).await;
     let running = stage.begin(0).await;
     let spare = stage.ask_spare(7, TIMEOUT);
-    let stopping = stage.worker.clone();
-    let stopped = tokio::spawn(async move { stopping.stop().await });
+    let stopped = stage.stop();
     settle().await;
     stage.end(Step::Answer);
     running.await.unwrap().unwrap();

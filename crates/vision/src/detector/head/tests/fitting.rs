@@ -31,10 +31,9 @@ fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
     assert_eq!(read.picture_input(wanted).unwrap().size, size);
     let fixed = signature(&[1, 3, 640, 640], &[("output0", &[1, 84, 8400])]);
     let error = fixed.picture_input(wanted).unwrap_err();
-    assert!(
-        error.contains("640x640") && error.contains("320x256"),
-        "{error}"
-    );
+    for size in ["640x640", "320x256"] {
+        assert!(error.contains(size), "{error}");
+    }
 }
 
 #[test]
@@ -114,35 +113,25 @@ fn models_are_recognised_by_what_their_exporters_write() {
     let nms = [&ultralytics[..], &[("args", "{'nms': True}")]].concat();
     let one: &[(&str, &[i64])] = &[("output0", &[1, 5, 8400])];
     let boxes: &[(&str, &[i64])] = &[("output0", &[1, 300, 6])];
+    let detr: [(&str, &[i64]); 3] = [
+        ("dets", &[1, 300, 4]),
+        ("labels", &[1, 300, 91]),
+        ("masks", &[1, 300, 9, 9]),
+    ];
+    use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
     for (signature, expected) in [
-        (model(one, &ultralytics), HeadName::Yolo),
-        (model(boxes, &end), HeadName::EndToEnd),
-        (model(boxes, &nms), HeadName::EndToEnd),
-        (model(boxes, &[]), HeadName::EndToEnd),
-        (model(&[("output0", &[1, 84, 8400])], &[]), HeadName::Yolo),
+        (model(one, &ultralytics), Yolo),
+        (model(boxes, &end), EndToEnd),
+        (model(boxes, &nms), EndToEnd),
+        (model(boxes, &[]), EndToEnd),
+        (model(&[("output0", &[1, 84, 8400])], &[]), Yolo),
         // With a coarser fourth stride, and one that leaves its anchors open.
-        (model(&[("output0", &[1, 84, 8500])], &[]), HeadName::Yolo),
-        (model(&[("output0", &[-1, 84, -1])], &[]), HeadName::Yolo),
-        (model(&[("output", &[1, 8400, 85])], &[]), HeadName::Yolox),
-        (
-            model(&[("758", &[1, 85, 40, 40])], &[]),
-            HeadName::FastestDet,
-        ),
-        (
-            model(&[("dets", &[1, 300, 4]), ("labels", &[1, 300, 91])], &[]),
-            HeadName::Detr,
-        ),
-        (
-            model(
-                &[
-                    ("dets", &[1, 300, 4]),
-                    ("labels", &[1, 300, 91]),
-                    ("masks", &[1, 300, 9, 9]),
-                ],
-                &[],
-            ),
-            HeadName::Detr,
-        ),
+        (model(&[("output0", &[1, 84, 8500])], &[]), Yolo),
+        (model(&[("output0", &[-1, 84, -1])], &[]), Yolo),
+        (model(&[("output", &[1, 8400, 85])], &[]), Yolox),
+        (model(&[("758", &[1, 85, 40, 40])], &[]), FastestDet),
+        (model(&detr[..2], &[]), Detr),
+        (model(&detr, &[]), Detr),
     ] {
         assert_eq!(recognised(&signature), Ok(expected), "{signature}");
     }
@@ -151,44 +140,27 @@ fn models_are_recognised_by_what_their_exporters_write() {
 #[test]
 fn an_unknown_or_ambiguous_model_is_refused_with_every_head_that_was_tried() {
     let square = [1, 3, 64, 64];
-    let task = |task| {
-        with_metadata(
-            signature(&square, &[("output0", &[1, 6, 84])]),
-            &[("author", "Ultralytics"), ("task", task)],
-        )
+    let model = |outputs: &[(&str, &[i64])]| signature(&square, outputs);
+    let ultralytics = |entry: (&str, &str)| {
+        let entries = [("author", "Ultralytics"), entry];
+        with_metadata(model(&[("output0", &[1, 6, 84])]), &entries)
     };
+    let large = signature(&[1, 3, 640, 640], &[("output0", &[1, 25200, 85])]);
+    let boxes: (&str, &[i64]) = ("pred_boxes", &[1, 300, 4]);
     for (signature, reason) in [
-        (
-            signature(&square, &[("logits", &[1, 1000])]),
-            "none of them",
-        ),
+        (model(&[("logits", &[1, 1000])]), "none of them"),
         // YOLOv5: three boxes a cell.
-        (
-            signature(&[1, 3, 640, 640], &[("output0", &[1, 25200, 85])]),
-            "none of them",
-        ),
+        (large, "none of them"),
         // A transformer of unknown scores and colours.
-        (
-            signature(
-                &square,
-                &[("logits", &[1, 300, 80]), ("pred_boxes", &[1, 300, 4])],
-            ),
-            "none of them",
-        ),
+        (model(&[("logits", &[1, 300, 80]), boxes]), "none of them"),
         // One class of YOLOX, or 84 finished boxes.
         (
-            signature(&square, &[("output", &[1, 84, 6])]),
+            model(&[("output", &[1, 84, 6])]),
             "each of end-to-end, yolox",
         ),
-        (task("segment"), "`segment`"),
+        (ultralytics(("task", "segment")), "`segment`"),
         // Metadata and shape contradict each other.
-        (
-            with_metadata(
-                task("detect"),
-                &[("author", "Ultralytics"), ("end2end", "True")],
-            ),
-            "`end-to-end`",
-        ),
+        (ultralytics(("end2end", "True")), "`end-to-end`"),
     ] {
         let refusal = recognised(&signature).unwrap_err();
         assert!(refusal.reason.contains(reason), "{refusal:?}");
