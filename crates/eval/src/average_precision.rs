@@ -405,4 +405,4 @@ impl FrameMatcher {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

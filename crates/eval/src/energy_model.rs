@@ -244,9 +244,8 @@ mod tests {
         bad.energy_j.screen = -1.0;
         let text = toml::to_string(&bad).expect("it can be written");
         std::fs::write(&path, text).expect("written");
-        let message = EnergyModel::load(&path)
-            .expect_err("a cost below zero")
-            .to_string();
+        let error = EnergyModel::load(&path).expect_err("a cost below zero");
+        let message = error.to_string();
         assert!(message.contains("`energy_j.screen` is -1"), "{message}");
     }
 }

@@ -239,14 +239,8 @@ mod tests {
     #[test]
     fn labels_are_those_of_the_published_traces_and_the_baseline_is_always_there() {
         let labels = labels(&["albireo", "albireo:1e-3"], &[]).expect("known policies");
-        assert_eq!(
-            labels,
-            [
-                "vanilla",
-                "albireo-u3e-4-erd-nonempty",
-                "albireo-u1e-3-erd-nonempty"
-            ]
-        );
+        let [three, ten] = ["albireo-u3e-4-erd-nonempty", "albireo-u1e-3-erd-nonempty"];
+        assert_eq!(labels, ["vanilla", three, ten]);
     }
 
     #[test]
@@ -265,28 +259,18 @@ mod tests {
 
     #[test]
     fn every_policy_has_a_label_of_its_own_that_says_its_setting() {
-        let asked = [
-            "fixed-skip:2",
-            "ctd:0.5",
-            "statues:75",
-            "erd-only",
-            "kill-only",
-            "kill+erd",
-            "kill+erd-10d",
-        ];
-        let labels = labels(&asked, &[]).expect("known policies");
-        assert_eq!(
-            labels[1..],
-            [
-                "fixedskip-2",
-                "ctd-0.50",
-                "statues-75",
-                "erd-only-erd-nonempty",
-                "kill-only-u3e-4-erd-nonempty",
-                "kill+erd-u3e-4-erd-nonempty",
-                "kill+erd-10d-u3e-4-erd-nonempty"
-            ]
-        );
+        let (asked, expected): (Vec<_>, Vec<_>) = [
+            ("fixed-skip:2", "fixedskip-2"),
+            ("ctd:0.5", "ctd-0.50"),
+            ("statues:75", "statues-75"),
+            ("erd-only", "erd-only-erd-nonempty"),
+            ("kill-only", "kill-only-u3e-4-erd-nonempty"),
+            ("kill+erd", "kill+erd-u3e-4-erd-nonempty"),
+            ("kill+erd-10d", "kill+erd-10d-u3e-4-erd-nonempty"),
+        ]
+        .into_iter()
+        .unzip();
+        assert_eq!(labels(&asked, &[]).expect("known policies")[1..], expected);
     }
 
     #[test]
@@ -301,14 +285,8 @@ mod tests {
     fn a_sweep_runs_every_value_once_and_leaves_the_others_alone() {
         let labels =
             labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"]).expect("a proper sweep");
-        assert_eq!(
-            labels,
-            [
-                "vanilla",
-                "albireo-u3e-4-erd-nonempty",
-                "albireo-u7e-4-erd-nonempty"
-            ]
-        );
+        let [three, seven] = ["albireo-u3e-4-erd-nonempty", "albireo-u7e-4-erd-nonempty"];
+        assert_eq!(labels, ["vanilla", three, seven]);
     }
 
     #[test]

@@ -167,23 +167,12 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_core::detection::ClassId;
-
-    fn corners(left: f64) -> Corners {
-        Corners {
-            x1: left,
-            y1: 0.0,
-            x2: left + 10.0,
-            y2: 10.0,
-        }
-    }
+    use crate::average_precision::tests::{scored, square};
 
     fn found(left: f64, object: Option<u64>, confidence: f64) -> ScoredBox {
         ScoredBox {
-            corners: corners(left),
-            class: ClassId(0),
-            confidence,
             object,
+            ..scored(square(left, 0.0, 10.0), confidence)
         }
     }
 

@@ -1,7 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 
-fn square(x: f64, y: f64, side: f64) -> Corners {
+pub(crate) fn square(x: f64, y: f64, side: f64) -> Corners {
     Corners {
         x1: x,
         y1: y,
@@ -10,7 +10,7 @@ fn square(x: f64, y: f64, side: f64) -> Corners {
     }
 }
 
-fn scored(corners: Corners, confidence: f64) -> ScoredBox {
+pub(crate) fn scored(corners: Corners, confidence: f64) -> ScoredBox {
     ScoredBox {
         corners,
         class: ClassId(0),
@@ -31,12 +31,11 @@ fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Accuracy 
 #[test]
 fn a_hand_computed_curve_has_the_area_of_its_steps() {
     // Ranked: hit, miss, hit; four boxes to find. Precision 1 at recall 1/4, 2/3 at recall 2/4.
-    let truths = vec![vec![
-        truth(square(0.0, 0.0, 10.0)),
-        truth(square(20.0, 0.0, 10.0)),
-        truth(square(40.0, 0.0, 10.0)),
-        truth(square(60.0, 0.0, 10.0)),
-    ]];
+    let truths = vec![
+        [0.0, 20.0, 40.0, 60.0]
+            .map(|x| truth(square(x, 0.0, 10.0)))
+            .to_vec(),
+    ];
     let predictions = vec![vec![
         scored(square(0.0, 0.0, 10.0), 0.9),
         scored(square(0.0, 50.0, 10.0), 0.8),
@@ -112,10 +111,8 @@ fn boxes_of_one_frame_never_match_the_ground_truth_of_another() {
 fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero() {
     let predictions = vec![vec![scored(square(0.0, 0.0, 10.0), 0.9)]];
     let area = Interpolation::AllPoints;
-    assert_eq!(
-        accuracy(&predictions, &[vec![]], Classes::Pooled, area),
-        None
-    );
+    let nothing = accuracy(&predictions, &[vec![]], Classes::Pooled, area);
+    assert_eq!(nothing, None);
     let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
     let result = pooled(&[], &truths);
     assert_eq!(

@@ -72,19 +72,10 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::average_precision::tests::{scored, square};
 
     fn at(left: f64, confidence: f64) -> ScoredBox {
-        ScoredBox {
-            corners: Corners {
-                x1: left,
-                y1: 0.0,
-                x2: left + 10.0,
-                y2: 10.0,
-            },
-            class: ClassId(0),
-            confidence,
-            object: None,
-        }
+        scored(square(left, 0.0, 10.0), confidence)
     }
 
     #[test]

@@ -180,19 +180,12 @@ fn mean_watts(run: &Run) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::summary::tests::{comparison, run};
+    use super::super::summary::tests::{comparison, rounds, run};
     use super::super::{Agreement, Suggestion, summarise};
     use super::*;
 
     fn lines(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
-        let runs = (0..3)
-            .flat_map(|round| {
-                let noise = [0.0, 0.5, -0.5][round];
-                [
-                    run(round, 0, 100, Some(joules[0] + noise)),
-                    run(round, 1, calls, Some(joules[1] - noise)),
-                ]
-            })
+        let runs = rounds(joules, calls)
             .map(|mut run| {
                 let ap50 = if run.variant == 0 { 1.0 } else { ap50 };
                 run.agreement = Some(Agreement {
@@ -209,11 +202,8 @@ mod tests {
     }
 
     fn sentences(comparison: &Comparison) -> Vec<String> {
-        let verdicts = verdicts(comparison, &summarise(comparison));
-        verdicts
-            .into_iter()
-            .map(|verdict| verdict.sentence)
-            .collect()
+        let verdicts = verdicts(comparison, &summarise(comparison)).into_iter();
+        verdicts.map(|verdict| verdict.sentence).collect()
     }
 
     #[test]
@@ -253,21 +243,27 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_that_was_not_played_at_its_own_pace_says_nothing_of_a_year() {
-        let runs = vec![run(0, 0, 100, Some(80.0)), run(0, 1, 40, Some(60.0))];
-        let mut comparison = comparison(&["vanilla", "albireo u=5e-4"], runs);
-        comparison.playing.played_rate = None;
-        let lines = sentences(&comparison);
-        assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
-    }
-
-    #[test]
-    fn one_round_has_no_interval_and_so_no_sum_of_a_year() {
-        let runs = vec![run(0, 0, 100, Some(80.0)), run(0, 1, 40, Some(60.0))];
-        let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs);
-        let lines = sentences(&comparison);
-        assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
-        assert!(!lines[0].contains("year"), "{lines:?}");
+    fn one_round_and_a_clip_not_played_at_its_own_pace_say_nothing_of_a_year() {
+        let runs = |rounds: usize| {
+            let two = |round| {
+                [
+                    run(round, 0, 100, Some(80.0)),
+                    run(round, 1, 40, Some(60.0)),
+                ]
+            };
+            comparison(
+                &["vanilla", "albireo u=5e-4"],
+                (0..rounds).flat_map(two).collect(),
+            )
+        };
+        let mut unpaced = runs(2);
+        assert!(sentences(&unpaced)[0].contains("year"));
+        unpaced.playing.played_rate = None;
+        for comparison in [unpaced, runs(1)] {
+            let lines = sentences(&comparison);
+            assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
+            assert!(!lines[0].contains("year"), "{lines:?}");
+        }
     }
 
     #[test]

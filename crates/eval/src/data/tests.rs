@@ -21,6 +21,14 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     }
 }
 
+/// That what is written is read back to the last bit.
+fn assert_written_back(clips: &Clips) {
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &clips.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
+    assert_eq!(again.clips, clips.clips);
+}
+
 const INDEX: &str =
     r#"{"sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
@@ -54,10 +62,7 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
 fn what_is_written_is_read_back_to_the_last_bit() {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
     let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
-    let copy = tempfile::tempdir().unwrap();
-    recorded::write(copy.path(), &clips.clips).unwrap();
-    let again = recorded::read(copy.path()).unwrap();
-    assert_eq!(again.clips, clips.clips);
+    assert_written_back(&clips);
 }
 
 #[test]
@@ -71,10 +76,7 @@ fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
     let regions = &clips.clips[0].ignored;
     assert_eq!(regions.iter().map(Vec::len).collect::<Vec<_>>(), [0, 1, 0]);
     assert_eq!(regions[1][0].y2, 20.5);
-    let copy = tempfile::tempdir().unwrap();
-    recorded::write(copy.path(), &clips.clips).unwrap();
-    let again = recorded::read(copy.path()).unwrap();
-    assert_eq!(again.clips, clips.clips);
+    assert_written_back(&clips);
 }
 
 #[test]
@@ -147,13 +149,10 @@ fn meaningless_rows_are_left_out_counted_and_named() {
     assert_eq!(counted(LeftOut::OutsidePicture), 1);
     assert_eq!(counted(LeftOut::ConfidenceRange), 1);
     assert_eq!(report.reaching_outside, 1);
-    let kept: usize = clips.clips[0]
-        .detections
-        .iter()
-        .flatten()
-        .map(Vec::len)
-        .sum();
-    assert_eq!(kept, 1);
+    assert_eq!(
+        clips.clips[0].detections.iter().flatten().flatten().count(),
+        1
+    );
     let lines = report.lines().join("\n");
     assert!(lines.contains("detections/a.csv:2"), "{lines}");
 }
@@ -243,7 +242,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let new = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
         {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
     let files = folder(&[("gt.json", old), ("pred.json", new)]);
-    let (truth, found) = (files.path().join("gt.json"), files.path().join("pred.json"));
+    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
     let source = |truth, detections| bdd100k::Source {
         truth,
         detections,
@@ -281,7 +280,7 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
         ("gt.json", &format!("[{a}, {b}]")),
         ("pred.json", &format!("[{a}]")),
     ]);
-    let (truth, found) = (files.path().join("gt.json"), files.path().join("pred.json"));
+    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
     let mut source = bdd100k::Source {
         truth: Some(&truth),
         detections: Some(&found),
@@ -314,12 +313,9 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
         {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
         {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
         {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
-    let results = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
-    let files = folder(&[("set.json", set), ("results.json", results)]);
-    let (set, results) = (
-        files.path().join("set.json"),
-        files.path().join("results.json"),
-    );
+    let found = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
+    let files = folder(&[("set.json", set), ("results.json", found)]);
+    let [set, results] = ["set.json", "results.json"].map(|name| files.path().join(name));
     let clips = coco::read(&set, Some(&results)).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 2));
@@ -331,14 +327,9 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
     assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
     assert_eq!(clips.report.left_out[&LeftOut::EmptyBox].0, 1);
     assert_eq!(clips.report.unmapped_classes["boat"], 1);
-    let lost = folder(&[(
-        "results.json",
-        r#"[{"image_id": 77, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#,
-    )]);
-    assert_refused(
-        coco::read(&set, Some(&lost.path().join("results.json"))),
-        &["image 77"],
-    );
+    let lost = found.replace("\"image_id\": 4", "\"image_id\": 77");
+    std::fs::write(&results, lost).unwrap();
+    assert_refused(coco::read(&set, Some(&results)), &["image 77"]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 use super::*;
 use crate::average_precision::ScoredBox;
 use crate::source::ScreenRule;
+use crate::average_precision::tests::scored;
 use crate::spec::resolve;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
@@ -23,18 +24,14 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
         x2: 180.0 + speed * frame as f64,
         y2: 160.0,
     };
-    let class = ClassId(2);
     let detection = |frame| ScoredBox {
-        corners: car(frame),
-        class,
-        confidence: 0.9,
-        object: None,
+        class: ClassId(2),
+        ..scored(car(frame), 0.9)
     };
     let truth = |frame| ScoredBox {
-        corners: car(frame),
-        class,
         confidence: 1.0,
         object: Some(1),
+        ..detection(frame)
     };
     Clip {
         frame_rate: Some(10.0),
@@ -71,17 +68,13 @@ fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
     let clip = drive_by(6, 10.0);
     // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
     let late = published(&clip, "vanilla", at_arrival("113"));
-    assert_eq!(
-        left_edges(&late),
-        [None, None, Some(100), Some(110), Some(120), Some(130)]
-    );
+    let expected = [None, None, Some(100), Some(110), Some(120), Some(130)];
+    assert_eq!(left_edges(&late), expected);
     assert_eq!(late.calls, 6);
     // At 250 ms the newest frame is taken and the others are lost.
     let slow = published(&clip, "vanilla", at_arrival("250"));
-    assert_eq!(
-        left_edges(&slow),
-        [None, None, None, Some(100), Some(100), Some(120)]
-    );
+    let expected = [None, None, None, Some(100), Some(100), Some(120)];
+    assert_eq!(left_edges(&slow), expected);
     assert_eq!(slow.calls, 3);
 }
 
@@ -91,10 +84,8 @@ fn measured_times_of_the_detector_are_used_in_turn() {
     let measured = RunTimes::measured(&[50.0, 250.0]);
     // Runs begin at 0, 100, 350 and 400 ms with the newest frame, 0, 1, 3 and 4, and take 50 and 250 ms in turn.
     let late = published(&clip, "vanilla", Stream::AtArrival { detector: measured });
-    assert_eq!(
-        left_edges(&late),
-        [None, Some(100), Some(100), Some(100), Some(130), Some(130)]
-    );
+    let expected = [None, Some(100), Some(100), Some(100), Some(130), Some(130)];
+    assert_eq!(left_edges(&late), expected);
     assert_eq!(late.calls, 4);
 }
 

@@ -2,22 +2,12 @@
 
 use super::*;
 use crate::advise::render;
-use albireo_core::detection::ClassId;
-use albireo_core::geometry::{Corners, PictureSize};
+use crate::average_precision::tests::{scored, square};
+use albireo_core::geometry::PictureSize;
 
 /// Two objects that drift with a speed that changes from clip to clip, in pixels a frame, and one that comes and goes.
 fn recording(name: &str, speed: f64, frames: usize) -> Clip {
-    let found = |x: f64, y: f64| ScoredBox {
-        corners: Corners {
-            x1: x,
-            y1: y,
-            x2: x + 50.0,
-            y2: y + 50.0,
-        },
-        class: ClassId(0),
-        confidence: 0.8,
-        object: None,
-    };
+    let found = |x: f64, y: f64| scored(square(x, y, 50.0), 0.8);
     // There and back, so that nothing leaves the picture; turning is what a filter gets wrong.
     let swing = |frame: usize, phase: f64| {
         let span = 400.0;
@@ -26,14 +16,10 @@ fn recording(name: &str, speed: f64, frames: usize) -> Clip {
     };
     let detections = (0..frames)
         .map(|frame| {
-            let mut frame_boxes = vec![
-                found(swing(frame, 0.0), 50.0),
-                found(swing(frame, 130.0), 150.0),
-            ];
-            if frame % 40 < 25 {
-                frame_boxes.push(found(300.0 + (frame % 40) as f64, 300.0));
-            }
-            frame_boxes
+            let passing = (frame % 40 < 25).then(|| found(300.0 + (frame % 40) as f64, 300.0));
+            let drifting = [(0.0, 50.0), (130.0, 150.0)];
+            let drifting = drifting.map(|(phase, y)| found(swing(frame, phase), y));
+            drifting.into_iter().chain(passing).collect()
         })
         .collect();
     Clip {
@@ -59,11 +45,8 @@ fn a_recall_is_met_by_its_lower_end_and_a_stricter_one_cannot_save_more() {
     assert!(best.recall.unwrap().low >= 0.8, "{best:?}");
     assert!(best.skip_rate.unwrap().value > 0.1, "{best:?}");
     let strict = self::advice("expected-loss", "recall=0.9");
-    let saved = |advice: &Advice| {
-        advice
-            .best()
-            .map_or(0.0, |best| best.skip_rate.unwrap().value)
-    };
+    let rate = |best: &Proposal| best.skip_rate.unwrap().value;
+    let saved = |advice: &Advice| advice.best().map_or(0.0, rate);
     assert!(saved(&strict) <= saved(&advice) + 1e-12);
 }
 

@@ -1,8 +1,7 @@
 use super::super::run::Playback;
 use super::*;
-use albireo_wire::{
-    BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FrameStates, Percentiles,
-};
+use albireo_wire::{BoardState, FrameStates};
+use serde_json::json;
 
 /// A run of `calls` detector calls in 100 frames that took `joules`.
 pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>) -> Run {
@@ -11,12 +10,20 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         p: 100 - calls,
         ..FrameStates::default()
     };
-    let duration_s = 10.0;
-    let timed = |count, mean| Percentiles {
-        count,
-        mean,
-        ..Percentiles::default()
-    };
+    let times = |count: u64, mean: f64| json!({"count": count, "mean": mean, "p50": 0.0, "p95": 0.0, "p99": 0.0});
+    // Of a clip of ten seconds.
+    let energy = json!({
+        "joules": joules, "node_joules": joules, "edp": joules.map(|joules| joules * 10.0 * 1e3 / 100.0),
+        "quality": if joules.is_some() { "measured" } else { "unavailable" },
+        "source": "rapl", "total_from": "input_rail", "samples": 100, "coverage": 1.0, "domains": [],
+    });
+    let report = json!({
+        "v": 1, "id": "00000000-0000-0000-0000-000000000000", "node": "compare", "camera": "camera",
+        "clip": "measured", "ended_by": "shutdown", "started_ns": 0, "duration_s": 10.0, "frames": 100,
+        "states": states, "skip_rate": states.skip_rate(0), "degraded_frames": 0, "dropped": {}, "policy": "albireo",
+        "threshold_changes": [], "model": "detector.onnx", "provider": "cpu",
+        "total_latency_ms": times(100, 12.5), "detector_latency_ms": times(calls, 20.0), "energy": energy,
+    });
     Run {
         round,
         variant,
@@ -24,49 +31,19 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         meter_share_of_core: 0.001,
         agreement: None,
         advice: None,
-        report: ClipReport {
-            v: 1,
-            id: Default::default(),
-            node: "compare".to_owned(),
-            camera: "camera".to_owned(),
-            clip: "measured".to_owned(),
-            part: 0,
-            count: None,
-            ended_by: ClipEnd::Shutdown,
-            started_ns: 0,
-            duration_s,
-            frames: 100,
-            states,
-            skip_rate: states.skip_rate(0),
-            degraded_frames: 0,
-            dropped: DroppedFrames::default(),
-            policy: "albireo".to_owned(),
-            threshold: None,
-            threshold_changes: Vec::new(),
-            model: "detector.onnx".to_owned(),
-            provider: "cpu".to_owned(),
-            total_latency_ms: timed(100, 12.5),
-            detector_latency_ms: timed(calls, 20.0),
-            detector_used_ms: 0.0,
-            energy: ClipEnergy {
-                joules,
-                node_joules: joules,
-                saved_joules_estimated: None,
-                edp: joules.map(|joules| joules * duration_s * 1e3 / 100.0),
-                quality: match joules {
-                    Some(_) => EnergyQuality::Measured,
-                    None => EnergyQuality::Unavailable,
-                },
-                source: "rapl".to_owned(),
-                total_from: "input_rail".to_owned(),
-                samples: 100,
-                coverage: 1.0,
-                domains: Vec::new(),
-            },
-            board: None,
-            audit: None,
-        },
+        report: serde_json::from_value(report).unwrap(),
     }
+}
+
+/// Three rounds of vanilla and of a policy with so many detector calls, whose joules differ a little from round to round.
+pub(crate) fn rounds(joules: [f64; 2], calls: u64) -> impl Iterator<Item = Run> {
+    let pair = move |(round, noise)| {
+        [
+            run(round, 0, 100, Some(joules[0] + noise)),
+            run(round, 1, calls, Some(joules[1] - noise)),
+        ]
+    };
+    [0.0, 0.5, -0.5].into_iter().enumerate().flat_map(pair)
 }
 
 pub(crate) fn comparison(policies: &[&str], runs: Vec<Run>) -> Comparison {

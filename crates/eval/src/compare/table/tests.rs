@@ -1,17 +1,10 @@
-use super::super::summary::tests::{comparison, run};
+use super::super::summary::tests::{comparison, rounds};
 use super::super::{Agreement, summarise};
 use super::*;
 use albireo_wire::EnergyQuality;
 
 fn played(quality: EnergyQuality) -> Comparison {
-    let runs = (0..3)
-        .flat_map(|round| {
-            let noise = [0.0, 0.5, -0.5][round];
-            [
-                run(round, 0, 100, Some(80.0 + noise)),
-                run(round, 1, 40, Some(60.0 - noise)),
-            ]
-        })
+    let runs = rounds([80.0, 60.0], 40)
         .map(|mut run| {
             run.report.energy.quality = quality;
             run.agreement = Some(Agreement {
@@ -78,10 +71,9 @@ fn without_a_figure_for_energy_there_is_no_column_for_it() {
         run.report.energy.edp = None;
     }
     let found = text(&comparison);
-    assert!(
-        !found.contains("energy J") && !found.contains("EDP"),
-        "{found}"
-    );
+    for column in ["energy J", "EDP"] {
+        assert!(!found.contains(column), "{found}");
+    }
     assert!(found.contains("so there is no energy"), "{found}");
     assert!(found.contains("detector calls"), "{found}");
 }
@@ -91,20 +83,15 @@ fn gaps_of_the_meter_are_told_with_the_share_they_leave() {
     let mut comparison = played(EnergyQuality::Partial);
     comparison.runs[0].report.energy.coverage = 0.815;
     let found = text(&comparison);
-    assert!(
-        found.contains("samples cover 81.5 % of the worst run"),
-        "{found}"
-    );
+    let share = "samples cover 81.5 % of the worst run";
+    assert!(found.contains(share), "{found}");
     let rows = |comparison: &Comparison| {
         let summary = summarise(comparison);
         let mean = |figure| summary.policies[0].mean(figure);
         [mean(Figure::Joules), mean(Figure::Edp)]
     };
-    assert_eq!(
-        rows(&comparison),
-        [None, None],
-        "no energy of a part of a run"
-    );
+    // No energy of a part of a run.
+    assert_eq!(rows(&comparison), [None, None]);
     comparison.runs[0].report.energy.coverage = 0.9995;
     assert!(rows(&comparison).iter().all(Option::is_some));
 }
