@@ -36,6 +36,15 @@ fn one(shown: &[OutputBox], detected: &[Detection]) -> AuditSums {
     sums
 }
 
+/// Adds a frame with so many detected boxes, of which so many had been shown.
+fn add_crowd(sums: &mut AuditSums, detected: usize, paired: usize) {
+    let seen: Vec<_> = (0..detected)
+        .map(|place| found(at(place, 0.0), 0))
+        .collect();
+    let reported: Vec<_> = (0..paired).map(|place| shown(at(place, 0.0), 0)).collect();
+    sums.add(&reported, &seen);
+}
+
 #[test]
 fn boxes_of_the_same_object_are_paired() {
     let seen = [
@@ -69,10 +78,8 @@ fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
 fn a_box_that_nobody_can_see_counts_on_neither_side() {
     let outside = BoundingBox::new(1.4, 0.5, 0.2, 0.2);
     let broken = BoundingBox::new(f64::NAN, 0.5, 0.2, 0.2);
-    let sums = one(
-        &[shown(outside, 0), shown(broken, 0)],
-        &[found(outside, 0), found(broken, 0)],
-    );
+    let reported = [outside, broken].map(|one| shown(one, 0));
+    let sums = one(&reported, &[outside, broken].map(|one| found(one, 0)));
     assert_eq!(sums.frames, 1);
     assert_eq!((sums.detected, sums.shown), (0, 0));
     assert_eq!((sums.recall(), sums.precision()), (None, None));
@@ -110,9 +117,9 @@ fn the_interval_is_wilsons_where_each_frame_has_one_box() {
 
 #[test]
 fn one_frame_with_twenty_boxes_is_no_certainty() {
-    let seen: Vec<_> = (0..20).map(|place| found(at(place, 0.0), 0)).collect();
-    let reported: Vec<_> = (0..20).map(|place| shown(at(place, 0.0), 0)).collect();
-    let rate = one(&reported, &seen).recall().unwrap();
+    let mut sums = AuditSums::default();
+    add_crowd(&mut sums, 20, 20);
+    let rate = sums.recall().unwrap();
     assert_eq!(rate.boxes, 20);
     assert!(rate.independent < 1.5 && rate.low < 0.3, "{rate:?}");
 }
@@ -154,10 +161,8 @@ fn intervals_hold_the_full_comparison_as_often_as_they_say() {
     for seed in 0..rounds {
         let draw = AuditDraw::new(0.02, seed);
         let mut sums = AuditSums::default();
-        for (_, (boxes, paired)) in (0..).zip(&frames).filter(|(index, _)| draw.draw(*index)) {
-            let seen: Vec<_> = (0..*boxes).map(|place| found(at(place, 0.0), 0)).collect();
-            let reported: Vec<_> = (0..*paired).map(|place| shown(at(place, 0.0), 0)).collect();
-            sums.add(&reported, &seen);
+        for (_, &(boxes, paired)) in (0..).zip(&frames).filter(|(index, _)| draw.draw(*index)) {
+            add_crowd(&mut sums, boxes, paired);
         }
         let rate = sums.recall().unwrap();
         mean += rate.rate / rounds as f64;
@@ -268,14 +273,12 @@ fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
     for frame in 0..frames {
         let is_missed = frame < missed;
         let paired = if is_missed { boxes / 2 } else { boxes - 1 };
-        let seen: Vec<_> = (0..boxes).map(|place| found(at(place, 0.0), 0)).collect();
-        let reported: Vec<_> = (0..paired).map(|place| shown(at(place, 0.0), 0)).collect();
         right += paired;
         all += boxes;
         if is_missed {
             sums.add_missed(boxes);
         } else {
-            sums.add(&reported, &seen);
+            add_crowd(&mut sums, boxes, paired);
         }
     }
     (sums, right as f64 / all as f64)

@@ -57,6 +57,10 @@ impl Texture {
     }
 }
 
+fn corners([x1, y1, x2, y2]: [f64; 4]) -> Corners {
+    Corners { x1, y1, x2, y2 }
+}
+
 pub(super) fn pyramid(bytes: &[u8]) -> Pyramid {
     let mut pyramid = Pyramid::default();
     let view = GreyView::new(WIDTH, HEIGHT, WIDTH, bytes).unwrap();
@@ -81,12 +85,8 @@ proptest! {
         let texture = Texture::new(seed);
         let before = pyramid(&texture.picture([x, y], [0.0; 2], 1.0));
         let after = pyramid(&texture.picture([x, y], [shift_x, shift_y], scale));
-        let area = Corners {
-            x1: x - width / 2.0,
-            y1: y - height / 2.0,
-            x2: x + width / 2.0,
-            y2: y + height / 2.0,
-        };
+        let (right, down) = (width / 2.0, height / 2.0);
+        let area = corners([x - right, y - down, x + right, y + down]);
         let mut flow = BoxFlow::new(BoxFlowSettings::default());
         let followed = flow.follow(&before, &after, area, [0.0; 2]);
         prop_assert_eq!(followed.points, 36);
@@ -106,7 +106,7 @@ proptest! {
         width in 1usize..50,
         height in 1usize..50,
         bytes in prop::collection::vec(any::<u8>(), 2500),
-        corners in prop::array::uniform4(prop_oneof![
+        sides in prop::array::uniform4(prop_oneof![
             8 => -60.0..60.0,
             1 => Just(f64::NAN),
             1 => Just(f64::INFINITY),
@@ -120,9 +120,7 @@ proptest! {
         let (mut before, mut after) = (Pyramid::default(), Pyramid::default());
         before.fill(GreyView::new(width, height, width, &bytes).unwrap(), 4);
         after.fill(GreyView::new(width, height, 50, &bytes).unwrap(), 4);
-        let [x1, y1, x2, y2] = corners;
-        let area = Corners { x1, y1, x2, y2 };
-        let followed = flow.follow(&before, &after, area, [guess, -guess]);
+        let followed = flow.follow(&before, &after, corners(sides), [guess, -guess]);
         prop_assert!(followed.kept <= followed.points);
         if let Some(motion) = followed.motion {
             prop_assert!(motion.scale > 0.0 && motion.scale.is_finite());
@@ -136,12 +134,7 @@ fn what_is_hidden_is_not_followed() {
     let texture = Texture::new(5);
     let before = texture.picture([0.0; 2], [0.0; 2], 1.0);
     let other = Texture::new(6).picture([0.0; 2], [0.0; 2], 1.0);
-    let area = Corners {
-        x1: 100.0,
-        y1: 60.0,
-        x2: 160.0,
-        y2: 110.0,
-    };
+    let area = corners([100.0, 60.0, 160.0, 110.0]);
     let mut flow = BoxFlow::new(BoxFlowSettings::default());
     let seen = flow.follow(&pyramid(&before), &pyramid(&before), area, [0.0; 2]);
     assert_eq!((seen.points, seen.kept), (36, 36));
@@ -171,12 +164,7 @@ fn a_guess_finds_what_moved_too_far_to_be_found_without() {
     let shift = [60.0, -20.0];
     let before = pyramid(&texture.picture(middle, [0.0; 2], 1.0));
     let after = pyramid(&texture.picture(middle, shift, 1.0));
-    let area = Corners {
-        x1: 130.0,
-        y1: 70.0,
-        x2: 190.0,
-        y2: 110.0,
-    };
+    let area = corners([130.0, 70.0, 190.0, 110.0]);
     let mut flow = BoxFlow::new(BoxFlowSettings::default());
     let found = |followed: Followed| {
         followed

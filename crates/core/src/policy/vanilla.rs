@@ -64,60 +64,28 @@ impl Policy for Vanilla {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detection::{ClassId, Detection};
-    use crate::geometry::{BoundingBox, PictureSize};
-    use crate::policy::BoxSource;
-
-    const FRAME: FrameHead = FrameHead {
-        index: 0,
-        step: 1,
-        picture: PictureSize::new(640, 480),
-    };
-
-    fn detection(width: f64) -> Detection {
-        Detection {
-            bounding_box: BoundingBox::new(0.5, 0.5, width, 0.1),
-            class: ClassId(3),
-            confidence: 0.9,
-        }
-    }
+    use crate::policy::tests::{Run, seen};
+    use crate::policy::{BoxSource::Detected, Profile};
 
     #[test]
     fn every_frame_asks_the_detector_and_reports_what_it_found() {
-        let mut policy = Vanilla::default();
-        let mut outcome = Outcome::default();
+        let mut run = Run::new("vanilla", Profile::Paper);
+        let found = [0.1, f64::NAN, 0.2].map(|x| seen(x, 0.9));
         for _ in 0..3 {
-            assert_eq!(policy.begin(FRAME), Need::Detections);
-            let found = [detection(0.1), detection(f64::NAN), detection(0.2)];
-            assert_eq!(policy.answer(Evidence::Detections(&found)), Need::Nothing);
-            policy.finish(&mut outcome);
-            assert_eq!(outcome.state, FrameState::I);
-            assert!(!outcome.degraded);
-            assert_eq!(outcome.cause, Some(CallCause::EveryFrame));
-            let widths: Vec<_> = outcome.boxes.iter().map(|b| b.bounding_box.width).collect();
-            assert_eq!(widths, [0.1, 0.2]);
-            assert!(
-                outcome
-                    .boxes
-                    .iter()
-                    .all(|b| b.source == BoxSource::Detected)
-            );
+            assert_eq!(run.see(&found), FrameState::I);
+            assert_eq!(run.needs, [Need::Detections]);
+            assert!(!run.outcome.degraded);
+            assert_eq!(run.outcome.cause, Some(CallCause::EveryFrame));
+            assert_eq!(run.reported(), [(Detected, 0.1, 0.9), (Detected, 0.2, 0.9)]);
         }
-        assert_eq!(policy.rejected_detections(), 3);
-        assert!(policy.set_knob(1e-3).is_err());
+        assert_eq!(run.policy.rejected_detections(), 3);
     }
 
     #[test]
     fn without_the_detector_the_frame_is_empty_and_degraded() {
-        let mut policy = Vanilla::default();
-        let mut outcome = Outcome::default();
-        policy.begin(FRAME);
-        policy.answer(Evidence::Detections(&[detection(0.1)]));
-        policy.finish(&mut outcome);
-        policy.begin(FRAME);
-        policy.answer(Evidence::Unavailable);
-        policy.finish(&mut outcome);
-        assert_eq!((outcome.state, outcome.degraded), (FrameState::P, true));
-        assert!(outcome.boxes.is_empty());
+        let mut run = Run::new("vanilla", Profile::Paper);
+        run.see(&[seen(0.1, 0.9)]);
+        assert_eq!(run.blind(), FrameState::P);
+        assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
     }
 }

@@ -13,9 +13,9 @@ fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
 /// A run of the paper's profile that never skips, with one confirmed object.
 fn watching(settings: AlbireoSettings) -> Run<Albireo> {
     let mut run = start(settings, 1e-9);
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::EI);
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
+    for state in [FrameState::EI, FrameState::I, FrameState::I] {
+        assert_eq!(run.see(&[seen(0.5, 0.9)]), state);
+    }
     run
 }
 
@@ -50,10 +50,8 @@ fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confiden
     assert!((run.outcome.boxes[0].confidence - 0.9 / 6.0).abs() < 1e-12);
     assert_eq!(run.outcome.boxes[0].source, BoxSource::Detected);
     run.see(&[seen(0.52, 0.9)]);
-    assert_ne!(
-        run.outcome.boxes[0].bounding_box,
-        seen(0.52, 0.9).bounding_box
-    );
+    let detected = seen(0.52, 0.9).bounding_box;
+    assert_ne!(run.outcome.boxes[0].bounding_box, detected);
     run.policy.set_knob(1e-9).unwrap();
     run.see(&[seen(0.53, 0.9)]);
     assert_eq!(run.see(&[]), FrameState::AI);
@@ -92,26 +90,24 @@ fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
 #[test]
 fn an_empty_scene_skips_the_detector_if_the_screen_says_so() {
     let mut run = start(AlbireoSettings::paper(), 3e-4);
-    assert_eq!(run.begin(1), Need::Screen);
-    let need = run.policy.answer(Evidence::Screen { empty: true });
-    assert_eq!(need, Need::Nothing);
-    run.policy.finish(&mut run.outcome);
-    assert_eq!(run.outcome.state, FrameState::E);
+    let empty = FrameEvidence {
+        empty: Some(true),
+        ..FrameEvidence::default()
+    };
+    assert_eq!(run.frame(1, empty), FrameState::E);
+    assert_eq!(run.needs, [Need::Screen]);
     assert_eq!((run.outcome.tau_max, run.outcome.active), (None, 0));
 }
 
 #[test]
 fn without_the_screen_the_detector_is_asked_and_the_frame_is_not_called_screened() {
     let mut run = start(AlbireoSettings::paper(), 3e-4);
-    assert_eq!(run.begin(1), Need::Screen);
-    assert_eq!(run.policy.answer(Evidence::Unavailable), Need::Detections);
     let found = [seen(0.5, 0.9)];
     assert_eq!(
-        run.policy.answer(Evidence::Detections(&found)),
-        Need::Nothing
+        run.frame(1, FrameEvidence::detections(&found)),
+        FrameState::I
     );
-    run.policy.finish(&mut run.outcome);
-    assert_eq!(run.outcome.state, FrameState::I);
+    assert_eq!(run.needs, [Need::Screen, Need::Detections]);
 }
 
 #[test]
@@ -173,10 +169,8 @@ fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
     run.index = 6;
     assert_eq!(run.blind(), FrameState::P);
     // 7 and 8 are lost.
-    assert_eq!(
-        run.frame(3, FrameEvidence::in_view(&[seen(0.5, 0.9)])),
-        FrameState::I
-    );
+    let found = [seen(0.5, 0.9)];
+    assert_eq!(run.frame(3, FrameEvidence::in_view(&found)), FrameState::I);
     run.index = 13;
     assert_eq!(run.blind(), FrameState::P);
     assert_eq!(run.begin(1), Need::Detections);
@@ -364,12 +358,10 @@ fn a_call_that_nobody_answered_keeps_its_cause() {
     }
     assert!(run.outcome.cause.is_some());
     let mut blind = start(AlbireoSettings::paper(), 3e-4);
-    blind.begin(1);
-    blind.policy.answer(Evidence::Unavailable);
     assert_eq!(
-        blind.policy.answer(Evidence::Detections(&[])),
-        Need::Nothing
+        blind.frame(1, FrameEvidence::detections(&[])),
+        FrameState::I
     );
-    blind.policy.finish(&mut blind.outcome);
+    assert_eq!(blind.needs, [Need::Screen, Need::Detections]);
     assert_eq!(blind.outcome.cause, Some(CallCause::NoObjects));
 }

@@ -45,20 +45,15 @@ mod tests {
 
     #[test]
     fn another_prior_leaves_what_was_counted() {
-        let rate = |prior: f64| {
+        let rate = |prior: Option<f64>| {
             let mut births = BirthRate::new();
             births.fade(1);
             births.count(2.0);
-            births.expect(prior);
+            prior.into_iter().for_each(|prior| births.expect(prior));
             births.expected_loss(1)
         };
-        assert_eq!(rate(BIRTH_PRIOR), {
-            let mut births = BirthRate::new();
-            births.fade(1);
-            births.count(2.0);
-            births.expected_loss(1)
-        });
-        let more = (rate(0.2) - rate(BIRTH_PRIOR)) / BIRTH_WEIGHT;
+        assert_eq!(rate(Some(BIRTH_PRIOR)), rate(None));
+        let more = (rate(Some(0.2)) - rate(None)) / BIRTH_WEIGHT;
         assert!((more - (0.2 - BIRTH_PRIOR)).abs() < 1e-12);
         let mut births = BirthRate::new();
         births.fade(1000);

@@ -265,12 +265,8 @@ mod tests {
         assert!(!blind.skipped.iter().any(followed));
         assert!(worst(&flow.skipped) < 0.5, "{:?}", flow.skipped);
         assert!(worst(&blind.skipped) > 1.0, "{:?}", blind.skipped);
-        assert!(
-            flow.calls.len() < blind.calls.len(),
-            "{:?} {:?}",
-            flow.calls,
-            blind.calls
-        );
+        let (flow, blind) = (flow.calls, blind.calls);
+        assert!(flow.len() < blind.len(), "{flow:?} {blind:?}");
     }
 
     #[test]
@@ -294,34 +290,45 @@ mod tests {
 
     #[test]
     fn what_comes_into_view_at_the_border_belongs_to_the_object() {
-        let near = |(sides, longer): ([f64; 2], f64), expected: ([f64; 2], f64)| {
-            let off = [
-                sides[0] - expected.0[0],
-                sides[1] - expected.0[1],
-                longer - expected.1,
-            ];
+        for (what, from, to, sides, longer) in [
+            (
+                "entering at the left",
+                [0.0, 0.1],
+                [0.04, 0.15],
+                [0.0, 0.15],
+                0.04,
+            ),
+            (
+                "entering at the right",
+                [1.8, 1.995],
+                [1.7, 1.9],
+                [1.7, 1.995],
+                0.095,
+            ),
+            ("leaving", [0.0, 0.1], [-0.03, 0.07], [-0.03, 0.07], 0.0),
+            (
+                "far from the border",
+                [0.1, 0.2],
+                [0.15, 0.25],
+                [0.15, 0.25],
+                0.0,
+            ),
+            // No farther out than the border.
+            (
+                "coming back",
+                [-0.05, 0.05],
+                [0.02, 0.12],
+                [0.0, 0.12],
+                0.02,
+            ),
+        ] {
+            let (found, by) = border_shift(from, to);
+            let off = [found[0] - sides[0], found[1] - sides[1], by - longer];
             assert!(
                 off.iter().all(|off| off.abs() < 1e-12),
-                "{sides:?} {longer} {expected:?}"
+                "{what}: {found:?} {by}"
             );
-        };
-        // Entering at the left and at the right.
-        near(border_shift([0.0, 0.1], [0.04, 0.15]), ([0.0, 0.15], 0.04));
-        near(
-            border_shift([1.8, 1.995], [1.7, 1.9]),
-            ([1.7, 1.995], 0.095),
-        );
-        // Leaving, and far from the border.
-        near(
-            border_shift([0.0, 0.1], [-0.03, 0.07]),
-            ([-0.03, 0.07], 0.0),
-        );
-        near(border_shift([0.1, 0.2], [0.15, 0.25]), ([0.15, 0.25], 0.0));
-        // Half outside and coming back: no farther out than the border.
-        near(
-            border_shift([-0.05, 0.05], [0.02, 0.12]),
-            ([0.0, 0.12], 0.02),
-        );
+        }
     }
 
     #[test]

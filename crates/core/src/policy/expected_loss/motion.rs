@@ -318,6 +318,14 @@ mod tests {
     use super::*;
     use nalgebra::{Matrix2, Vector2};
 
+    const AXIS: Axis = Axis {
+        x: 1.0,
+        v: 0.2,
+        p00: 0.3,
+        p01: 0.05,
+        p11: 0.1,
+    };
+
     /// The axis as a textbook filter in matrices.
     struct Textbook {
         x: Vector2<f64>,
@@ -356,13 +364,7 @@ mod tests {
 
     #[test]
     fn an_axis_is_the_textbook_filter() {
-        let mut axis = Axis {
-            x: 1.0,
-            v: 0.2,
-            p00: 0.3,
-            p01: 0.05,
-            p11: 0.1,
-        };
+        let mut axis = AXIS;
         let mut textbook = Textbook::of(&axis);
         for round in 0..50 {
             let (stretch, g) = (1.0 + 0.01 * f64::from(round % 5), 0.97);
@@ -381,13 +383,7 @@ mod tests {
     #[test]
     fn a_measured_shift_is_a_measurement_of_a_difference() {
         use nalgebra::{Matrix3, RowVector3, Vector3};
-        let mut axis = Axis {
-            x: 1.0,
-            v: 0.2,
-            p00: 0.3,
-            p01: 0.05,
-            p11: 0.1,
-        };
+        let mut axis = AXIS;
         let mut earlier = Earlier::of(&axis);
         let mut x = Vector3::new(axis.x, axis.v, axis.x);
         let copy = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0);

@@ -1,21 +1,17 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::{BoxSource, FrameEvidence, decide};
+use crate::policy::tests::Run;
+use crate::policy::{BoxSource, FrameEvidence};
 use proptest::prelude::*;
 
-const PICTURE: PictureSize = PictureSize::new(1280, 720);
-
-fn settings() -> ExpectedLossSettings {
-    ExpectedLossSettings::default()
+fn start(trigger: Trigger) -> Run<ExpectedLoss> {
+    let policy = ExpectedLoss::new(ExpectedLossSettings::default(), trigger);
+    Run::with(Box::new(policy.unwrap()))
 }
 
-fn policy(lambda: f64) -> ExpectedLoss {
-    ExpectedLoss::new(settings(), Trigger::ExpectedLoss { lambda }).unwrap()
-}
-
-fn scheduled(trigger: Trigger) -> ExpectedLoss {
-    ExpectedLoss::new(settings(), trigger).unwrap()
+fn policy(lambda: f64) -> Run<ExpectedLoss> {
+    start(Trigger::ExpectedLoss { lambda })
 }
 
 fn detection(x: f64, y: f64, side: f64, confidence: f64) -> Detection {
@@ -43,294 +39,197 @@ fn film(frame: u64) -> Vec<Detection> {
     seen
 }
 
-/// What a frame is given.
-#[derive(Clone, Copy)]
-struct World<'a> {
-    step: u32,
-    empty: Option<bool>,
-    detections: Option<&'a [Detection]>,
-}
-
-fn frame(policy: &mut ExpectedLoss, world: World<'_>) -> Outcome {
-    let mut outcome = Outcome::default();
-    let head = FrameHead {
-        index: 0,
-        step: world.step,
-        picture: PICTURE,
-    };
-    let mut known = FrameEvidence {
-        empty: world.empty,
-        grey: None,
-        detections: world.detections,
-    };
-    let Ok(()) = decide(policy, head, &mut known, &mut outcome);
-    outcome
-}
-
-/// A frame with everything at hand and a screen that never says "empty".
-fn see(policy: &mut ExpectedLoss, detections: &[Detection]) -> Outcome {
-    let world = World {
-        step: 1,
-        empty: Some(false),
-        detections: Some(detections),
-    };
-    frame(policy, world)
-}
-
-fn records(policy: &ExpectedLoss) -> Vec<ObjectRecord> {
-    let mut records = Vec::new();
-    policy.objects(&mut |record| records.push(*record));
-    records
-}
-
-fn skip_rate(policy: &mut ExpectedLoss, frames: u64) -> f64 {
-    let skipped = (0..frames)
-        .filter(|&index| see(policy, &film(index)).state.is_skipped())
-        .count();
-    skipped as f64 / frames as f64
+/// The frames of the film, of so many, on which the detector is called.
+fn calls(run: &mut Run<ExpectedLoss>, frames: u64) -> Vec<u64> {
+    (0..frames)
+        .filter(|&index| !run.see(&film(index)).is_skipped())
+        .collect()
 }
 
 #[test]
 fn the_first_frame_calls_the_detector_even_if_its_first_answers_are_missing() {
-    let mut policy = policy(100.0);
-    let missing = World {
-        step: 1,
+    let mut run = policy(100.0);
+    let missing = FrameEvidence {
         empty: Some(false),
-        detections: None,
+        ..FrameEvidence::default()
     };
     for _ in 0..2 {
-        let outcome = frame(&mut policy, missing);
-        assert_eq!((outcome.state, outcome.degraded), (FrameState::P, true));
+        assert_eq!(run.frame(1, missing), FrameState::P);
+        assert!(run.outcome.degraded);
     }
-    let outcome = see(&mut policy, &film(0));
-    assert_eq!((outcome.state, outcome.degraded), (FrameState::EI, false));
-    assert_eq!(see(&mut policy, &film(1)).state, FrameState::P);
+    assert_eq!(run.see(&film(0)), FrameState::EI);
+    assert!(!run.outcome.degraded);
+    assert_eq!(run.see(&film(1)), FrameState::P);
 }
 
 #[test]
 fn a_higher_lambda_calls_the_detector_less_often() {
-    let rates: Vec<_> = [0.0, 0.1, 0.5, 2.0, 100.0]
-        .into_iter()
-        .map(|lambda| skip_rate(&mut policy(lambda), 400))
-        .collect();
-    assert_eq!(rates[0], 0.0);
-    assert!(rates.is_sorted_by(|a, b| a < b), "{rates:?}");
+    let counts = [0.0, 0.1, 0.5, 2.0, 100.0].map(|lambda| calls(&mut policy(lambda), 400).len());
+    assert_eq!(counts[0], 400);
+    assert!(counts.is_sorted_by(|a, b| a > b), "{counts:?}");
     // Only the longest pause is left: one frame of 15.
-    assert!((rates[4] - 14.0 / 15.0).abs() < 0.01, "{rates:?}");
+    assert!((23..=30).contains(&counts[4]), "{counts:?}");
 }
 
 #[test]
 fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
-    let rate = |amplitude: f64| {
-        let mut policy = policy(0.5);
-        let skipped = (0..200u32)
-            .filter(|&index| {
-                let x = 0.5 + amplitude * (f64::from(index) * 0.7).sin();
-                see(&mut policy, &[detection(x, 0.5, 0.1, 0.9)])
-                    .state
-                    .is_skipped()
-            })
-            .count();
-        skipped as f64 / 200.0
+    let skipped = |amplitude: f64| {
+        let mut run = policy(0.5);
+        let mut sees = |index: u32| {
+            let x = 0.5 + amplitude * (f64::from(index) * 0.7).sin();
+            run.see(&[detection(x, 0.5, 0.1, 0.9)])
+        };
+        (0..200).filter(|&index| sees(index).is_skipped()).count()
     };
-    assert!(rate(0.0) > rate(0.08) + 0.1, "{} {}", rate(0.0), rate(0.08));
+    let (steady, fast) = (skipped(0.0), skipped(0.08));
+    assert!(steady > fast + 20, "{steady} {fast}");
 }
 
 #[test]
 fn a_knob_turned_takes_effect_with_the_next_frame() {
-    let mut policy = policy(100.0);
-    for index in 0..10 {
-        see(&mut policy, &film(index));
-    }
-    assert_eq!(see(&mut policy, &film(10)).state, FrameState::P);
-    policy.set_knob(0.0).unwrap();
-    assert!(!see(&mut policy, &film(11)).state.is_skipped());
+    let mut run = policy(100.0);
+    calls(&mut run, 10);
+    assert_eq!(run.see(&film(10)), FrameState::P);
+    run.policy.set_knob(0.0).unwrap();
+    assert!(!run.see(&film(11)).is_skipped());
 }
 
 #[test]
 fn a_screen_that_never_says_empty_changes_no_decision() {
-    let mut with = policy(0.5);
-    let mut without = policy(0.5);
+    let (mut with, mut without) = (policy(0.5), policy(0.5));
     let mut screened = 0;
     for index in 0..400 {
-        let a = see(&mut with, &film(index));
-        let unscreened = World {
-            step: 1,
-            empty: None,
-            detections: Some(&film(index)),
-        };
-        let b = frame(&mut without, unscreened);
-        screened += u32::from(a.state == FrameState::EI);
-        assert_eq!(a.state.is_skipped(), b.state.is_skipped(), "frame {index}");
-        assert_eq!(a.boxes, b.boxes, "frame {index}");
-        assert_ne!(b.state, FrameState::EI);
+        let found = film(index);
+        let a = with.see(&found);
+        let b = without.frame(1, FrameEvidence::detections(&found));
+        screened += u32::from(a == FrameState::EI);
+        assert_eq!(a.is_skipped(), b.is_skipped(), "frame {index}");
+        assert_eq!(with.outcome.boxes, without.outcome.boxes, "frame {index}");
+        assert_ne!(b, FrameState::EI);
     }
     assert!(screened > 0);
 }
 
 #[test]
 fn a_screen_that_says_empty_spares_the_detector_until_it_says_otherwise() {
-    let mut policy = policy(0.0);
-    let empty = World {
-        step: 1,
+    let mut run = policy(0.0);
+    let silent = FrameEvidence::detections(&[]);
+    let empty = FrameEvidence {
         empty: Some(true),
-        detections: Some(&[]),
+        ..silent
     };
     for _ in 0..40 {
-        assert_eq!(frame(&mut policy, empty).state, FrameState::E);
+        assert_eq!(run.frame(1, empty), FrameState::E);
     }
-    assert_eq!(see(&mut policy, &film(0)).state, FrameState::EI);
+    assert_eq!(run.see(&film(0)), FrameState::EI);
     // With an object in view the screen is not asked.
-    let outcome = see(&mut policy, &film(1));
-    assert_eq!(outcome.state, FrameState::I);
+    assert_eq!(run.see(&film(1)), FrameState::I);
     // Without its verdict the detector is asked.
-    let mut fresh = self::policy(0.0);
-    let silent = World {
-        empty: None,
-        ..empty
-    };
-    assert_eq!(frame(&mut fresh, silent).state, FrameState::I);
+    assert_eq!(policy(0.0).frame(1, silent), FrameState::I);
 }
 
 #[test]
 fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
-    let mut policy = policy(0.0);
-    for index in 0..10 {
-        see(&mut policy, &film(index));
-    }
-    let before = records(&policy);
-    let blind = World {
-        step: 1,
-        empty: None,
-        detections: None,
-    };
+    let mut run = policy(0.0);
+    calls(&mut run, 10);
+    let before = run.records();
     for round in 0..20 {
-        let outcome = frame(&mut policy, blind);
-        assert_eq!((outcome.state, outcome.degraded), (FrameState::P, true));
+        assert_eq!(run.blind(), FrameState::P);
+        assert!(run.outcome.degraded);
         // Objects that leave the picture meanwhile are dropped; none appears.
-        assert!(!outcome.boxes.is_empty(), "round {round}");
-        assert!(outcome.boxes.len() <= before.len(), "round {round}");
-        assert!(
-            outcome
-                .boxes
-                .iter()
-                .all(|b| b.source == BoxSource::Predicted)
-        );
+        let boxes = &run.outcome.boxes;
+        assert!((1..=before.len()).contains(&boxes.len()), "round {round}");
+        assert!(boxes.iter().all(|b| b.source == BoxSource::Predicted));
     }
-    for after in records(&policy) {
+    for after in run.records() {
         let before = before.iter().find(|before| before.id == after.id);
         assert_eq!(before.map(|before| before.misses), Some(after.misses));
     }
     // The blindness has an end: then nothing is known any more.
     for _ in 0..11 {
-        frame(&mut policy, blind);
+        run.blind();
     }
-    assert!(records(&policy).is_empty());
+    assert!(run.records().is_empty());
 }
 
 #[test]
 fn a_missed_object_is_rescued_with_falling_confidence_and_removed_at_the_sixth_miss() {
-    let mut policy = policy(0.0);
+    let mut run = policy(0.0);
     for _ in 0..10 {
-        see(&mut policy, &[detection(0.5, 0.5, 0.1, 0.9)]);
+        run.see(&[detection(0.5, 0.5, 0.1, 0.9)]);
     }
     let mut last = 1.0;
     for _ in 0..5 {
-        let outcome = see(&mut policy, &[]);
-        assert_eq!(outcome.state, FrameState::AI);
-        assert_eq!(outcome.boxes[0].source, BoxSource::Rescued);
-        assert!(outcome.boxes[0].confidence < last * 0.76);
-        last = outcome.boxes[0].confidence;
+        assert_eq!(run.see(&[]), FrameState::AI);
+        let rescued = run.outcome.boxes[0];
+        assert_eq!(rescued.source, BoxSource::Rescued);
+        assert!(rescued.confidence < last * 0.76);
+        last = rescued.confidence;
     }
-    let outcome = see(&mut policy, &[]);
-    assert_eq!((outcome.state, outcome.boxes.len()), (FrameState::I, 0));
+    assert_eq!(run.see(&[]), FrameState::I);
+    assert!(run.outcome.boxes.is_empty());
 }
 
 #[test]
 fn a_gap_predicts_as_many_single_frames_do() {
     for frames in [1, 2, 5, 14] {
         let mut single = policy(0.0);
-        for index in 0..10 {
-            see(&mut single, &film(index));
-        }
-        let mut gap = single.clone();
+        calls(&mut single, 10);
         // Nothing calls the detector but the longest pause.
-        single.set_knob(100.0).unwrap();
-        gap.set_knob(100.0).unwrap();
+        single.policy.set_knob(100.0).unwrap();
+        let mut gap = Run::with(single.policy.clone());
         for _ in 0..frames {
-            assert_eq!(see(&mut single, &[]).state, FrameState::P);
+            assert_eq!(single.see(&[]), FrameState::P);
         }
-        let lost = World {
-            step: frames,
-            empty: None,
-            detections: None,
-        };
-        assert_eq!(frame(&mut gap, lost).state, FrameState::P);
-        assert_eq!(records(&single), records(&gap));
-        assert_eq!(single.pause.frames, gap.pause.frames);
+        assert_eq!(gap.frame(frames, FrameEvidence::default()), FrameState::P);
+        assert_eq!(single.records(), gap.records());
+        assert_eq!(single.policy.pause.frames, gap.policy.pause.frames);
     }
 }
 
 #[test]
 fn after_a_gap_beyond_all_prediction_the_objects_are_forgotten() {
-    let mut policy = policy(100.0);
-    see(&mut policy, &film(0));
-    let gap = World {
-        step: u32::MAX,
-        empty: Some(false),
-        detections: Some(&[]),
-    };
-    assert_eq!(frame(&mut policy, gap).state, FrameState::EI);
-    assert!(records(&policy).is_empty());
+    let mut run = policy(100.0);
+    run.see(&film(0));
+    let gap = FrameEvidence::in_view(&[]);
+    assert_eq!(run.frame(u32::MAX, gap), FrameState::EI);
+    assert!(run.records().is_empty());
 }
 
 #[test]
 fn a_picture_of_another_shape_forgets_the_objects_and_one_of_more_pixels_does_not() {
-    let mut policy = policy(0.0);
-    see(&mut policy, &film(0));
+    let mut run = policy(0.0);
+    run.see(&film(0));
     let head = |width, height| FrameHead {
         index: 0,
         step: 1,
         picture: PictureSize::new(width, height),
     };
-    policy.begin(head(2560, 1440));
-    assert_eq!(records(&policy).len(), film(0).len());
-    policy.begin(head(640, 480));
-    assert!(records(&policy).is_empty());
+    run.policy.begin(head(2560, 1440));
+    assert_eq!(run.records().len(), film(0).len());
+    run.policy.begin(head(640, 480));
+    assert!(run.records().is_empty());
 }
 
 #[test]
 fn a_fixed_schedule_calls_on_one_frame_of_n() {
-    let mut policy = scheduled(Trigger::FixedSkip { n: 3.0 });
-    let called: Vec<_> = (0..12)
-        .map(|index| !see(&mut policy, &film(index)).state.is_skipped())
-        .collect();
-    let expected: Vec<_> = (0..12).map(|index| index % 3 == 0).collect();
-    assert_eq!(called, expected);
-    assert_eq!(policy.name(), "fixed-skip-in-tracker");
-    assert!(policy.set_knob(2.0).is_ok());
+    let mut run = start(Trigger::FixedSkip { n: 3.0 });
+    assert_eq!(calls(&mut run, 12), [0, 3, 6, 9]);
+    assert_eq!(run.policy.name(), "fixed-skip-in-tracker");
+    assert!(run.policy.set_knob(2.0).is_ok());
     for n in [0.0, 0.5, 1e9, f64::NAN] {
         let wrong = Trigger::FixedSkip { n };
-        assert!(ExpectedLoss::new(settings(), wrong).is_err(), "{n}");
+        let settings = ExpectedLossSettings::default();
+        assert!(ExpectedLoss::new(settings, wrong).is_err(), "{n}");
     }
 }
 
 #[test]
 fn an_even_schedule_meets_its_rate_and_spaces_its_calls_evenly() {
     for skip in [0.0, 0.1, 0.5, 0.62, 0.9, 0.95] {
-        let mut policy = scheduled(Trigger::Even { skip_rate: skip });
-        let mut calls = Vec::new();
-        for index in 0..1000 {
-            if !see(&mut policy, &film(index)).state.is_skipped() {
-                calls.push(index);
-            }
-        }
-        let wanted = 1000.0 * (1.0 - skip);
-        assert!(
-            (calls.len() as f64 - wanted).abs() <= 1.0,
-            "{skip}: {}",
-            calls.len()
-        );
+        let calls = calls(&mut start(Trigger::Even { skip_rate: skip }), 1000);
+        let off = calls.len() as f64 - 1000.0 * (1.0 - skip);
+        assert!(off.abs() <= 1.0, "{skip}: {}", calls.len());
         let gaps: Vec<_> = calls.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let (least, most) = (gaps.iter().min().unwrap(), gaps.iter().max().unwrap());
         assert!(most - least <= 1, "{skip}: {least} to {most}");
@@ -339,16 +238,9 @@ fn an_even_schedule_meets_its_rate_and_spaces_its_calls_evenly() {
 
 #[test]
 fn a_schedule_is_back_in_step_after_a_gap() {
-    let mut policy = scheduled(Trigger::FixedSkip { n: 4.0 });
-    let gap = |step| World {
-        step,
-        empty: Some(false),
-        detections: Some(&[]),
-    };
-    let called: Vec<_> = [1, 1, 9, 1, 1, 2, 1, 3]
-        .into_iter()
-        .map(|step| !frame(&mut policy, gap(step)).state.is_skipped())
-        .collect();
+    let mut run = start(Trigger::FixedSkip { n: 4.0 });
+    let mut is_called = |step| !run.frame(step, FrameEvidence::in_view(&[])).is_skipped();
+    let called = [1, 1, 9, 1, 1, 2, 1, 3].map(&mut is_called);
     // At frames 0, 1, 10, 11, 12, 14, 15 and 18 of a schedule that has 0, 4, 8, 12 and 16.
     let expected = [true, false, true, false, true, false, false, true];
     assert_eq!(called, expected);
@@ -388,14 +280,14 @@ proptest! {
         stream in streams(),
         lambda in 0.0..2.0f64,
     ) {
-        let mut policy = policy(lambda);
+        let mut run = policy(lambda);
         for (step, detections) in &stream {
-            let world = World { step: *step, empty: Some(false), detections: detections.as_deref() };
-            let outcome = frame(&mut policy, world);
-            prop_assert!(policy.weight().is_finite());
-            prop_assert!(policy.crowd.is_finite() && policy.crowd >= 0.0);
-            prop_assert!(outcome.tau_max.is_none_or(f64::is_finite));
-            for output in &outcome.boxes {
+            let known = FrameEvidence { empty: Some(false), grey: None, detections: detections.as_deref() };
+            run.frame(*step, known);
+            prop_assert!(run.policy.weight().is_finite());
+            prop_assert!(run.policy.crowd.is_finite() && run.policy.crowd >= 0.0);
+            prop_assert!(run.outcome.tau_max.is_none_or(f64::is_finite));
+            for output in &run.outcome.boxes {
                 let corners = output.bounding_box.corners();
                 prop_assert!(output.bounding_box.is_finite());
                 prop_assert!(corners.x1 > -1e-12 && corners.x2 < 1.0 + 1e-12);
@@ -403,7 +295,7 @@ proptest! {
                 prop_assert!(corners.x2 > corners.x1 && corners.y2 > corners.y1);
                 prop_assert!((0.0..=1.0).contains(&output.confidence));
             }
-            for record in records(&policy) {
+            for record in run.records() {
                 prop_assert!(record.bounding_box.is_finite() && record.tau.is_finite());
             }
         }

@@ -24,6 +24,15 @@ fn answer(state: FrameState, boxes: &[OutputBox]) -> Outcome {
     }
 }
 
+/// With one box there, predicted or detected.
+fn at(state: FrameState, x: f64) -> Outcome {
+    let source = match state {
+        FrameState::P => BoxSource::Predicted,
+        _ => BoxSource::Detected,
+    };
+    answer(state, &[reported(0, x, 0.8, source)])
+}
+
 type Given = (u64, bool, Vec<OutputBox>);
 
 /// Frames, one every 100 ms, and what came out.
@@ -94,29 +103,16 @@ fn boxes_between_two_calls_lie_on_the_line_and_weigh_what_the_second_call_says()
     assert_eq!(stream.indices(), [0, 1, 2, 3, 4]);
     for (index, settled, boxes) in &stream.given[1..4] {
         assert!(settled);
-        let mut drawn: Vec<_> = boxes
-            .iter()
-            .map(|b| {
-                (
-                    b.object.unwrap().0,
-                    b.bounding_box.center_x,
-                    b.confidence,
-                    b.source,
-                )
-            })
-            .collect();
-        drawn.sort_by_key(|(object, ..)| *object);
+        let mut drawn = boxes.clone();
+        drawn.sort_by_key(|b| b.object.unwrap().0);
         let x = 0.1 + 0.1 * *index as f64;
         let new = 0.3 * *index as f64 / 4.0;
         let expected = [(0, x, 0.7), (1, 0.5, 0.6), (2, 0.7, 0.4), (3, 0.9, new)];
-        for ((object, x, confidence, source), expected) in drawn.iter().zip(expected) {
-            assert_eq!(*object, expected.0);
-            assert!((x - expected.1).abs() < 1e-12, "{x} {expected:?}");
-            assert!(
-                (confidence - expected.2).abs() < 1e-12,
-                "{confidence} {expected:?}"
-            );
-            assert_eq!(*source, Predicted);
+        for (drawn, (object, x, confidence)) in drawn.iter().zip(expected) {
+            assert_eq!(drawn.object, Some(ObjectId(object)));
+            assert!((drawn.bounding_box.center_x - x).abs() < 1e-12, "{drawn:?}");
+            assert!((drawn.confidence - confidence).abs() < 1e-12, "{drawn:?}");
+            assert_eq!(drawn.source, Predicted);
         }
         assert_eq!(drawn.len(), 4);
     }
@@ -142,10 +138,7 @@ fn a_frame_that_waited_too_long_goes_out_as_it_was_answered() {
 
 #[test]
 fn a_stream_without_calls_holds_back_a_bounded_number_of_frames() {
-    let own = answer(
-        FrameState::P,
-        &[reported(0, 0.5, 0.8, BoxSource::Predicted)],
-    );
+    let own = at(FrameState::P, 0.5);
     let mut settler = Settler::new(LONG);
     let mut given = 0;
     for index in 0..10_000 {
@@ -157,9 +150,8 @@ fn a_stream_without_calls_holds_back_a_bounded_number_of_frames() {
 
 #[test]
 fn late_detections_settle_the_frames_before_them_and_after_them() {
-    let at = |x: f64, source| [reported(0, x, 0.8, source)];
-    let predicted = answer(FrameState::P, &at(0.9, BoxSource::Predicted));
-    let detected = |x| answer(FrameState::I, &at(x, BoxSource::Detected));
+    let predicted = at(FrameState::P, 0.9);
+    let detected = |x| at(FrameState::I, x);
     let mut stream = Stream::new(LONG);
     stream.frame(0, &detected(0.1), false);
     stream.frame(1, &predicted, false);
@@ -189,9 +181,8 @@ fn late_detections_settle_the_frames_before_them_and_after_them() {
 
 #[test]
 fn an_answer_after_its_frame_went_out_is_what_later_frames_are_drawn_from() {
-    let at = |x: f64, source| [reported(0, x, 0.8, source)];
-    let predicted = answer(FrameState::P, &at(0.9, BoxSource::Predicted));
-    let detected = |x| answer(FrameState::I, &at(x, BoxSource::Detected));
+    let predicted = at(FrameState::P, 0.9);
+    let detected = |x| at(FrameState::I, x);
     let mut stream = Stream::new(MOMENT);
     stream.frame(0, &predicted, true);
     stream.frame(1, &predicted, false);
@@ -232,18 +223,15 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
 
 fn outcome((state, _, _, boxes): &Event) -> Outcome {
     let state = FrameState::ALL[*state];
-    let source = match state {
-        FrameState::P => BoxSource::Predicted,
-        _ => BoxSource::Detected,
-    };
     let mut answered = answer(state, &[]);
     for (object, x) in boxes {
-        if answered
-            .boxes
-            .iter()
-            .all(|b| b.object != Some(ObjectId(*object)))
-        {
-            answered.boxes.push(reported(*object, *x, 0.8, source));
+        let of_it = |b: &OutputBox| b.object == Some(ObjectId(*object));
+        if !answered.boxes.iter().any(of_it) {
+            let found = at(state, *x).boxes[0];
+            answered.boxes.push(OutputBox {
+                object: Some(ObjectId(*object)),
+                ..found
+            });
         }
     }
     answered

@@ -25,14 +25,12 @@ fn show(
     pixels: &[u8],
     found: Option<&[Detection]>,
 ) -> FrameState {
-    run.frame(
-        1,
-        FrameEvidence {
-            grey: Some(GreyPicture { size, pixels }),
-            detections: found,
-            ..FrameEvidence::default()
-        },
-    )
+    let known = FrameEvidence {
+        grey: Some(GreyPicture { size, pixels }),
+        detections: found,
+        ..FrameEvidence::default()
+    };
+    run.frame(1, known)
 }
 
 fn see(run: &mut Run, pixels: &[u8], x: f64) -> FrameState {
@@ -140,12 +138,4 @@ fn a_detector_that_failed_is_called_again_though_nothing_changes() {
     assert_eq!(run.reported(), [(Predicted, 0.5, 0.9)]);
     assert_eq!(see(&mut run, &changed, 0.7), I);
     assert_eq!(see(&mut run, &changed, 0.7), P);
-}
-
-#[test]
-fn a_reset_forgets_picture_and_boxes() {
-    let mut run = watching("statues");
-    run.policy.reset();
-    assert_eq!(show(&mut run, SIZE, &picture(0, 0, 0), None), P);
-    assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
 }
