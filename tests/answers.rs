@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
-use crate::support::until_read;
+use crate::support::{PATIENCE, next, until_read};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
@@ -42,9 +42,8 @@ fn of_one_colour(value: u8) -> Vec<u8> {
     picture.pixels.fill(value);
     let mut jpeg = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut jpeg, 90);
-    encoder
-        .encode(&picture.pixels, 640, 360, jpeg_encoder::ColorType::Rgb)
-        .unwrap();
+    let rgb = jpeg_encoder::ColorType::Rgb;
+    encoder.encode(&picture.pixels, 640, 360, rgb).unwrap();
     jpeg
 }
 
@@ -57,6 +56,8 @@ struct Drive {
     sent: u64,
     live: Vec<DetectionsMessage>,
     finals: BTreeMap<u64, DetectionsMessage>,
+    /// Frames at the most that were answered after a frame and before its final answer.
+    most_ahead: u64,
 }
 
 impl Drive {
@@ -74,6 +75,7 @@ impl Drive {
             sent: 0,
             live: Vec::new(),
             finals: BTreeMap::new(),
+            most_ahead: 0,
         }
     }
 
@@ -90,6 +92,7 @@ impl Drive {
             let mut came = false;
             for message in taken(&mut self.late) {
                 came |= is_wanted(&message);
+                self.most_ahead = self.most_ahead.max(self.sent - 1 - message.seq);
                 assert!(self.finals.insert(message.seq, message).is_none());
             }
             if came {
@@ -101,9 +104,7 @@ impl Drive {
 
     /// Sends a frame and waits for its first answer.
     async fn frame(&mut self, picture: &[u8], clip: &str) {
-        self.bench
-            .send_of_clip(picture, "image/jpeg", self.sent, Some(clip))
-            .await;
+        self.bench.send_of_clip(picture, self.sent, clip).await;
         let live = self.bench.answer().await;
         assert_eq!(live.seq, self.sent, "each frame is answered once, in order");
         self.live.push(live);
@@ -114,18 +115,18 @@ impl Drive {
     async fn stop(mut self) -> Ended {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
-        let stopped = timeout(LONG, &mut self.bench.stopped).await.unwrap();
+        let stopped = timeout(PATIENCE, &mut self.bench.stopped).await.unwrap();
         stopped.unwrap().unwrap();
         let mut settled = Vec::new();
         while settled.len() < self.live.len() {
-            settled.push(timeout(LONG, self.settled.recv()).await.unwrap().unwrap());
+            settled.push(next(&mut self.settled).await);
         }
         let pending = self.live.iter().filter(|live| live.pending).count();
         while self.finals.len() < pending {
-            let message = timeout(LONG, self.late.recv()).await.unwrap().unwrap();
+            let message = next(&mut self.late).await;
             assert!(self.finals.insert(message.seq, message).is_none());
         }
-        let report = timeout(LONG, self.reports.recv()).await.unwrap().unwrap();
+        let report = next(&mut self.reports).await;
         let mut reports = vec![report];
         reports.extend(taken(&mut self.reports));
         assert!(taken(&mut self.settled).is_empty() && taken(&mut self.late).is_empty());
@@ -158,12 +159,18 @@ impl Ended {
         for live in &self.live {
             assert_eq!(live.state, FrameState::P, "{live:?}");
             assert!(!live.degraded && live.cause.is_none(), "{live:?}");
-            assert!(
-                live.latency_ms.total < 90.0,
-                "waits for the detector: {live:?}"
-            );
             assert_eq!(live.pending, self.finals.contains_key(&live.seq));
         }
+        let mut took: Vec<_> = (self.live.iter())
+            .map(|live| live.latency_ms.total)
+            .collect();
+        took.sort_by(f64::total_cmp);
+        // Half a run of the detector; a busy machine may hold single answers up.
+        let half = took[took.len() / 2];
+        assert!(
+            half < 50.0,
+            "half take {half} ms: they wait for the detector"
+        );
         assert!(self.finals.values().all(|message| !message.pending));
         assert_eq!(self.counted, (frames, degraded));
         let reported: u64 = self.reports.iter().map(|report| report.frames).sum();
@@ -192,7 +199,11 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
             drive.until(&scene, is_seen).await;
         }
         // Not back at its deadline, and back again afterwards.
+        drive.most_ahead = 0;
         drive.until(&white, |late| late.degraded).await;
+        // The deadline is as long as fifty frames.
+        let ahead = drive.most_ahead;
+        assert!(ahead >= 10, "only {ahead} frames were answered meanwhile");
         drive.until(&scene, is_seen).await;
         // Its run fails, and its session is built again.
         drive.until(&dark, |late| late.degraded).await;
@@ -227,10 +238,9 @@ async fn a_clip_is_reported_when_its_pending_frame_has_its_final_answer() {
     drive.frame(&picture, "b").await;
     let ended = drive.stop().await;
     ended.check();
-    let clips: Vec<_> = ended
-        .reports
-        .iter()
-        .map(|report| (report.clip.as_str(), report.frames))
+    let reports = ended.reports.iter();
+    let clips: Vec<_> = reports
+        .map(|report| (&*report.clip, report.frames))
         .collect();
     assert_eq!(clips, [("a", 1), ("b", 1)]);
     assert!(ended.finals[&0].state != FrameState::P, "it was examined");

@@ -13,15 +13,32 @@ use std::path::{Path, PathBuf};
 /// Two rounds of two seconds.
 const SHORT: &str = "compare --seconds 2 --repeat 2 --warm-up 0.5 --cool-down 0 --u=1e-3";
 
+/// Compares vanilla and albireo on a machine with that `[power]` section and with constants changed: the words it prints,
+/// what it says of its progress, and its report.
+fn compared(
+    folder: &Path,
+    power: &str,
+    development: &str,
+    more: &[&str],
+) -> (String, String, Value) {
+    let out = folder.join("out");
+    let config = configuration(folder, power);
+    let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
+    let policies = ["--policy", "vanilla", "--policy", "albireo"];
+    let files = ["--config", config, "--out", files];
+    let ended = compare(development, &[&policies, &files, more].concat());
+    let progress = ended.err.clone();
+    let said = ended.succeeds();
+    let report = written(&out, &said);
+    // The lines may be broken anywhere.
+    let words: Vec<_> = said.split_whitespace().collect();
+    (words.join(" "), progress, report)
+}
+
 /// Runs a comparison, with constants changed.
 fn compare(development: &str, arguments: &[&str]) -> Ended {
     let arguments: Vec<_> = SHORT.split(' ').chain(arguments.iter().copied()).collect();
     run(&arguments, &[("ALBIREO_DEVELOPMENT", development)])
-}
-
-/// A text whose lines may be broken anywhere, in one line.
-fn unbroken(said: &str) -> String {
-    said.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// A configuration whose `[power]` section is `power`.
@@ -41,10 +58,8 @@ fn number(value: &Value) -> f64 {
 fn written(folder: &Path, said: &str) -> Value {
     let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
     assert_eq!(said, read("compare.txt"));
-    assert!(
-        said.lines().all(|line| line.chars().count() <= 100),
-        "{said}"
-    );
+    let mut lines = said.lines();
+    assert!(lines.all(|line| line.chars().count() <= 100), "{said}");
     assert_eq!(read("runs.csv").lines().count(), 5);
     serde_json::from_str(&read("compare.json")).unwrap()
 }
@@ -53,40 +68,19 @@ fn written(folder: &Path, said: &str) -> Value {
 #[ignore = "needs ONNX Runtime"]
 fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked_estimated() {
     let folder = tempfile::tempdir().unwrap();
-    let config = configuration(folder.path(), "source = \"estimate\"");
-    let out = folder.path().join("out");
-    let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
-    let arguments = [
-        "--policy", "vanilla", "--policy", "albireo", "--config", config, "--out", files,
-    ];
-    let ended = compare("", &arguments);
-    let progress = ended.err.clone();
-    let said = ended.succeeds();
-    let found = written(&out, &said);
-    let words = unbroken(&said);
-    assert_says(
-        &words,
-        &[
-            "There is no power meter here",
-            "ESTIMATED",
-            "detector calls",
-            ", AP@50",
-        ],
-    );
+    let power = "source = \"estimate\"";
+    let (words, progress, found) = compared(folder.path(), power, "", &[]);
+    assert_says(&words, &["There is no power meter here", "ESTIMATED"]);
+    assert_says(&words, &["detector calls", ", AP@50"]);
     // Where there is no terminal for a bar, a line a run says how far it is.
     assert_says(&progress, &["run 4 of 4, vanilla …"]);
     let verdict = &found["verdicts"][0];
-    assert!(
-        number(&verdict["detector_calls_percent"]) < 0.0,
-        "{verdict}"
-    );
+    let calls = number(&verdict["detector_calls_percent"]);
+    assert!(calls < 0.0, "{verdict}");
     assert_eq!(verdict["energy"], "estimated", "{verdict}");
 
     let runs = found["comparison"]["runs"].as_array().unwrap();
-    let order: Vec<_> = runs
-        .iter()
-        .map(|run| run["variant"].as_u64().unwrap())
-        .collect();
+    let order: Vec<_> = runs.iter().map(|run| &run["variant"]).collect();
     assert_eq!(order, [0, 1, 1, 0], "every second round goes backwards");
     for run in runs {
         let report = &run["report"];
@@ -94,10 +88,8 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
         let dropped: u64 = dropped.map(|kind| kind.as_u64().unwrap()).sum();
         let frames = report["frames"].as_u64().unwrap();
         assert_eq!(frames + dropped, 20, "the warm-up is not counted: {report}");
-        assert_has(
-            report,
-            &json!({"clip": "measured", "energy": {"quality": "estimated"}}),
-        );
+        let expected = json!({"clip": "measured", "energy": {"quality": "estimated"}});
+        assert_has(report, &expected);
         // The clip's last frame has its time too.
         let seconds = number(&report["duration_s"]);
         assert!(seconds > 1.95, "{seconds}");
@@ -106,11 +98,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
         let agreement = &run["agreement"];
         if run["variant"] == 0 {
             assert_eq!(calls, frames, "vanilla runs the detector on every frame");
-            assert_eq!(
-                number(&agreement["ap50"]),
-                1.0,
-                "vanilla agrees with itself"
-            );
+            assert_eq!(agreement["ap50"], 1.0, "vanilla agrees with itself");
         } else {
             assert!(calls < frames, "albireo skips: {report}");
             let recall = number(&agreement["recall"]);
@@ -133,8 +121,6 @@ fn the_boards_own_meter_is_read_in_every_run() {
     let task = json!({"curve": [[0, 21.5], [1, 21.5]]});
     let program = fake_tegrastats(folder.path(), &task);
     let power = format!("source = \"tegrastats\"\ntegrastats = {program:?}");
-    let config = configuration(folder.path(), &power);
-    let out = folder.path().join("out");
     let sysfs = folder.path().join("sys");
     let zone = sysfs.join("class/thermal/thermal_zone0");
     std::fs::create_dir_all(&zone).unwrap();
@@ -145,19 +131,13 @@ fn the_boards_own_meter_is_read_in_every_run() {
         sysfs.display(),
         fake_nvpmodel(folder.path()).display()
     );
-    let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
-    let policies = ["--policy", "vanilla", "--policy", "albireo", "--unpaced"];
-    let arguments = [&policies[..], &["--config", config, "--out", files]].concat();
-    let said = compare(&constants, &arguments).succeeds();
-    let found = written(&out, &said);
-    assert!(!said.contains("ESTIMATED"), "{said}");
-    assert_says(
-        &unbroken(&said),
-        &[
-            "Energy is measured by `tegrastats`",
-            "Power mode: MODE_30W.",
-        ],
-    );
+    let (words, _, found) = compared(folder.path(), &power, &constants, &["--unpaced"]);
+    assert!(!words.contains("ESTIMATED"), "{words}");
+    let measured = [
+        "Energy is measured by `tegrastats`",
+        "Power mode: MODE_30W.",
+    ];
+    assert_says(&words, &measured);
     for run in found["comparison"]["runs"].as_array().unwrap() {
         let report = &run["report"];
         assert_eq!(report["frames"], 20, "unpaced drops nothing: {report}");

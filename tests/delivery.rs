@@ -6,11 +6,12 @@
 mod hub;
 
 use crate::support::camera::Camera;
-use crate::support::{Client, Node, PATIENCE, assert_says, free_port, project, run, until};
+use crate::support::{Client, Node, assert_says, free_port, heard, next, project, run, until};
 use hub::{Hub, Manner};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::unbounded_channel;
-use tokio::time::timeout;
+use zenoh::sample::Sample;
+
+const ACKNOWLEDGED: &str = "albireo_outbox_acknowledged_total";
 
 /// Settings of a node that answers quickly and tries a hub again quickly.
 fn settings() -> String {
@@ -55,10 +56,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
     camera.clips(6).await;
     hub.wait_for(5).await;
     wait_for(&node, "albireo_outbox_waiting", 0.0).await;
-    assert_eq!(
-        metric(&node, "albireo_outbox_acknowledged_total").await,
-        5.0
-    );
+    assert_eq!(metric(&node, ACKNOWLEDGED).await, 5.0);
     // The open clip's report reaches the hub while the node stops.
     camera.close().await;
     node.stop_well().await;
@@ -88,22 +86,12 @@ async fn a_node_that_stops_in_a_pause_tries_once_more() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
     let (node, mut camera, settings) = node_and_camera().await;
-    let (sender, mut heard) = unbounded_channel();
-    camera
-        .session
-        .declare_subscriber("albireo/**")
-        .callback(move |sample| {
-            if sample.key_expr().as_str().ends_with("/clip") {
-                let _ = sender.send(());
-            }
-        })
-        .background()
-        .await
-        .unwrap();
+    let key = |sample: Sample| sample.key_expr().to_string();
+    let mut keys = heard(&camera.session, "albireo/**", key).await;
     camera.clips(1).await;
     camera.clips(4).await;
     for _ in 0..4 {
-        timeout(PATIENCE, heard.recv()).await.unwrap().unwrap();
+        while !next(&mut keys).await.ends_with("/clip") {}
     }
     assert_eq!(metric(&node, "albireo_outbox_waiting").await, 4.0);
     camera.close().await;
@@ -139,10 +127,7 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
     camera.clips(4).await;
     hub.wait_for(3).await;
     hub.wait_for_asked(2).await;
-    assert_eq!(
-        metric(&node, "albireo_outbox_acknowledged_total").await,
-        0.0
-    );
+    assert_eq!(metric(&node, ACKNOWLEDGED).await, 0.0);
     hub.become_honest();
     wait_for(&node, "albireo_outbox_waiting", 0.0).await;
     hub.assert_gapless(3);
@@ -213,15 +198,11 @@ async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
     // Two messages a frame, a clip's report among them: far more than the buffers between here and there hold.
     camera.clips(1500).await;
     let after = slowest(&node, &mut camera, 200).await;
-    println!(
-        "99th of 100, frame and health: {before:?} without, {after:?} with a subscriber that does not read"
-    );
+    println!("99th of 100, frame and health: {before:?} without it, {after:?} with it");
     for (before, after) in before.into_iter().zip(after) {
-        // A put that waits for the subscriber waits for five seconds; a busy machine takes one now and then.
-        assert!(
-            after < before * 10 + Duration::from_secs(2),
-            "{before:?} {after:?}"
-        );
+        // A put that waits for the subscriber waits for seconds.
+        let most = before * 10 + Duration::from_millis(50);
+        assert!(after < most, "{before:?} {after:?}");
     }
 }
 
@@ -232,12 +213,8 @@ async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
     let node = Node::start_in(folder, &settings).await;
     let other = tempfile::tempdir().unwrap();
     let file = other.path().join("node.toml");
-    let listen = format!("zenoh.listen = [\"tcp/127.0.0.1:{}\"]\n", free_port());
-    std::fs::write(
-        &file,
-        format!("http.listen = \"127.0.0.1:0\"\n{listen}{settings}"),
-    )
-    .unwrap();
+    let listen = "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:0\"]\n";
+    std::fs::write(&file, format!("{listen}{settings}")).unwrap();
     let said = run(&["node", "--config", file.to_str().unwrap()], &[]).fails();
     assert_says(&said, &["in use by another node"]);
     drop(node);
@@ -246,8 +223,7 @@ async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_starts_without_its_router_answers_health_and_survives_its_replacement() {
-    let port = free_port();
-    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let settings = format!(
         "zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n{}",
         settings()

@@ -3,19 +3,20 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::fleet::{HubProcess, Settings, now_ns, send, settings, sqlite};
+use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
 use crate::support::{
-    PATIENCE, albireo, assert_says, free_port, metric, run, signal, text, until, zenoh_session,
+    PATIENCE, albireo, assert_says, free_port, heard, metric, run, signal, text, until_ready,
+    zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::process::Child;
+use tokio::time::timeout;
 use zenoh::Session;
+use zenoh::sample::Sample;
 
 /// A folder with an authority, and a router that goes by its rules.
 struct Fleet {
@@ -92,18 +93,22 @@ impl Fleet {
             .spawn()
             .unwrap();
         self.router = Some(router);
-        let ready = format!("http://{}/readyz", self.http);
-        until("the router is ready", async || {
-            let answer = reqwest::get(&ready).await;
-            answer.is_ok_and(|answer| answer.status().is_success())
-        })
-        .await;
+        until_ready(&format!("http://{}", self.http)).await;
+    }
+
+    /// One with its router and its hub.
+    async fn started() -> (Self, HubProcess) {
+        let mut fleet = Self::new();
+        fleet.start_router().await;
+        let hub = HubProcess::start(&fleet.hub_settings());
+        hub.until_ready().await;
+        (fleet, hub)
     }
 
     async fn stop_router(&mut self) {
         let mut router = self.router.take().unwrap();
         signal(router.id().unwrap(), "-TERM");
-        let ended = tokio::time::timeout(PATIENCE, router.wait()).await.unwrap();
+        let ended = timeout(PATIENCE, router.wait()).await.unwrap();
         assert!(ended.unwrap().success(), "{}", self.log());
     }
 
@@ -152,19 +157,10 @@ async fn open(endpoint: &str, tls: Option<Value>) -> zenoh::Result<Session> {
     zenoh_session(&settings).await
 }
 
-/// Sends a report until it is acknowledged; false without an answer within `limit`.
+/// Whether a report is acknowledged within `limit`.
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
-    let until = Instant::now() + limit;
-    loop {
-        let answer = send(session, node, number..=number, now_ns()).await;
-        if answer.is_some_and(|answer| answer.is_ok()) {
-            return true;
-        }
-        if Instant::now() > until {
-            return false;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let delivered = deliver(session, node, number..=number, now_ns());
+    timeout(limit, delivered).await.is_ok()
 }
 
 /// Long enough for a message that is let through, on a router that has just answered others.
@@ -172,30 +168,22 @@ const NOBODY: Duration = Duration::from_secs(3);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
-    let mut fleet = Fleet::new();
-    fleet.start_router().await;
-    let hub = HubProcess::start(&fleet.hub_settings());
-    hub.until_ready().await;
+    let (fleet, hub) = Fleet::started().await;
 
     // The right ones work.
     let car_7 = fleet.opens("node/car-7").await.unwrap();
     let car_8 = fleet.opens("node/car-8").await.unwrap();
     for (session, name) in [(&car_7, "car-7"), (&car_8, "car-8")] {
-        assert!(
-            acknowledged(session, name, 1, PATIENCE).await,
-            "{}",
-            fleet.log()
-        );
+        let taken = acknowledged(session, name, 1, PATIENCE).await;
+        assert!(taken, "{}", fleet.log());
     }
     assert_eq!(hub.clips("car-7").await.len(), 1);
 
     // No TLS, no certificate, one of another authority, one that has ended.
     let plain = fleet.endpoint.replace("tls/", "tcp/");
     assert!(open(&plain, None).await.is_err(), "a plain client");
-    assert!(
-        fleet.opens_with(Path::new("/"), None).await.is_err(),
-        "no certificate"
-    );
+    let nobody = fleet.opens_with(Path::new("/"), None).await;
+    assert!(nobody.is_err(), "no certificate");
     let other = fleet.folder.path().join("other");
     let mut stranger = Authority::create(&other, "other", DAY).unwrap();
     stranger.issue(Role::Node, "car-7", &[], DAY).unwrap();
@@ -206,10 +194,8 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
     own.issue(Role::Node, "car-9", &[], second).unwrap();
     drop(own);
     tokio::time::sleep(second * 2).await;
-    assert!(
-        fleet.opens("node/car-9").await.is_err(),
-        "a certificate that has ended"
-    );
+    let ended = fleet.opens("node/car-9").await;
+    assert!(ended.is_err(), "a certificate that has ended");
 
     // A certificate of one and the key of another.
     let mixed = fleet.folder.path().join("node");
@@ -217,34 +203,16 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
     let node = fleet.authority().join("node");
     std::fs::copy(node.join("car-7.pem"), mixed.join("mixed.pem")).unwrap();
     std::fs::copy(node.join("car-8.key"), mixed.join("mixed.key")).unwrap();
-    let mixed = fleet
-        .opens_with(fleet.folder.path(), Some("node/mixed"))
-        .await;
-    assert!(mixed.is_err(), "another node's key");
+    let mixed = fleet.opens_with(fleet.folder.path(), Some("node/mixed"));
+    assert!(mixed.await.is_err(), "another node's key");
 
     // A member that does what is not its own. A hub's session would hear it.
-    assert!(
-        !acknowledged(&car_7, "car-8", 9, NOBODY).await,
-        "a report in another's name"
-    );
+    let taken = acknowledged(&car_7, "car-8", 9, NOBODY).await;
+    assert!(!taken, "a report in another's name");
     let ear = fleet.opens("hub/main").await.unwrap();
-    let (heard, mut said) = tokio::sync::mpsc::unbounded_channel();
-    let _ear = ear
-        .declare_subscriber("albireo/@status/*")
-        .callback(move |sample| {
-            let _ = heard.send(sample.key_expr().to_string());
-        })
-        .await
-        .unwrap();
-    let thresholds = Arc::new(AtomicU64::new(0));
-    let counted = Arc::clone(&thresholds);
-    let _threshold = car_8
-        .declare_subscriber("albireo/car-8/front/threshold")
-        .callback(move |_| {
-            counted.fetch_add(1, Ordering::SeqCst);
-        })
-        .await
-        .unwrap();
+    let key = |sample: Sample| sample.key_expr().to_string();
+    let mut said = heard(&ear, "albireo/@status/*", key).await;
+    let mut thresholds = heard(&car_8, "albireo/car-8/front/threshold", drop).await;
     for key in [
         "albireo/car-8/front/threshold",
         "albireo/car-7/front/threshold",
@@ -256,58 +224,36 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
     // Its own status, sent after them, is heard: what was sent before is denied, not late.
     loop {
         car_7.put("albireo/@status/car-7", "{}").await.unwrap();
-        let next = tokio::time::timeout(Duration::from_millis(200), said.recv()).await;
+        let next = timeout(Duration::from_millis(200), said.recv()).await;
         if let Ok(Some(key)) = next {
             assert_eq!(key, "albireo/@status/car-7", "{}", fleet.log());
             break;
         }
     }
-    assert_eq!(thresholds.load(Ordering::SeqCst), 0);
+    assert!(thresholds.try_recv().is_err());
 
     // A hub's queryable, and an ear for everything: declared in vain.
-    let taken = Arc::new(AtomicU64::new(0));
-    let (asked, heard) = (Arc::clone(&taken), Arc::clone(&taken));
-    let queryable = car_7
-        .declare_queryable("albireo/@report/*")
-        .complete(true)
-        .callback(move |_| {
-            asked.fetch_add(1, Ordering::SeqCst);
-        })
-        .await
-        .unwrap();
-    let ear = car_7
-        .declare_subscriber("albireo/@status/*")
-        .callback(move |_| {
-            heard.fetch_add(1, Ordering::SeqCst);
-        })
-        .await
-        .unwrap();
+    let queryable = car_7.declare_queryable("albireo/@report/*");
+    let queries = queryable.complete(true).await.unwrap();
+    let mut overheard = heard(&car_7, "albireo/@status/*", drop).await;
     for number in 2..=5 {
         car_8.put("albireo/@status/car-8", "{}").await.unwrap();
         assert!(acknowledged(&car_8, "car-8", number, PATIENCE).await);
     }
-    assert_eq!(taken.load(Ordering::SeqCst), 0, "{}", fleet.log());
-    drop((queryable, ear));
-    assert_eq!(
-        hub.clips("car-8").await.len(),
-        5,
-        "and nothing in its name by another"
-    );
+    let nothing = matches!(queries.try_recv(), Ok(None)) && overheard.try_recv().is_err();
+    assert!(nothing, "{}", fleet.log());
+    let stored = hub.clips("car-8").await.len();
+    assert_eq!(stored, 5, "and nothing in its name by another");
     assert!(fleet.metric("albireo_router_sessions").await >= 3.0);
     assert!(fleet.metric("albireo_router_probe_seconds").await > 0.0);
-    assert_eq!(
-        fleet.metric("albireo_router_probes_failed_total").await,
-        0.0
-    );
+    let failed = "albireo_router_probes_failed_total";
+    assert_eq!(fleet.metric(failed).await, 0.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate()
  {
-    let mut fleet = Fleet::new();
-    fleet.start_router().await;
-    let hub = HubProcess::start(&fleet.hub_settings());
-    hub.until_ready().await;
+    let (mut fleet, _hub) = Fleet::started().await;
     let old = fleet.folder.path().join("old");
     std::fs::create_dir_all(old.join("node")).unwrap();
     for kind in ["pem", "key"] {
@@ -332,11 +278,8 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
     let again = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
     assert!(!acknowledged(&again, "car-7", 2, NOBODY).await);
     let renewed = fleet.opens("node/car-7").await.unwrap();
-    assert!(
-        acknowledged(&renewed, "car-7", 2, PATIENCE).await,
-        "{}",
-        fleet.log()
-    );
+    let taken = acknowledged(&renewed, "car-7", 2, PATIENCE).await;
+    assert!(taken, "{}", fleet.log());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -344,10 +287,7 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
 async fn a_real_node_reports_through_the_router_with_its_certificate() {
     use crate::support::Node;
     use crate::support::camera::Camera;
-    let mut fleet = Fleet::new();
-    fleet.start_router().await;
-    let hub = HubProcess::start(&fleet.hub_settings());
-    hub.until_ready().await;
+    let (fleet, hub) = Fleet::started().await;
     let authority = fleet.authority().display().to_string();
     let settings = format!(
         "node.name = \"car-7\"\ndetector.model = \"{}/tests/fixtures/models/boxes.onnx\"\npower.source = \"none\"\n\
@@ -360,12 +300,12 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     let node = Node::start(&settings).await;
     let mut camera = Camera::at(&node.zenoh, "car-7").await;
     camera.clips(4).await;
-    hub.until("/api/v1/clips?node=car-7", |page| {
+    let three = |page: &Value| {
         page["clips"]
             .as_array()
             .is_some_and(|clips| clips.len() >= 3)
-    })
-    .await;
+    };
+    hub.until("/api/v1/clips?node=car-7", three).await;
     hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
         .await;
     camera.close().await;
@@ -377,11 +317,8 @@ fn a_router_that_asks_for_certificates_does_not_start_without_access_rules() {
     let fleet = Fleet::new();
     let config = fleet.shipped("router.json5");
     let check = |more: &[&str]| {
-        let config = config.to_str().unwrap();
-        run(
-            &[&["router", "--check", "--config", config], more].concat(),
-            &[],
-        )
+        let check = ["router", "--check", "--config", config.to_str().unwrap()];
+        run(&[&check, more].concat(), &[])
     };
     assert_says(&check(&[]).fails(), &["--access"]);
     check(&["--no-access-control"]).succeeds();

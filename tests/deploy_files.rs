@@ -24,9 +24,8 @@ fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
     let folder = tempfile::tempdir().unwrap();
     says(&["man", folder.path().to_str().unwrap()]);
     for command in albireo::cli::Arguments::command().get_subcommands() {
-        let page = folder
-            .path()
-            .join(format!("albireo-{}.1", command.get_name()));
+        let page = format!("albireo-{}.1", command.get_name());
+        let page = folder.path().join(page);
         assert_says(&std::fs::read_to_string(page).unwrap(), &[".SH NAME"]);
     }
     for shell in ["bash", "zsh", "fish"] {
@@ -40,9 +39,8 @@ fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
 
 /// The scripts that are shipped.
 fn scripts() -> Vec<String> {
-    let mut found = ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"]
-        .map(str::to_owned)
-        .to_vec();
+    let own = ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"];
+    let mut found = own.map(str::to_owned).to_vec();
     for package in ["node", "hub", "router"] {
         for name in ["preinst", "postinst", "prerm", "postrm"] {
             let script = format!("deploy/debian/{package}/{name}");
@@ -69,16 +67,10 @@ fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
 
 #[test]
 fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
-    let notes = accepts(
-        "bash",
-        &[
-            "deploy/release-version.sh",
-            concat!("v", env!("CARGO_PKG_VERSION")),
-        ],
-    );
+    let notes_of = |tag| run_command(Command::new("bash").args(["deploy/release-version.sh", tag]));
+    let notes = notes_of(concat!("v", env!("CARGO_PKG_VERSION"))).succeeds();
     assert!(!notes.is_empty(), "the changelog says nothing");
-    let refused = run_command(Command::new("bash").args(["deploy/release-version.sh", "v0.0.1"]));
-    assert_says(&refused.fails(), &["the tag has 0.0.1"]);
+    assert_says(&notes_of("v0.0.1").fails(), &["the tag has 0.0.1"]);
 }
 
 #[test]
@@ -103,10 +95,8 @@ fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
 fn shellcheck_finds_nothing_in_the_scripts() {
     let scripts = scripts();
     let scripts: Vec<_> = scripts.iter().map(String::as_str).collect();
-    accepts(
-        "shellcheck",
-        &[&["--severity=warning"], &scripts[..]].concat(),
-    );
+    let severity = ["--severity=warning"];
+    accepts("shellcheck", &[&severity, &scripts[..]].concat());
 }
 
 #[test]
@@ -133,13 +123,8 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
         crate::support::script(&bin, command, "exit 0");
     }
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
-    run_command(
-        Command::new("sh")
-            .arg(&file)
-            .arg(argument)
-            .env("PATH", path),
-    )
-    .succeeds();
+    let mut sh = Command::new("sh");
+    run_command(sh.arg(&file).arg(argument).env("PATH", path)).succeeds();
 }
 
 #[test]
@@ -153,12 +138,9 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
         let token = folder.path().join(format!("etc/albireo/{package}-token"));
         runs_in(package, "postinst", "configure", folder.path());
         let first = std::fs::read_to_string(&token).unwrap();
-        let digits = first
-            .trim_end()
-            .bytes()
-            .filter(u8::is_ascii_hexdigit)
-            .count();
-        assert_eq!((digits, first.trim_end().len()), (48, 48), "{first}");
+        let mut digits = first.trim_end().bytes();
+        assert_eq!(digits.len(), 48, "{first}");
+        assert!(digits.all(|digit| digit.is_ascii_hexdigit()), "{first}");
         let mode = std::fs::metadata(&token).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode, 0o640, "{package}");
         let name = folder.path().join("etc/default/albireo-node");
@@ -211,11 +193,8 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
         let Some(scripts) = variant.get("maintainer-scripts") else {
             continue;
         };
-        let scripts = scripts.as_str().unwrap();
-        assert!(
-            project(scripts).join("postinst").exists(),
-            "{name}: {scripts}"
-        );
+        let installed = project(scripts.as_str().unwrap()).join("postinst");
+        assert!(installed.exists(), "{name}: {scripts}");
         for kept in variant["conf-files"].as_array().unwrap() {
             let kept = kept.as_str().unwrap();
             assert!(kept.starts_with("/etc/albireo/"), "{kept}");
@@ -279,9 +258,7 @@ fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
 #[test]
 fn every_command_of_the_compose_file_is_one_of_the_program() {
     let compose = text("deploy/docker/compose.yml");
-    let commands = compose
-        .lines()
-        .filter_map(|line| line.trim().strip_prefix("command: "));
+    let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
     let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
     // The bridge is another program.
     let commands: Vec<_> = commands
@@ -290,9 +267,8 @@ fn every_command_of_the_compose_file_is_one_of_the_program() {
     assert!(commands.len() >= 6, "{commands:?}");
     for words in commands.iter().filter(|_| cfg!(feature = "hub")) {
         let words = std::iter::once("albireo").chain(words.iter().map(String::as_str));
-        albireo::cli::Arguments::command()
-            .try_get_matches_from(words)
-            .unwrap();
+        let program = albireo::cli::Arguments::command();
+        program.try_get_matches_from(words).unwrap();
     }
 }
 
@@ -349,10 +325,8 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
             .unwrap();
         String::from_utf8_lossy(&ended.stdout).into_owned()
     };
-    until("Caddy answers", async || {
-        asks("/healthz", &[]).contains("ok")
-    })
-    .await;
+    let answers = async || asks("/healthz", &[]).contains("ok");
+    until("Caddy answers", answers).await;
     let status = ["--output", "/dev/null", "--write-out", "%{http_code}"];
     assert_eq!(asks("/api/v1/nodes", &status), "401");
     let token = ["--header", "Authorization: Bearer a-long-random-secret"];

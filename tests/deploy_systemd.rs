@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[cfg(feature = "hub")]
-use crate::support::fleet::{behind, settings, sqlite};
+use crate::support::fleet::{behind, router_config, settings, sqlite};
 use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -49,10 +49,8 @@ fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
     let plain = here(folder.path(), &[]);
     assert_eq!(verify(&plain), "");
     let folder = tempfile::tempdir().unwrap();
-    let with_all = here(
-        folder.path(),
-        &[("node", "gpu.conf"), ("node", "rapl.conf")],
-    );
+    let all = [("node", "gpu.conf"), ("node", "rapl.conf")];
+    let with_all = here(folder.path(), &all);
     assert_eq!(verify(&with_all), "");
     // The check itself can fail.
     let text = std::fs::read_to_string(&plain[0]).unwrap();
@@ -76,26 +74,19 @@ fn the_units_are_as_closed_as_promised() {
 
 #[test]
 fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
-    for (drop_in, opened) in [
-        (
-            "gpu.conf",
-            &[
-                "PrivateDevices=no",
-                "MemoryDenyWriteExecute=no",
-                "PrivateUsers=no",
-            ][..],
-        ),
-        ("rapl.conf", &["PrivateUsers=no"]),
-    ] {
+    let gpu = [
+        "PrivateDevices=no",
+        "MemoryDenyWriteExecute=no",
+        "PrivateUsers=no",
+    ];
+    for (drop_in, opened) in [("gpu.conf", &gpu[..]), ("rapl.conf", &gpu[2..])] {
         let text = unit(&format!("drop-ins/{drop_in}"));
         let mut found = Vec::new();
         let mut before = "";
         for line in text.lines() {
             if line.ends_with("=no") {
-                assert!(
-                    before.starts_with('#'),
-                    "{drop_in}: {line} without a reason"
-                );
+                let reason = before.starts_with('#');
+                assert!(reason, "{drop_in}: {line} without a reason");
                 found.push(line);
             }
             before = line;
@@ -128,13 +119,13 @@ impl Manager {
         }
     }
 
-    /// Starts a service as systemd does, with a watchdog of that period.
-    fn start(&self, arguments: &[&str], settings: &[(&str, String)], watchdog: Duration) -> Child {
+    /// Starts a service as systemd does, with a watchdog.
+    fn start(&self, arguments: &[&str], settings: &[(&str, String)]) -> Child {
         albireo()
             .args(arguments)
             .envs(settings.iter().map(|(name, value)| (*name, value)))
             .env("NOTIFY_SOCKET", self.folder.path().join("notify"))
-            .env("WATCHDOG_USEC", watchdog.as_micros().to_string())
+            .env("WATCHDOG_USEC", "200000")
             .stderr(std::fs::File::create(self.folder.path().join("log")).unwrap())
             .spawn()
             .unwrap()
@@ -189,7 +180,7 @@ async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) = settings(&sqlite(folder.path()));
     let mut manager = Manager::new();
-    let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
+    let hub = manager.start(&["hub"], &settings);
     manager.until("READY=1", 1).await;
     manager.until("STATUS=every part works", 1).await;
     manager.until("WATCHDOG=1", 5).await;
@@ -204,7 +195,7 @@ async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_f
     let router = format!("tcp/127.0.0.1:{}", free_port());
     let settings = behind(&router, &sqlite(folder.path()));
     let mut manager = Manager::new();
-    let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
+    let hub = manager.start(&["hub"], &settings);
     manager.until("STATUS=not ready: zenoh", 1).await;
     let fed = manager.count("WATCHDOG=1");
     manager.until("WATCHDOG=1", fed + 5).await;
@@ -216,19 +207,11 @@ async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_f
 #[tokio::test]
 async fn a_router_notifies_ready_and_feeds_its_watchdog() {
     let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("router.json5");
-    let endpoints = format!("[\"tcp/127.0.0.1:{}\"]", free_port());
-    std::fs::write(&file, format!("{{ listen: {{ endpoints: {endpoints} }} }}")).unwrap();
-    let http = format!("127.0.0.1:{}", free_port());
+    let file = router_config(folder.path());
     let mut manager = Manager::new();
-    let arguments = [
-        "router",
-        "--http",
-        &http,
-        "--config",
-        file.to_str().unwrap(),
-    ];
-    let router = manager.start(&arguments, &[], Duration::from_millis(200));
+    let http = ["router", "--http", "127.0.0.1:0"];
+    let arguments = [&http[..], &["--config", file.to_str().unwrap()]].concat();
+    let router = manager.start(&arguments, &[]);
     manager.until("READY=1", 1).await;
     manager.until("WATCHDOG=1", 5).await;
     ends_well(router, &mut manager).await;
@@ -254,7 +237,7 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     let file = node(folder.path(), &model);
     let mut manager = Manager::new();
     let arguments = ["node", "--config", file.to_str().unwrap()];
-    let node = manager.start(&arguments, &[], Duration::from_millis(200));
+    let node = manager.start(&arguments, &[]);
     manager.until("READY=1", 1).await;
     let fed = manager.count("WATCHDOG=1");
     manager.until("WATCHDOG=1", fed + 10).await;
@@ -272,7 +255,7 @@ async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
     let file = node(folder.path(), &model);
     let mut manager = Manager::new();
     let arguments = ["node", "--config", file.to_str().unwrap()];
-    let mut node = manager.start(&arguments, &[], Duration::from_millis(200));
+    let mut node = manager.start(&arguments, &[]);
     manager.until("WATCHDOG=1", 3).await;
     manager.until("STATUS=stuck: detector", 1).await;
     let fed = manager.count("WATCHDOG=1");

@@ -4,20 +4,15 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::http_api::served::Served;
-use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::fleet::{HubProcess, router_config, settings, sqlite};
 use crate::support::{albireo, free_port, project, run_command, text_at, until};
 use albireo_node::state::board::PowerSnapshot;
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::process::Command;
 
-fn deploy(path: &str) -> PathBuf {
-    project("deploy").join(path)
-}
-
 fn text(path: &str) -> String {
-    std::fs::read_to_string(deploy(path)).unwrap()
+    crate::support::text(&format!("deploy/{path}"))
 }
 
 /// The metrics that an expression names: words that are no function, label or keyword.
@@ -63,7 +58,7 @@ fn rules() -> (Vec<String>, BTreeSet<String>) {
 }
 
 fn dashboards() -> Vec<(String, Value)> {
-    std::fs::read_dir(deploy("grafana/dashboards"))
+    std::fs::read_dir(project("deploy/grafana/dashboards"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .map(|file| {
@@ -111,26 +106,21 @@ async fn of_a_hub() -> BTreeSet<String> {
 
 async fn of_a_router() -> BTreeSet<String> {
     let folder = tempfile::tempdir().unwrap();
-    let config = folder.path().join("router.json5");
-    let endpoints = format!("[\"tcp/127.0.0.1:{}\"]", free_port());
-    std::fs::write(
-        &config,
-        format!("{{ listen: {{ endpoints: {endpoints} }} }}"),
-    )
-    .unwrap();
     let http = format!("127.0.0.1:{}", free_port());
     let _router = albireo()
         .args(["router", "--http", &http, "--config"])
-        .arg(&config)
+        .arg(router_config(folder.path()))
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
     let metrics = format!("http://{http}/metrics");
+    let mut text = String::new();
     until("the router answers", async || {
-        !text_at(&metrics).await.is_empty()
+        text = text_at(&metrics).await;
+        !text.is_empty()
     })
     .await;
-    names(&text_at(&metrics).await)
+    names(&text)
 }
 
 #[tokio::test]
@@ -166,10 +156,8 @@ async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
             look(name, expression);
         }
         for variable in dashboard["templating"]["list"].as_array().unwrap() {
-            look(
-                name,
-                variable["query"]["query"].as_str().unwrap_or_default(),
-            );
+            let query = &variable["query"]["query"];
+            look(name, query.as_str().unwrap_or_default());
         }
     }
     assert!(missing.is_empty(), "no program gives: {missing:#?}");
@@ -192,7 +180,8 @@ fn every_alert_fires_when_it_should_and_not_before() {
         &["check", "config", "--syntax-only", "prometheus.yml"],
     ] {
         let mut promtool = Command::new("promtool");
-        run_command(promtool.args(arguments).current_dir(deploy("prometheus"))).succeeds();
+        let promtool = promtool.args(arguments);
+        run_command(promtool.current_dir(project("deploy/prometheus"))).succeeds();
     }
 }
 

@@ -15,22 +15,20 @@ const CAMERA: CameraSlot = CameraSlot(0);
 
 /// Frame `number` (from 0) of a clip of `size`, decoded by ffmpeg.
 fn frame(clip: &str, number: u32, size: PictureSize) -> Arc<Picture> {
-    let output = Command::new("ffmpeg")
+    let mut ffmpeg = Command::new("ffmpeg");
+    let output = ffmpeg
         .args(["-v", "error", "-i"])
         .arg(shared(&format!("media/{clip}")))
         .args(["-vf", &format!("select=eq(n\\,{number})")])
         .args(["-frames:v", "1", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
         .output()
         .expect("this test needs the program ffmpeg (Debian package ffmpeg)");
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let (length, said) = (output.stdout.len() as u64, output.stderr);
+    let said = String::from_utf8_lossy(&said);
     assert_eq!(
-        output.stdout.len() as u64,
+        length,
         size.pixels() * 3,
-        "frame {number} of {clip}"
+        "frame {number} of {clip}: {said}"
     );
     Arc::new(Picture {
         size,
@@ -82,17 +80,10 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
     assert_eq!(detector.model_name(), file);
     for (score, place) in cars {
         let found = is_found(&detector, &detected, score, place);
-        assert!(
-            found,
-            "no {score} {place:?} among {:?}",
-            detected.detections
-        );
+        assert!(found, "no {score} {place:?} among {detected:?}");
     }
-    assert!(
-        names.is_some() || detected.detections.len() == 2,
-        "{:?}",
-        detected.detections
-    );
+    let only_these = detected.detections.len() == 2;
+    assert!(names.is_some() || only_these, "{detected:?}");
     detector.stop().await;
 }
 

@@ -41,9 +41,8 @@ impl Agreement {
                 .iter()
                 .filter(|other| other.class == wanted.class)
                 .map(|other| {
-                    let overlap = wanted
-                        .bounding_box
-                        .intersection_over_union(other.bounding_box);
+                    let (one, other_box) = (wanted.bounding_box, other.bounding_box);
+                    let overlap = one.intersection_over_union(other_box);
                     (overlap, (other.confidence - wanted.confidence).abs())
                 })
                 .max_by(|first, second| first.0.total_cmp(&second.0))
@@ -106,19 +105,22 @@ fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
     }
     let asked = agreement.overlaps.len() + agreement.missed.len();
     assert!(asked >= 60, "only {asked} objects to compare");
+    let missed = agreement.missed;
     assert!(
-        agreement.missed.len() * 25 <= asked,
-        "{} of {asked} are missed: {:?}",
-        agreement.missed.len(),
-        agreement.missed
+        missed.len() * 25 <= asked,
+        "of {asked} are missed: {missed:?}"
     );
     let overlap = median(&mut agreement.overlaps);
     assert!(overlap >= 0.9, "median overlap {overlap}");
     let difference = median(&mut agreement.differences);
     let largest = agreement.differences[agreement.differences.len() - 1];
     assert!(
-        difference <= 0.04 && largest <= 0.25,
-        "confidences differ by {difference} in the median, {largest} at the most"
+        difference <= 0.04,
+        "confidences differ by {difference} in the median"
+    );
+    assert!(
+        largest <= 0.25,
+        "confidences differ by {largest} at the most"
     );
     assert!(!same_to_the_bit, "the quantised file computes as float32");
     assert_eq!(quantised.counts().rejected, 0);

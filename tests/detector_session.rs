@@ -1,19 +1,20 @@
 //! ONNX Runtime itself, on models of a few hundred bytes: a model that fits runs, any other is refused at the
 //! start with a helpful error.
 
-#![allow(clippy::panic)]
+#![allow(clippy::panic, clippy::unwrap_used)]
 
-use super::support::assert_says;
-use super::support::detectors::{assert_the_box, config, model, one_colour, refusal, started};
+use super::support::detectors::{
+    CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,
+};
+use super::support::{assert_says, run_command};
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadName,
+    CameraSlot, Detected, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider,
+    HeadName,
 };
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use rstest::rstest;
 use std::sync::Arc;
-
-const CAMERA: CameraSlot = CameraSlot(0);
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
@@ -23,30 +24,12 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     assert_eq!(detector.class_names().len(), 7);
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
     // Its class scores are the means of the planes: here green, the second.
-    let answer = detector.detect(CAMERA, one_colour([51, 204, 0])).await;
-    assert_the_box(&answer.unwrap(), 1, 0.8);
+    assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
     // Nothing is bright enough here.
-    let answer = detector.detect(CAMERA, one_colour([100, 100, 100])).await;
-    assert!(answer.unwrap().detections.is_empty());
+    let grey = detected(&detector, [100, 100, 100]).await;
+    assert!(grey.detections.is_empty());
     assert_eq!(detector.counters().worker.completed, 2);
     detector.stop().await;
-}
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn only_the_classes_to_report_are_reported() {
-    let only = |names: &[&str]| DetectorConfig {
-        report_classes: Some(names.iter().map(|&name| name.to_owned()).collect()),
-        ..config("colours.onnx")
-    };
-    let picture = one_colour([51, 204, 0]);
-    for (names, expected) in [(["rider"], 1), (["car"], 0)] {
-        let detector = started(&only(&names)).await;
-        let answer = detector.detect(CAMERA, picture.clone()).await.unwrap();
-        assert_eq!(answer.detections.len(), expected, "{names:?}");
-    }
-    let error = refusal(&only(&["lorry"])).await;
-    assert_says(&error, &["detector.report_classes", "lorry"]);
 }
 
 fn nothing(_: &mut DetectorConfig) {}
@@ -78,37 +61,29 @@ async fn a_model_that_cannot_be_used_is_refused_with_what_was_looked_for(
     #[case] change: fn(&mut DetectorConfig),
     #[case] parts: &[&str],
 ) {
-    let mut config = config(file);
-    change(&mut config);
-    let error = refusal(&config).await;
+    let error = refusal(&changed(file, change)).await;
     assert_says(&error, parts);
-    assert_says(
-        &error,
-        &[if parts[0].starts_with("detector.") {
-            parts[0]
-        } else {
-            file
-        }],
-    );
+    // A setting that cannot be used is named, and else the file.
+    let is_setting = parts[0].starts_with("detector.");
+    assert_says(&error, &[if is_setting { parts[0] } else { file }]);
 }
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
-    let of = |providers: &[ExecutionProvider]| DetectorConfig {
-        providers: providers.to_vec(),
-        ..config("colours.onnx")
+    let of = |providers: &[ExecutionProvider]| {
+        changed("colours.onnx", |config| {
+            config.providers = providers.to_vec()
+        })
     };
     for (providers, named) in [
         (&[Cuda][..], "`cuda`"),
         (&[TensorRt], "`tensorrt`"),
         (&[TensorRt, Cuda], "`cuda`"),
     ] {
-        assert_says(
-            &refusal(&of(providers)).await,
-            &[named, "detector.providers"],
-        );
+        let error = refusal(&of(providers)).await;
+        assert_says(&error, &[named, "detector.providers"]);
     }
     let detector = started(&of(&[TensorRt, Cuda, Cpu])).await;
     // The status shows the provider that runs, not the requested one.
@@ -121,8 +96,8 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
 #[ignore = "needs ONNX Runtime"]
 async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
     let detector = started(&config("not_a_number.onnx")).await;
-    let answer = detector.detect(CAMERA, one_colour([9, 9, 9])).await;
-    assert!(answer.unwrap().detections.is_empty());
+    let found = detected(&detector, [9, 9, 9]).await;
+    assert!(found.detections.is_empty());
     assert_eq!(detector.counters().head.rejected, 1);
     assert_eq!(detector.counters().worker.failed, 0);
 }
@@ -137,8 +112,8 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
     assert_says(&error.to_string(), &["24575"]);
     let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
     assert!(is_ready);
-    let answer = detector.detect(CAMERA, one_colour([51, 204, 0])).await;
-    assert_eq!(answer.unwrap().detections.len(), 1);
+    let found = detected(&detector, [51, 204, 0]).await;
+    assert_eq!(found.detections.len(), 1);
 }
 
 #[tokio::test]
@@ -175,8 +150,74 @@ async fn a_detector_is_refused_as_a_screen() {
         ..ScreenConfig::default()
     };
     let error = ScreenHandle::start(&config, None).await.err().unwrap();
-    assert_says(
-        &error.to_string(),
-        &["colours.onnx", "[1, 11, 1]", "`screen`", "[1, 2]"],
-    );
+    let said = ["colours.onnx", "[1, 11, 1]", "`screen`", "[1, 2]"];
+    assert_says(&error.to_string(), &said);
+}
+
+/// What it finds in a picture of one colour of that camera: a score in hundredths by class.
+async fn scores(
+    detector: &DetectorHandle,
+    camera: usize,
+    color: [u8; 3],
+) -> (Detected, Vec<(u16, i64)>) {
+    let answer = detector.detect(CameraSlot(camera), one_colour(color)).await;
+    let answer = answer.unwrap();
+    let scores = answer.detections.iter();
+    let scores = scores.map(|found| (found.class.0, (found.confidence * 100.0).round() as i64));
+    let scores = scores.collect();
+    (answer, scores)
+}
+
+/// The model has an open batch; the score of a car is how red the picture is, that of a traffic light how green.
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
+    let config = changed("yolo_open.onnx", |config| {
+        config.report_classes = Some(Vec::new());
+        config.confidence = 0.3;
+        config.timeout_ms = 60_000;
+        config.batch_size = 3;
+        // Far longer than three tasks need to ask: the run begins when the third has.
+        config.batch_wait_ms = 1000;
+    });
+    let detector = started(&config).await;
+    let mut before = detector.counters().worker;
+    // The first round makes the cameras known: a batch waits for known cameras only.
+    for round in 0..2 {
+        let (one, two, three) = tokio::join!(
+            scores(&detector, 0, [204, 0, 0]),
+            scores(&detector, 1, [0, 153, 0]),
+            scores(&detector, 2, [102, 0, 0])
+        );
+        assert_eq!(one.1, [(0, 80)]);
+        assert_eq!(two.1, [(1, 60)]);
+        assert_eq!(three.1, [(0, 40)]);
+        let after = detector.counters().worker;
+        assert_eq!(after.completed - before.completed, 3);
+        if round == 1 {
+            assert_eq!(after.batches - before.batches, 1);
+            // Of one run's time each picture used an even part.
+            for found in [&one.0, &two.0, &three.0] {
+                assert_eq!((found.pictures, found.took), (3, one.0.took));
+            }
+        }
+        before = after;
+    }
+}
+
+/// ONNX Runtime records no runs, and so can send nothing.
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn onnx_runtime_leaves_nothing_under_the_users_home() {
+    let home = tempfile::tempdir().unwrap();
+    let mut detect = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
+    detect
+        .arg("detect")
+        .arg(model("boxes.onnx"))
+        .env("HOME", home.path());
+    detect
+        .env_remove("XDG_CACHE_HOME")
+        .env_remove("ORT_DISABLE_TELEMETRY");
+    run_command(&mut detect).succeeds();
+    assert_eq!(std::fs::read_dir(home.path()).unwrap().count(), 0);
 }

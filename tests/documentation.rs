@@ -8,7 +8,7 @@
 
 mod camera_page;
 
-use crate::support::{Node, PATIENCE, assert_says, free_port, project, python, text, until};
+use crate::support::{Node, PATIENCE, assert_says, free_port, project, python, text, until_ready};
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
     ClipReport, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -79,6 +79,22 @@ fn blocks() -> Vec<Block> {
     blocks
 }
 
+/// The targets of a page's links.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    text.split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split(')').next())
+}
+
+/// The commands that are to be run of these pages.
+fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
+    let blocks = blocks()
+        .into_iter()
+        .filter(|block| block.mark == "<!-- run -->");
+    let blocks = blocks.filter(|block| is_wanted(&block.page));
+    blocks.flat_map(|block| block.commands).collect()
+}
+
 /// The words of a command, without the variables that are set for it and the comment behind it.
 fn words(line: &str) -> Vec<String> {
     let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
@@ -92,15 +108,14 @@ fn words(line: &str) -> Vec<String> {
 fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
     let blocks = blocks();
     assert!(blocks.len() >= 10, "{}", blocks.len());
+    let marks = ["<!-- by hand, 20", "<!-- not run: ", "<!-- run -->"];
     for Block {
         page,
         mark,
         commands,
     } in blocks
     {
-        let marked = ["<!-- by hand, 20", "<!-- not run: ", "<!-- run -->"]
-            .iter()
-            .any(|start| mark.starts_with(start));
+        let marked = marks.iter().any(|start| mark.starts_with(start));
         assert!(marked, "{page}: {commands:?} is marked `{mark}`");
     }
 }
@@ -109,18 +124,11 @@ fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
 fn every_command_that_is_printed_is_one_the_program_takes() {
     let mut seen = 0;
     for block in blocks() {
-        for command in block
-            .commands
-            .iter()
-            .filter(|command| words(command)[0] == "albireo")
-        {
+        let commands = block.commands.iter();
+        for command in commands.filter(|command| words(command)[0] == "albireo") {
             let taken = albireo::cli::Arguments::command().try_get_matches_from(words(command));
-            assert!(
-                taken.is_ok(),
-                "{}: {command}\n{}",
-                block.page,
-                taken.unwrap_err()
-            );
+            let refused = taken.err().map(|error| error.to_string());
+            assert_eq!(refused, None, "{}: {command}", block.page);
             seen += 1;
         }
     }
@@ -154,10 +162,7 @@ fn every_file_that_a_page_names_is_there() {
     for page in pages() {
         let text = text(&page);
         let folder = project(&page).parent().unwrap().to_owned();
-        let links = text
-            .split("](")
-            .skip(1)
-            .filter_map(|rest| rest.split([')', '#']).next());
+        let links = links(&text).map(|link| link.split('#').next().unwrap());
         let links = links.filter(|link| !link.is_empty() && !link.contains("://"));
         let quoted = text
             .lines()
@@ -168,11 +173,8 @@ fn every_file_that_a_page_names_is_there() {
         let files = links
             .map(|link| folder.join(link))
             .chain(quoted.map(project));
-        missing.extend(
-            files
-                .filter(|file| !file.exists())
-                .map(|file| (page.clone(), file)),
-        );
+        let gone = files.filter(|file| !file.exists());
+        missing.extend(gone.map(|file| (page.clone(), file)));
     }
     assert!(missing.is_empty(), "not there: {missing:#?}");
 }
@@ -198,13 +200,8 @@ fn every_heading_that_a_page_links_to_is_there() {
     let (mut seen, mut missing) = (0, Vec::new());
     for page in pages() {
         let text = text(&page);
-        for link in text
-            .split("](")
-            .skip(1)
-            .filter_map(|rest| rest.split(')').next())
-        {
-            let Some((file, anchor)) = link.split_once('#').filter(|_| !link.contains("://"))
-            else {
+        for link in links(&text).filter(|link| !link.contains("://")) {
+            let Some((file, anchor)) = link.split_once('#') else {
                 continue;
             };
             let page = project(&page);
@@ -218,10 +215,8 @@ fn every_heading_that_a_page_links_to_is_there() {
             }
         }
     }
-    assert!(
-        missing.is_empty() && seen > 10,
-        "{seen} seen, not there: {missing:#?}"
-    );
+    assert!(seen > 10, "{seen}");
+    assert!(missing.is_empty(), "not there: {missing:#?}");
 }
 
 /// The fields of a schema, those that may be missing in asterisks; parts that are flattened into it among them.
@@ -230,22 +225,15 @@ fn fields(schemas: &Value, schema: &Value) -> BTreeSet<String> {
     for part in schema["allOf"].as_array().into_iter().flatten() {
         let named = part["$ref"]
             .as_str()
-            .map(|name| &schemas[name.rsplit('/').next().unwrap()]);
-        found.extend(fields(schemas, named.unwrap_or(part)));
+            .and_then(|name| name.rsplit('/').next());
+        found.extend(fields(schemas, named.map_or(part, |name| &schemas[name])));
     }
-    for name in schema["properties"]
-        .as_object()
-        .into_iter()
-        .flat_map(|map| map.keys())
-    {
-        let required = schema["required"]
-            .as_array()
-            .is_some_and(|all| all.iter().any(|one| one == name));
-        found.insert(if required {
-            format!("`{name}`")
-        } else {
-            format!("*`{name}`*")
-        });
+    let properties = schema["properties"].as_object();
+    for name in properties.into_iter().flat_map(|map| map.keys()) {
+        let required = schema["required"].as_array();
+        let required = required.is_some_and(|all| all.iter().any(|one| one == name));
+        let asterisk = if required { "" } else { "*" };
+        found.insert(format!("{asterisk}`{name}`{asterisk}"));
     }
     found
 }
@@ -270,20 +258,17 @@ fn the_message_reference_has_the_messages_and_fields_of_the_code() {
         let (name, section) = section.split_once('\n').unwrap();
         let entries = section.lines().filter_map(|line| line.strip_prefix("- "));
         let entries = entries.map(|entry| entry.split([' ', ':']).next().unwrap().to_owned());
-        assert_eq!(
-            entries.collect::<BTreeSet<_>>(),
-            fields(schemas, &schemas[name]),
-            "{name}"
-        );
+        let described: BTreeSet<_> = entries.collect();
+        assert_eq!(described, fields(schemas, &schemas[name]), "{name}");
     }
     // A message as it is sent has no other fields.
     let sent = serde_json::to_value(crate::http_api::sample_detections()).unwrap();
     let known = fields(schemas, &schemas["DetectionsMessage"]);
-    let is_known = |name: &String| {
-        known
-            .iter()
-            .any(|field| field.trim_matches(['*', '`']) == name)
-    };
+    let known: BTreeSet<_> = known
+        .iter()
+        .map(|field| field.trim_matches(['*', '`']))
+        .collect();
+    let is_known = |name: &String| known.contains(&**name);
     assert!(sent.as_object().unwrap().keys().all(is_known), "{sent}");
 }
 
@@ -327,11 +312,8 @@ fn the_examples_of_messages_are_messages() {
         };
         // What the program does not know would not be written.
         let example: Value = serde_json::from_str(example).unwrap();
-        assert_eq!(
-            written.unwrap_or_else(|error| panic!("{name}: {error}")),
-            example,
-            "{name}"
-        );
+        let written = written.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(written, example, "{name}");
     }
 }
 
@@ -393,16 +375,9 @@ async fn the_commands_of_the_pages_run_in_their_order() {
     ];
     // As the page says before: a node runs in another terminal.
     let mut node = shell(folder.path(), "albireo node --config node.toml", &settings);
-    until("the node is ready", async || {
-        let ready = reqwest::get(format!("http://{http}/readyz")).await;
-        ready.is_ok_and(|said| said.status().is_success())
-    })
-    .await;
+    until_ready(&format!("http://{http}")).await;
     // Those of the page about cameras want cameras.
-    let blocks = blocks().into_iter();
-    let blocks =
-        blocks.filter(|block| block.page != "docs/cameras.md" && block.mark == "<!-- run -->");
-    let commands: Vec<_> = blocks.flat_map(|block| block.commands).collect();
+    let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
     let (with_node, without): (Vec<_>, Vec<_>) = (commands.into_iter())
         .partition(|command| command.contains("curl ") || command.contains(" replay "));

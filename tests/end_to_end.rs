@@ -3,48 +3,18 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{Client, Ended, Node, PATIENCE, albireo, project, python, shared, value_of};
+use crate::support::{Client, Node, answer_of, project, python, replay, shared, value_of};
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
-use std::process::Stdio;
-use tokio::time::timeout;
+use std::collections::BTreeSet;
 
 /// A node with YOLOX-Nano.
-fn yolox_settings(policy: &str) -> String {
+fn settings() -> String {
+    let model = shared("models/yolox_nano_416.onnx");
     format!(
-        r#"
-[node]
-name = "bench"
-[detector]
-model = "{}"
-timeout_ms = 30000
-[policy]
-name = "{policy}"
-u = 5e-4
-[clip]
-silence_s = 6.0
-[[camera]]
-name = "front"
-delivery = "every"
-# development: ring=4
-"#,
-        shared("models/yolox_nano_416.onnx").display()
+        "node.name = \"bench\"\ndetector.model = {model:?}\ndetector.timeout_ms = 30000\n\
+         policy.name = \"albireo\"\npolicy.u = 5e-4\nclip.silence_s = 6.0\n\
+         [[camera]]\nname = \"front\"\ndelivery = \"every\"\n# development: ring=4\n"
     )
-}
-
-async fn replay(node: &Node, source: &Path, more: &[&str]) {
-    let output = albireo()
-        .arg("replay")
-        .arg(source)
-        .args(["--connect", &node.zenoh, "--node", "bench"])
-        .args(["--camera", "front", "--every", "--wait-for-subscriber"])
-        .args(more)
-        .output();
-    let output = timeout(PATIENCE, output)
-        .await
-        .expect("the replay ends in time");
-    Ended::from(output.unwrap()).succeeds();
 }
 
 /// Detections until the report of `clip` comes, and that report.
@@ -60,61 +30,35 @@ async fn until_clip(client: &mut Client, clip: &str) -> (Vec<Value>, Value) {
     }
 }
 
-fn total_dropped(report: &Value) -> u64 {
-    let kinds = report["dropped"].as_object().unwrap().values();
-    kinds.map(|number| number.as_u64().unwrap()).sum()
-}
-
-/// The metric families Prometheus' own strict parser finds.
-fn parsed_by_prometheus(metrics: &str) -> BTreeMap<String, u64> {
-    let mut parser = std::process::Command::new(python())
-        .arg(project("tests/clients/parse_metrics.py"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("Python starts");
-    std::io::Write::write_all(&mut parser.stdin.take().expect("piped"), metrics.as_bytes())
-        .expect("the parser reads");
-    let output = parser.wait_with_output().expect("the parser ends");
-    assert!(output.status.success(), "the parser refuses:\n{metrics}");
-    serde_json::from_slice(&output.stdout).expect("JSON")
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ../shared and ONNX Runtime and Python and ffmpeg"]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
-    let node = Node::start(&yolox_settings("albireo")).await;
+    let node = Node::start(&settings()).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
     let video = shared("media/highway_two_cars.mp4");
-    replay(&node, &video, &["--clip", "two-cars"]).await;
+    let clip = ["--node", "bench", "--clip", "two-cars"];
+    replay(&node, video.to_str().unwrap(), &clip).await;
     let (detections, report) = until_clip(&mut client, "two-cars").await;
 
-    let dropped = total_dropped(&report);
+    let dropped = report["dropped"].as_object().unwrap().values();
+    let dropped: u64 = dropped.map(|number| number.as_u64().unwrap()).sum();
     assert_eq!(report["frames"], detections.len(), "{report}");
     assert_eq!(detections.len() as u64 + dropped, 251, "{report}");
     let numbers: BTreeSet<_> = detections.iter().map(|d| d["seq"].as_u64()).collect();
-    assert_eq!(
-        numbers.len(),
-        detections.len(),
-        "every frame is answered once"
-    );
+    let answered = detections.len();
+    assert_eq!(numbers.len(), answered, "every frame is answered once");
 
     for (state, count) in report["states"].as_object().expect("five counters") {
         let found = detections
             .iter()
-            .filter(|message| message["state"] == **state)
-            .count();
+            .filter(|message| message["state"] == **state);
+        let found = found.count();
         assert_eq!(*count, found, "{state}");
-        assert!(
-            found > 0 || ["E", "E+I"].contains(&&**state),
-            "no {state} in {report}"
-        );
+        let may_lack = ["E", "E+I"].contains(&&**state);
+        assert!(found > 0 || may_lack, "no {state} in {report}");
     }
     let number = |value: &Value| value.as_f64().unwrap();
-    let (joules, edp) = (
-        number(&report["energy"]["joules"]),
-        number(&report["energy"]["edp"]),
-    );
+    let [joules, edp] = ["joules", "edp"].map(|figure| number(&report["energy"][figure]));
     assert!(joules > 0.0);
     let expected = joules * number(&report["duration_s"]) * 1e3 / detections.len() as f64;
     // Both were sent with six significant digits.
@@ -126,25 +70,23 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(kept, report);
     late.finish().await;
 
-    let metrics = reqwest::Client::new().get(format!("{}/metrics", node.http));
-    let metrics = metrics.send().await.unwrap().text().await.unwrap();
-    let families = parsed_by_prometheus(&metrics);
+    let metrics = node.text("/metrics").await;
+    // The families that Prometheus' own strict parser finds.
+    let mut parser = std::process::Command::new(python());
+    parser.arg(project("tests/clients/parse_metrics.py"));
+    let families = answer_of(&mut parser, &metrics.clone().into());
     for family in [
         "frames",
         "frames_dropped",
         "threshold",
         "detector_boxes_dropped",
     ] {
-        assert!(
-            families.contains_key(&format!("albireo_{family}")),
-            "no {family} in {families:?}"
-        );
+        let family = &families[format!("albireo_{family}")];
+        assert!(family.is_u64(), "not all in {families:?}");
     }
     let asked = ["I", "E+I", "AI"].map(|state| report["states"][state].as_u64().unwrap());
-    let runs = value_of(
-        &metrics,
-        "albireo_detector_runs_total{outcome=\"completed\"}",
-    );
+    let completed = "albireo_detector_runs_total{outcome=\"completed\"}";
+    let runs = value_of(&metrics, completed);
     assert_eq!(runs, asked.iter().sum::<u64>() as f64);
 
     let (status, took, log, _) = node.stop().await;

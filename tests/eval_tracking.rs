@@ -2,13 +2,13 @@
 #![allow(clippy::expect_used)]
 
 use crate::golden_traces::replay::{Screen, decide_frame};
-use crate::support::{answer_of, shared};
+use crate::golden_traces::shared_data::{detections, sequences};
+use crate::support::{answer_of, project};
 use albireo_core::policy::{Outcome, PolicyConfig};
 use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
-use albireo_eval::data::{Clip, recorded};
+use albireo_eval::data::Clip;
 use albireo_eval::tracking::tracking;
 use serde_json::{Value, json};
-use std::path::Path;
 use std::process::Command;
 
 /// What `policy` shows of a recording.
@@ -18,18 +18,9 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
     let mut policy = config.build().expect("a policy");
     let mut outcome = Outcome::default();
     let mut boxes = Vec::new();
-    for (index, found) in clip.detections.iter().flatten().enumerate() {
-        let found = found.iter().filter(|found| found.confidence >= 0.5);
-        let found: Vec<_> = found.map(|found| found.normalise(clip.picture)).collect();
+    for (index, found) in (0..).zip(detections(clip)) {
         let (screen, picture) = (Screen::NeverEmpty, clip.picture);
-        decide_frame(
-            &mut *policy,
-            index as u64,
-            screen,
-            picture,
-            &found,
-            &mut outcome,
-        );
+        decide_frame(&mut *policy, index, screen, picture, &found, &mut outcome);
         let scored = outcome.boxes.iter().map(|shown| ScoredBox {
             corners: shown.bounding_box.pixel_corners(picture),
             class: shown.class,
@@ -43,44 +34,27 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
 
 /// A clip in the form the script takes.
 fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
-    let tracks = tracks.iter().map(|frame| {
-        let counted = frame
-            .iter()
-            .filter(|found| found.confidence >= SHOWN_CONFIDENCE);
-        let rows = counted.map(|found| {
-            json!([
-                found.object,
-                found.corners.x1,
-                found.corners.y1,
-                found.corners.x2,
-                found.corners.y2
-            ])
-        });
-        rows.collect::<Vec<_>>()
-    });
-    let truth = truth.iter().map(|frame| {
-        let rows = frame.iter().map(|known| {
-            json!([
-                known.object,
-                known.corners.x1,
-                known.corners.y1,
-                known.corners.x2,
-                known.corners.y2
-            ])
-        });
-        rows.collect::<Vec<_>>()
-    });
-    json!({"tracks": tracks.collect::<Vec<_>>(), "truth": truth.collect::<Vec<_>>()})
+    let row = |found: &ScoredBox| {
+        let c = found.corners;
+        json!([found.object, c.x1, c.y1, c.x2, c.y2])
+    };
+    let is_counted = |found: &&ScoredBox| found.confidence >= SHOWN_CONFIDENCE;
+    let tracks = tracks
+        .iter()
+        .map(|frame| frame.iter().filter(is_counted).map(row).collect());
+    let truth = truth.iter().map(|frame| frame.iter().map(row).collect());
+    let [tracks, truth]: [Vec<Vec<Value>>; 2] = [tracks.collect(), truth.collect()];
+    json!({"tracks": tracks, "truth": truth})
 }
 
 #[test]
 #[ignore = "needs ../shared and the wheel"]
 fn shared_wheel_tracks_of_every_recorded_sequence_score_as_in_trackeval() {
-    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
+    let clips = sequences();
     let mut requests = Vec::new();
     let mut ours = Vec::new();
     for policy in ["albireo", "expected-loss:0.3", "fixed-skip-in-tracker:3"] {
-        for clip in &clips.clips {
+        for clip in &clips {
             if let Some(truth) = &clip.truth {
                 let tracks = shown(clip, policy);
                 requests.push(request(&tracks, truth));
@@ -90,23 +64,16 @@ fn shared_wheel_tracks_of_every_recorded_sequence_score_as_in_trackeval() {
         }
     }
     assert_eq!(ours.len(), 3 * 17);
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/tracking_scores.py");
-    let theirs = answer_of(
-        Command::new(crate::wheel::python()).arg(script),
-        &json!(requests),
-    );
+    let mut script = Command::new(crate::wheel::python());
+    script.arg(project("tests/python/tracking_scores.py"));
+    let theirs = answer_of(&mut script, &json!(requests));
     let theirs: Vec<(f64, f64)> = serde_json::from_value(theirs).expect("two figures a clip");
     assert_eq!(theirs.len(), ours.len());
     for ((what, ours), (hota, idf1)) in ours.iter().zip(theirs) {
         println!("{what}: {ours:?}");
-        assert!(
-            (ours.hota - hota).abs() < 1e-9,
-            "{what}: {ours:?}, not HOTA {hota}"
-        );
-        assert!(
-            (ours.idf1 - idf1).abs() < 1e-9,
-            "{what}: {ours:?}, not IDF1 {idf1}"
-        );
+        for (ours, theirs) in [(ours.hota, hota), (ours.idf1, idf1)] {
+            assert!((ours - theirs).abs() < 1e-9, "{what}: {ours}, not {theirs}");
+        }
         assert!(hota > 0.1 && idf1 > 0.1, "{what}: {ours:?}");
     }
 }

@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, attachment, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, attachment, configuration, pictures};
 use crate::support::policies::Before;
-use crate::support::until;
+use crate::support::{PATIENCE, until};
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
@@ -59,24 +59,27 @@ async fn put(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) {
         .unwrap();
 }
 
+/// What the node answers to a frame that it is asked to take.
+async fn ask(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) -> FrameAnswer {
+    let replies = session
+        .get(format!("albireo/node/{camera}/frame"))
+        .payload(picture)
+        .encoding("image/jpeg")
+        .attachment(attachment(seq, None, None))
+        .timeout(PATIENCE)
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.expect("it is answered");
+    let sample = reply.into_result().unwrap();
+    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
+}
+
 /// Sends frames as `albireo replay --every` does: the next one when the last was taken.
-fn send_each(session: &zenoh::Session, camera: &str, picture: &[u8]) -> JoinHandle<()> {
+fn send_each(session: &zenoh::Session, camera: &'static str, picture: &[u8]) -> JoinHandle<()> {
     let (session, picture) = (session.clone(), picture.to_vec());
-    let key = format!("albireo/node/{camera}/frame");
     tokio::spawn(async move {
         for seq in 4..12 {
-            let replies = session
-                .get(&key)
-                .payload(picture.clone())
-                .encoding("image/jpeg")
-                .attachment(attachment(seq, None, None))
-                .timeout(LONG)
-                .await
-                .unwrap();
-            let reply = replies.recv_async().await.expect("it is answered");
-            let sample = reply.into_result().unwrap();
-            let answer: FrameAnswer = albireo_wire::read(&sample.payload().to_bytes()).unwrap();
-            assert_eq!(answer.refused, None);
+            assert_eq!(ask(&session, camera, seq, &picture).await.refused, None);
         }
     })
 }
@@ -129,7 +132,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
     assert!(senders.iter().all(|sender| !sender.is_finished()));
     gate.open();
     for sender in senders {
-        timeout(LONG, sender).await.unwrap().unwrap();
+        timeout(PATIENCE, sender).await.unwrap().unwrap();
     }
     let mut seen = Vec::new();
     for _ in 0..24 {
@@ -153,20 +156,11 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
     let mut bench = Bench::start(&configuration()).await;
-    let replies = bench
-        .session
-        .get(format!("albireo/node/{CAMERA}/frame"))
-        .payload("not a picture")
-        .encoding("image/jpeg")
-        .attachment(attachment(0, None, None))
-        .await
-        .unwrap();
-    let reply = replies.recv_async().await.unwrap().into_result().unwrap();
-    let answer: FrameAnswer = albireo_wire::read(&reply.payload().to_bytes()).unwrap();
+    let answer = ask(&bench.session, CAMERA, 0, b"not a picture").await;
     assert!(answer.refused.is_some());
     let dropped = bench.snapshot().dropped;
     assert_eq!((dropped.undecodable, dropped.total()), (1, 1));
-    bench.send(pictures(1).remove(0), "image/jpeg", 1).await;
+    bench.send(pictures(1).remove(0), 1).await;
     assert_eq!(bench.answer().await.seq, 1);
     bench.stop().await;
 }

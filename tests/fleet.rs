@@ -81,19 +81,20 @@ impl Car {
     }
 
     pub(crate) async fn end(&mut self) {
-        let camera = self.camera.take().unwrap();
+        let mut camera = self.camera.take().unwrap();
         // A frame that was sent and not answered has taken its number.
         self.seq = camera.seq;
         self.folder = Some(self.node.take().unwrap().kill().await);
-        self.reported.extend(camera.reported());
+        self.reported.append(camera.reported());
         camera.close().await;
     }
 
     /// Waits until the last clip that was closed is on the disk, and the hub has acknowledged everything.
-    async fn until_delivered(&self) {
+    async fn until_delivered(&mut self) {
         let last = format!("clip-{}", self.seq - 2);
         let http = &self.node.as_ref().unwrap().http;
-        let kept = || self.camera.as_ref().unwrap().reported().contains(&last);
+        let camera = self.camera.as_mut().unwrap();
+        let mut kept = || camera.reported().contains(&last);
         let waiting = async || metric(http, "albireo_outbox_waiting").await;
         let what = format!("{}: {last} is delivered", self.name);
         until(&what, async || kept() && waiting().await == 0.0).await;
@@ -115,13 +116,11 @@ async fn every_report_once(hub: &HubProcess, car: Car) -> u64 {
     let (name, made, reported) = car.made().await;
     let clips = hub.clips(&name).await;
     let stored = clips.len() as u64;
-    let numbers: BTreeSet<u64> = clips
-        .iter()
-        .map(|clip| clip["count"].as_u64().unwrap())
-        .collect();
+    let numbers = clips.iter().map(|clip| clip["count"].as_u64().unwrap());
+    let expected: BTreeSet<u64> = (1..=stored).collect();
     assert_eq!(
-        numbers,
-        (1..=stored).collect(),
+        numbers.collect::<BTreeSet<_>>(),
+        expected,
         "{name}: none missing, none twice"
     );
     assert_eq!(stored, made, "{name}");
@@ -146,7 +145,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     let folder = tempfile::tempdir().unwrap();
     let (endpoint, configured) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&configured);
-    hub.until("/readyz", |answer| answer["ready"] == true).await;
+    hub.until_ready().await;
     let mut car = Car::new("car-1", &endpoint);
     car.settings += "uplink.pictures = true\n";
     car.start().await;
@@ -266,6 +265,9 @@ async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_dou
         }
         killed[victim as usize] += 1;
         let car = below(2) as usize;
+        if victim > 0 {
+            tokio::time::sleep(after).await;
+        }
         match victim {
             0 => {
                 if fleet.cars[car].node.is_none() {
@@ -274,21 +276,16 @@ async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_dou
                 fleet.cars[car].kill(after).await;
             }
             1 => {
-                tokio::time::sleep(after).await;
-                match fleet.hub.take() {
-                    Some(hub) => hub.kill().await,
-                    None => HubProcess::start(&fleet.settings).kill().await,
-                }
+                let hub = fleet.hub.take();
+                let hub = hub.unwrap_or_else(|| HubProcess::start(&fleet.settings));
+                hub.kill().await;
             }
             2 => {
-                tokio::time::sleep(after).await;
-                match fleet.router.take() {
-                    Some(router) => router.kill().await,
-                    None => Router::start(&fleet.endpoint).kill().await,
-                }
+                let router = fleet.router.take();
+                let router = router.unwrap_or_else(|| Router::start(&fleet.endpoint));
+                router.kill().await;
             }
             _ => {
-                tokio::time::sleep(after).await;
                 if !fleet.database_up {
                     fleet.database.up();
                 }

@@ -25,10 +25,8 @@ fn decoded(picture: &EncodedPicture, layout: PixelLayout) -> Result<Picture, Fra
     assert_eq!(into.size, picture.size);
     assert_eq!(into.source_size, picture.size);
     assert_eq!(into.layout, layout);
-    assert_eq!(
-        into.pixels.len() as u64,
-        picture.size.pixels() * layout.channels() as u64
-    );
+    let expected = picture.size.pixels() * layout.channels() as u64;
+    assert_eq!(into.pixels.len() as u64, expected);
     Ok(into)
 }
 
@@ -46,16 +44,17 @@ fn grey(picture: &EncodedPicture) -> Vec<u8> {
 
 /// A smooth colourful picture: smooth, so that JPEG stays close to it.
 fn gradient(width: u32, height: u32) -> Vec<u8> {
-    (0..height)
-        .flat_map(|y| {
-            (0..width).flat_map(move |x| {
-                [
-                    (40 + x * 120 / width) as u8,
-                    (60 + y * 120 / height) as u8,
-                    (200 - (x + y) * 100 / (width + height)) as u8,
-                ]
-            })
-        })
+    let pixel = |place: u32| {
+        let (x, y) = (place % width, place / width);
+        [
+            40 + x * 120 / width,
+            60 + y * 120 / height,
+            200 - (x + y) * 100 / (width + height),
+        ]
+    };
+    (0..width * height)
+        .flat_map(pixel)
+        .map(|value| value as u8)
         .collect()
 }
 
@@ -178,27 +177,19 @@ fn a_picture_that_contradicts_the_size_it_was_announced_with_is_undecodable() {
 #[test]
 fn every_kind_of_png_gives_its_colours() {
     use BitDepth::{Eight, One, Sixteen};
+    use ColorType::GrayscaleAlpha;
     let colour = [10, 20, 30, 40, 50, 60];
     let deep = [10, 99, 20, 1, 30, 2, 40, 3, 50, 4, 60, 5];
+    let clear = [10, 20, 30, 0, 40, 50, 60, 9];
     let grey_pixels = [7, 7, 7, 200, 200, 200];
     for (color, depth, samples, expected) in [
         (ColorType::Rgb, Eight, &colour[..], colour),
-        (
-            ColorType::Rgba,
-            Eight,
-            &[10, 20, 30, 0, 40, 50, 60, 9],
-            colour,
-        ),
+        (ColorType::Rgba, Eight, &clear, colour),
         (ColorType::Indexed, Eight, &[0, 1], colour),
         (ColorType::Indexed, One, &[0b0100_0000], colour),
         (ColorType::Rgb, Sixteen, &deep, colour),
         (ColorType::Grayscale, Eight, &[7, 200], grey_pixels),
-        (
-            ColorType::GrayscaleAlpha,
-            Eight,
-            &[7, 0, 200, 255],
-            grey_pixels,
-        ),
+        (GrayscaleAlpha, Eight, &[7, 0, 200, 255], grey_pixels),
     ] {
         let picture = png_file(2, 1, color, depth, samples);
         assert_eq!(rgb(&picture), expected);
@@ -232,14 +223,11 @@ fn an_interlaced_png_is_put_together() {
 #[test]
 fn raw_layouts_are_converted() {
     let colour = vec![10, 20, 30, 200, 100, 50];
-    let bgr = vec![30, 20, 10, 50, 100, 200];
-    let bgra = vec![30, 20, 10, 0, 50, 100, 200, 7];
-    let rgba = vec![10, 20, 30, 0, 200, 100, 50, 7];
     for (format, bytes) in [
         (PictureFormat::Rgb8, colour.clone()),
-        (PictureFormat::Bgr8, bgr),
-        (PictureFormat::Rgba8, rgba),
-        (PictureFormat::Bgra8, bgra),
+        (PictureFormat::Bgr8, vec![30, 20, 10, 50, 100, 200]),
+        (PictureFormat::Rgba8, vec![10, 20, 30, 0, 200, 100, 50, 7]),
+        (PictureFormat::Bgra8, vec![30, 20, 10, 0, 50, 100, 200, 7]),
     ] {
         let picture = encoded(format, 2, 1, bytes);
         assert_eq!(rgb(&picture), colour, "{format:?}");

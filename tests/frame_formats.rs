@@ -44,11 +44,8 @@ fn read_ros(payload: &[u8], format: PayloadFormat) -> Read {
 
 /// The JPEG and the PNG file inside the fixtures.
 fn picture_files() -> (Vec<u8>, Vec<u8>) {
-    let cut = |name: &str, at: usize, length: usize| fixture(name)[at..at + length].to_vec();
-    (
-        cut("compressed_image_0.cdr", 48, 10435),
-        cut("compressed_image_2.cdr", 32, 82134),
-    )
+    let [jpeg, png] = ["compressed_image_0.cdr", "compressed_image_2.cdr"].map(fixture);
+    (jpeg[48..][..10435].to_vec(), png[32..][..82134].to_vec())
 }
 
 #[test]
@@ -65,11 +62,8 @@ fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
         assert_eq!(frame.picture.size, PictureSize::new(width, height));
         let (offset, length) = (number("data_offset") as usize, number("data_len") as usize);
         assert_eq!(frame.picture.bytes, payload[offset..offset + length]);
-        let format = if message["format"] == "png" {
-            PictureFormat::Png
-        } else {
-            PictureFormat::Jpeg
-        };
+        let is_png = message["format"] == "png";
+        let format = [PictureFormat::Jpeg, PictureFormat::Png][usize::from(is_png)];
         assert_eq!(frame.picture.format, format);
         assert_eq!(frame.sequence, 12, "numbered by arrival");
         assert_eq!(frame.payload_bytes, payload.len());
@@ -83,8 +77,8 @@ fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
     payload.extend_from_slice(&[0; 3]);
     assert!(read_ros(&payload, PayloadFormat::Ros2CompressedImage).is_ok());
     for length in (0..60).chain([whole - 1]) {
-        let rejected =
-            read_ros(&payload[..length], PayloadFormat::Ros2CompressedImage).unwrap_err();
+        let cut = read_ros(&payload[..length], PayloadFormat::Ros2CompressedImage);
+        let rejected = cut.unwrap_err();
         assert_eq!(rejected.1.kind(), "undecodable", "{length}: {rejected:?}");
         assert_eq!(rejected.0.seq, None);
     }
@@ -107,10 +101,9 @@ fn ros_image(
         while !body.len().is_multiple_of(4) {
             body.push(0);
         }
-        body.extend_from_slice(&if little_endian {
-            value.to_le_bytes()
-        } else {
-            value.to_be_bytes()
+        body.extend(match little_endian {
+            true => value.to_le_bytes(),
+            false => value.to_be_bytes(),
         });
     };
     let text = |body: &mut Vec<u8>, value: &str| {
@@ -134,10 +127,7 @@ fn ros_image(
 #[test]
 fn a_ros2_image_is_read_with_and_without_row_padding() {
     let rows: Vec<u8> = (0..18).collect();
-    let padded: Vec<u8> = rows
-        .chunks(9)
-        .flat_map(|row| row.iter().copied().chain([255; 3]))
-        .collect();
+    let padded = [&rows[..9], &[255; 3], &rows[9..], &[255; 3]].concat();
     for little_endian in [true, false] {
         for (step, data) in [(9, &rows), (12, &padded)] {
             let payload = ros_image(little_endian, "bgr8", 3, 2, step, data);
@@ -174,12 +164,10 @@ fn a_ros2_image_that_contradicts_itself_is_refused() {
 #[test]
 fn a_ros2_camera_is_numbered_by_its_own_attachment() {
     let attachment = rmw_attachment(900, 3);
-    let frame = read_as(
-        sample(&fixture("compressed_image_1.cdr"), "", Some(&attachment)),
-        PayloadFormat::Ros2CompressedImage,
-        &FrameLimits::default(),
-    )
-    .unwrap();
+    let message = fixture("compressed_image_1.cdr");
+    let sample = sample(&message, "", Some(&attachment));
+    let limits = FrameLimits::default();
+    let frame = read_as(sample, PayloadFormat::Ros2CompressedImage, &limits).unwrap();
     assert_eq!(frame.sequence, 900);
     assert_eq!(frame.time_ns, 1_700_000_001_246_913_578, "the header's");
 }

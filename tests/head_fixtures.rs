@@ -9,6 +9,7 @@ use albireo_vision::picture::{
     ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
 };
 use flate2::read::GzDecoder;
+use rstest::rstest;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fs::File;
@@ -63,16 +64,21 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
     }
 }
 
-/// Reads the fixture's outputs as the whole detector does and compares with the vendor's boxes.
-fn assert_head(name: &str, expected_head: HeadName, least_boxes: usize) {
+/// The fixture's outputs are read as the whole detector does it.
+#[rstest]
+#[case::of_yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
+#[case::of_end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
+#[case::of_detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
+fn the_boxes_agree_with_the_vendors(
+    #[case] name: &str,
+    #[case] expected_head: HeadName,
+    #[case] least_boxes: usize,
+) {
     let fixture: HeadFixture = fixture(name);
     let output_name = |place: usize| fixture.names.get(place).map_or("output0", String::as_str);
     let signature = Signature {
         inputs: vec![spec("images", &[1, 3, fixture.rows, fixture.columns])],
-        outputs: fixture
-            .outputs
-            .iter()
-            .enumerate()
+        outputs: (fixture.outputs.iter().enumerate())
             .map(|(place, output)| spec(output_name(place), &output.shape))
             .collect(),
         metadata: Metadata::default(),
@@ -130,21 +136,6 @@ fn assert_head(name: &str, expected_head: HeadName, least_boxes: usize) {
         }
     }
     assert!(boxes >= least_boxes, "{boxes} boxes prove nothing");
-}
-
-#[test]
-fn the_yolo_head_and_suppression_agree_with_ultralytics() {
-    assert_head("head_yolo", HeadName::Yolo, 100);
-}
-
-#[test]
-fn the_end_to_end_head_agrees_with_ultralytics() {
-    assert_head("head_end_to_end", HeadName::EndToEnd, 20);
-}
-
-#[test]
-fn the_detr_head_agrees_with_rf_detr() {
-    assert_head("head_detr", HeadName::Detr, 20);
 }
 
 /// The largest and the mean difference of our input from the vendor's, in levels of 0 to 255.

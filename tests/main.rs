@@ -16,15 +16,12 @@ mod deploy_access;
 mod deploy_files;
 mod deploy_systemd;
 #[cfg(feature = "hub")]
-#[cfg(feature = "hub")]
 mod deploy_watching;
-mod detector_batches;
 mod detector_exports;
 mod detector_models;
 mod detector_quantised;
 mod detector_resources;
 mod detector_session;
-mod detector_telemetry;
 mod documentation;
 mod end_to_end;
 mod eval_agreement;

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{both_ways, project, until, zenoh_client};
+use crate::support::{PATIENCE, both_ways, heard, next, project, until, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::PayloadFormat;
@@ -14,15 +14,13 @@ use albireo_wire::{ClipEnd, ClipReport, DetectionsMessage, FrameAttachment, VERS
 use serde::de::DeserializeOwned;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
-
-/// Far longer than anything here takes: reached only when something hangs.
-pub(crate) const LONG: Duration = Duration::from_secs(120);
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::sample::Sample;
 
 pub(crate) const CAMERA: &str = "front";
 
@@ -81,18 +79,18 @@ impl Bench {
         }
     }
 
-    pub(crate) async fn send(
-        &self,
-        payload: impl Into<zenoh::bytes::ZBytes>,
-        encoding: &str,
-        seq: u64,
-    ) {
-        self.send_of_clip(payload, encoding, seq, None).await;
+    /// Sends a JPEG picture, and waits until the node has taken or refused it.
+    pub(crate) async fn send(&self, picture: impl Into<ZBytes>, seq: u64) {
+        self.send_as(picture, "image/jpeg", seq, None).await;
     }
 
-    pub(crate) async fn send_of_clip(
+    pub(crate) async fn send_of_clip(&self, picture: impl Into<ZBytes>, seq: u64, clip: &str) {
+        self.send_as(picture, "image/jpeg", seq, Some(clip)).await;
+    }
+
+    async fn send_as(
         &self,
-        payload: impl Into<zenoh::bytes::ZBytes>,
+        payload: impl Into<ZBytes>,
         encoding: &str,
         seq: u64,
         clip: Option<&str>,
@@ -103,7 +101,7 @@ impl Bench {
             .payload(payload)
             .encoding(Encoding::from(encoding))
             .attachment(attachment(seq, None, clip))
-            .timeout(LONG)
+            .timeout(PATIENCE)
             .await
             .unwrap();
         replies.recv_async().await.expect("the node answers");
@@ -129,21 +127,22 @@ impl Bench {
 
     /// The threshold that the next frame was decided with.
     async fn answered_threshold(&mut self, seq: u64) -> Option<f64> {
-        self.send(pictures(1).remove(0), "image/jpeg", seq).await;
-        self.answer()
-            .await
-            .threshold
-            .map(|threshold| threshold.value)
+        self.send(pictures(1).remove(0), seq).await;
+        let threshold = self.answer().await.threshold;
+        threshold.map(|threshold| threshold.value)
     }
 
     pub(crate) async fn answer(&mut self) -> DetectionsMessage {
-        let answer = timeout(LONG, self.detections.recv()).await;
-        answer.unwrap().unwrap()
+        next(&mut self.detections).await
     }
 
     pub(crate) async fn stop(self) {
         self.shutdown.cancel();
-        timeout(LONG, self.stopped).await.unwrap().unwrap().unwrap();
+        timeout(PATIENCE, self.stopped)
+            .await
+            .unwrap()
+            .unwrap()
+            .unwrap();
         self.session.close().await.unwrap();
     }
 }
@@ -153,13 +152,8 @@ async fn published<T: DeserializeOwned + Send + 'static>(
     session: &Session,
     key: &str,
 ) -> UnboundedReceiver<T> {
-    let (sender, messages) = unbounded_channel();
-    let heard = move |sample: zenoh::sample::Sample| {
-        let _ = sender.send(serde_json::from_slice(&sample.payload().to_bytes()).unwrap());
-    };
-    let subscriber = session.declare_subscriber(key.to_owned()).callback(heard);
-    subscriber.background().await.unwrap();
-    messages
+    let read = |sample: Sample| serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+    heard(session, key, read).await
 }
 
 /// The attachment of a frame.
@@ -191,17 +185,15 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
     let mut bench = Bench::start(&config).await;
     let picture = pictures(1).remove(0);
     for seq in [10, 10, 9] {
-        bench.send(picture.clone(), "image/jpeg", seq).await;
+        bench.send(picture.clone(), seq).await;
     }
-    bench.send(vec![0; 400_001], "image/jpeg", 11).await;
-    bench.send(b"hello".to_vec(), "text/plain", 12).await;
-    bench
-        .send(b"not a picture".to_vec(), "image/jpeg", 13)
-        .await;
+    bench.send(vec![0; 400_001], 11).await;
+    bench.send_as("hello", "text/plain", 12, None).await;
+    bench.send("not a picture", 13).await;
     // Half a picture has a sound header: only decoding shows that it is broken.
     let half = picture[..picture.len() / 2].to_vec();
-    bench.send(half, "image/jpeg", 14).await;
-    bench.send(picture.clone(), "image/jpeg", 18).await;
+    bench.send(half, 14).await;
+    bench.send(picture.clone(), 18).await;
     assert_eq!(bench.answer().await.seq, 10);
     assert_eq!(bench.answer().await.seq, 18);
     let dropped = bench.snapshot().dropped;
@@ -230,7 +222,7 @@ async fn a_predicted_frame_is_never_decoded() {
             let from = payload.len() / 3;
             payload[from..].fill(0xFF);
         }
-        bench.send(payload, "image/jpeg", seq as u64).await;
+        bench.send(payload, seq as u64).await;
         let message = tokio::select! {
             message = bench.answer() => message,
             // It was dropped: a detector frame's turn came, and its picture was broken.
@@ -298,7 +290,10 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let replies = query.await.unwrap();
-    let reply = timeout(LONG, replies.recv_async()).await.unwrap().unwrap();
+    let reply = timeout(PATIENCE, replies.recv_async())
+        .await
+        .unwrap()
+        .unwrap();
     match reply.result() {
         Ok(sample) => {
             let message: serde_json::Value =
@@ -322,16 +317,14 @@ async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of
     let picture = pictures(1).remove(0);
     for seq in 0..CLIPS {
         let clip = format!("clip-{seq}");
-        bench
-            .send_of_clip(picture.clone(), "image/jpeg", seq, Some(&clip))
-            .await;
+        bench.send_of_clip(picture.clone(), seq, &clip).await;
         bench.answer().await;
     }
-    let first = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    let first = next(&mut reports).await;
     assert_eq!((&*first.clip, first.frames), ("clip-0", 1));
     bench.stop().await;
     for seq in 1..CLIPS {
-        let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+        let report = next(&mut reports).await;
         assert_eq!((report.clip, report.frames), (format!("clip-{seq}"), 1));
         assert_eq!((report.states.frames(), &*report.provider), (1, "cpu"));
         let is_open = report.ended_by == ClipEnd::Shutdown;
@@ -348,13 +341,13 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() 
     let mut bench = Bench::start(&config).await;
     let picture = pictures(1).remove(0);
     for seq in [1000, 1001, 100, 1002] {
-        bench.send(picture.clone(), "image/jpeg", seq).await;
+        bench.send(picture.clone(), seq).await;
     }
     // The camera counts from 0 again, after a second of silence; its first frame is no picture.
     tokio::time::sleep(Duration::from_millis(1100)).await;
-    bench.send(b"broken".to_vec(), "image/jpeg", 0).await;
-    bench.send(picture.clone(), "image/jpeg", 1).await;
-    bench.send(picture, "image/jpeg", 2).await;
+    bench.send("broken", 0).await;
+    bench.send(picture.clone(), 1).await;
+    bench.send(picture, 2).await;
     let mut seen = Vec::new();
     for _ in 0..5 {
         let answer = bench.answer().await;
@@ -455,7 +448,7 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     let answer = bench.answer().await;
     assert_eq!((answer.width, answer.height), (320, 180));
     assert_eq!(answer.t_ns, 1_700_000_000_123_456_789);
-    bench.send(pictures(1).remove(0), "image/jpeg", 0).await;
+    bench.send(pictures(1).remove(0), 0).await;
     assert_eq!(bench.answer().await.width, 640);
     bench.stop().await;
 }

@@ -3,11 +3,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+use crate::support::{project, run_command};
+use std::path::PathBuf;
 use std::process::Command;
 
 fn web() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("web")
+    project("web")
 }
 
 /// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` overwrites it; then
@@ -35,20 +36,12 @@ fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
     current("hub", &albireo_hub::http::openapi());
 }
 
-/// Runs a command in `web` and shows its output if it fails.
+/// Runs a command in `web`, which must succeed.
 fn run(program: &str, arguments: &[&str]) {
-    let output = Command::new(program)
-        .args(arguments)
-        .current_dir(web())
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
-    let failed = String::from_utf8_lossy(&output.stderr);
-    println!("{said}");
-    assert!(
-        output.status.success(),
-        "{program} {arguments:?}: {}\n{said}\n{failed}",
-        output.status
+    let mut command = Command::new(program);
+    println!(
+        "{}",
+        run_command(command.args(arguments).current_dir(web())).succeeds()
     );
 }
 

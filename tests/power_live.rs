@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support::{
-    Client, Ended, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric,
+    Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
     script, value_of,
 };
 use serde_json::{Value, json};
@@ -62,13 +62,11 @@ delivery = "every"
     )
 }
 
-async fn replay(node: &Node, clip: &str, frames: &str) {
-    let output = albireo()
-        .args(["replay", "demo", "--frames", frames, "--clip", clip])
-        .args(["--clip-seconds", "1000", "--every", "--wait-for-subscriber"])
-        .args(["--connect", &node.zenoh, "--node", "bench"])
-        .output();
-    Ended::from(timeout(PATIENCE, output).await.unwrap().unwrap()).succeeds();
+/// Plays so many frames of the demonstration's road as one clip.
+async fn drive(node: &Node, frames: &str) {
+    let clip = "--node bench --clip drive --clip-seconds 1000 --frames";
+    let clip: Vec<_> = clip.split(' ').chain([frames]).collect();
+    replay(node, "demo", &clip).await;
 }
 
 /// The next message of that kind that `wanted` takes.
@@ -91,10 +89,8 @@ fn assert_energy(report: &Value) {
     assert_eq!(energy["quality"], "measured", "{report}");
     assert!(near(&energy["coverage"], 1.0), "{report}");
     assert!(near(&energy["joules"], 24.0 * seconds), "{report}");
-    assert!(
-        near(&energy["edp"], 24.0 * seconds * seconds * 1e3 / 25.0),
-        "{report}"
-    );
+    let edp = 24.0 * seconds * seconds * 1e3 / 25.0;
+    assert!(near(&energy["edp"], edp), "{report}");
 }
 
 fn watts(message: &Value, domain: &str) -> f64 {
@@ -112,14 +108,9 @@ async fn measured_watts_are_reported_by_zenoh_events_metrics_and_the_clip_report
 
     let counters = next(&mut client, "/counters", |m| !m["watts"][0].is_null()).await;
     assert_eq!(counters["power_quality"], "measured");
-    for (domain, expected) in [
-        ("total", 24.0),
-        ("gpu", 8.0),
-        ("cpu", 4.0),
-        ("io_mem", 12.0),
-    ] {
-        let found = watts(&counters, domain);
-        assert!((found - expected).abs() < 1e-6, "{counters}");
+    let shown = ["total", "gpu", "cpu", "io_mem"].map(|domain| watts(&counters, domain));
+    for (shown, expected) in shown.into_iter().zip([24.0, 8.0, 4.0, 12.0]) {
+        assert!((shown - expected).abs() < 1e-6, "{counters}");
     }
 
     let events = format!("{}/api/v1/events?types=counters", node.http);
@@ -133,21 +124,14 @@ async fn measured_watts_are_reported_by_zenoh_events_metrics_and_the_clip_report
     let event: Value = serde_json::from_str(data.unwrap()).unwrap();
     assert!((watts(&event, "total") - 24.0).abs() < 1e-6, "{event}");
 
-    let gpu = metric(
-        &node.http,
-        r#"albireo_power_watts{domain="gpu",source="ina"}"#,
-    )
-    .await;
-    assert!((gpu - 8.0).abs() < 1e-6);
+    let gpu = r#"albireo_power_watts{domain="gpu",source="ina"}"#;
+    assert!((metric(&node.http, gpu).await - 8.0).abs() < 1e-6);
     let cost = r#"albireo_power_meter_cpu_seconds_total{source="ina"}"#;
     assert!(metric(&node.http, cost).await > 0.0);
 
-    replay(&node, "drive", "25").await;
-    let is_drive = |m: &Value| {
-        m["clip"]
-            .as_str()
-            .is_some_and(|clip| clip.starts_with("drive"))
-    };
+    drive(&node, "25").await;
+    let is_drive = |clip: &str| clip.starts_with("drive");
+    let is_drive = |message: &Value| message["clip"].as_str().is_some_and(is_drive);
     let report = next(&mut client, "/clip", is_drive).await;
     let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
     let expected = json!({"quality": "measured", "source": "ina", "total_from": "sum_of_rails"});
@@ -155,10 +139,8 @@ async fn measured_watts_are_reported_by_zenoh_events_metrics_and_the_clip_report
     assert_energy(&report);
     assert!(near(&energy["node_joules"], 24.0 * seconds));
     let samples = energy["samples"].as_f64().unwrap();
-    assert!(
-        samples > 5.0 && samples <= seconds * 10.0 + 1.0,
-        "{samples}"
-    );
+    let most = seconds * 10.0 + 1.0;
+    assert!(samples > 5.0 && samples <= most, "{samples}");
     let domains = energy["domains"].as_array().unwrap();
     assert_eq!(domains.len(), 4, "{energy}");
     assert!(near(&domains[1]["mean_watts"], 8.0) && near(&domains[1]["peak_watts"], 8.0));
@@ -175,16 +157,13 @@ async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
         settings(&board(folder.path())).replace("[power]\n", "[power]\ninterval_ms = 1000\n");
     let node = Node::start(&settings).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/clip", false).await;
-    replay(&node, "drive", "25").await;
+    drive(&node, "25").await;
     let report = next(&mut client, "/clip", |_| true).await;
     assert_energy(&report);
     let metrics = node.text("/metrics").await;
-    let [joules, seconds] = ["joules", "covered_seconds"].map(|name| {
-        value_of(
-            &metrics,
-            &format!(r#"albireo_energy_{name}_total{{domain="total",source="ina"}}"#),
-        )
-    });
+    let series = |name| format!(r#"albireo_energy_{name}_total{{domain="total",source="ina"}}"#);
+    let [joules, seconds] =
+        ["joules", "covered_seconds"].map(|name| value_of(&metrics, &series(name)));
     let is_right = seconds >= 2.0 && (joules / seconds / 24.0 - 1.0).abs() < 1e-6;
     assert!(is_right, "{metrics}");
     node.stop_well().await;
@@ -206,7 +185,7 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
     let hangs = next(&mut client, "/counters", |m| m["watts"][0].is_null()).await;
     assert_eq!(hangs["power_quality"], "unavailable");
 
-    replay(&node, "drive", "12").await;
+    drive(&node, "12").await;
     let mut states = Vec::new();
     let report = loop {
         let (key, message) = client.next().await.unwrap();
@@ -238,30 +217,26 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told
     let path = std::env::var("PATH").unwrap_or_default();
     let path = format!("{}:{path}", folder.path().display());
     let sysfs = folder.path().join("sys");
+    let program_of = |asked| if asked { &script } else { &program };
     for asked in [false, true] {
         let output = albireo()
             .args(["power", "--json"])
             .env("PATH", &path)
-            .env(
-                "ALBIREO_POWER__TEGRASTATS",
-                if asked { &script } else { &program },
-            )
+            .env("ALBIREO_POWER__TEGRASTATS", program_of(asked))
             .env("ALBIREO_DEVELOPMENT", format!("sysfs={}", sysfs.display()))
             .output();
         let output = timeout(PATIENCE, output).await.unwrap().unwrap();
         let found: Value = serde_json::from_slice(&output.stdout).unwrap();
         let sources = found.as_array().unwrap();
-        let names: Vec<_> = sources
-            .iter()
-            .map(|one| one["source"].as_str().unwrap())
-            .collect();
-        assert_eq!(names, ["ina", "tegrastats", "rapl", "nvml", "estimate"]);
+        let names = ["ina", "tegrastats", "rapl", "nvml", "estimate"];
+        assert!(
+            sources.iter().map(|one| &one["source"]).eq(names.iter()),
+            "{found}"
+        );
         assert_has(&sources[1], &json!({"why_not": null, "automatic": true}));
         assert_eq!(sources[1]["watts"][0][1], 20.0, "{found}");
-        assert!(
-            !sources[0]["why_not"].is_null(),
-            "a reason why not: {found}"
-        );
+        let reason = &sources[0]["why_not"];
+        assert!(reason.is_string(), "a reason why not: {found}");
         let log = std::fs::read_to_string(folder.path().join("sudo.log")).unwrap_or_default();
         let expected = format!("-n {} --interval 100", program.display());
         assert_eq!(log.lines().next(), asked.then_some(&*expected), "{log}");

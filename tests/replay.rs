@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{assert_says, free_port, listening_peer, script};
+use crate::support::{PATIENCE, assert_says, free_port, listening_peer, script, test_video};
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
@@ -16,9 +16,6 @@ use std::time::Duration;
 use tokio::sync::mpsc::{Receiver, channel};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
-
-/// Far longer than anything here takes: reached only when something hangs.
-const LONG: Duration = Duration::from_secs(120);
 
 #[derive(Parser)]
 struct Command {
@@ -69,7 +66,7 @@ async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> 
     let mut sending = tokio::spawn(replay::run(arguments, CancellationToken::new()));
     let mut frames = Vec::new();
     let mut sent: Option<Sent> = None;
-    timeout(LONG, async {
+    timeout(PATIENCE, async {
         while sent
             .as_ref()
             .is_none_or(|sent| (frames.len() as u64) < sent.frames)
@@ -107,14 +104,8 @@ fn write_grey(file: &Path, pixels: &[u8], [width, height]: [u16; 2]) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
     let folder = pictures(12);
-    let more = [
-        "--rate",
-        "200",
-        "--clip",
-        "drive",
-        "--clip-seconds",
-        "0.025",
-    ];
+    let more = "--rate 200 --clip drive --clip-seconds 0.025";
+    let more: Vec<_> = more.split(' ').collect();
     let (frames, sent) = replayed(folder.path(), &more, async || {}).await;
     assert_eq!((sent.frames, sent.clips), (12, 3));
     let bytes: usize = frames.iter().map(|frame| frame.picture.bytes.len()).sum();
@@ -166,10 +157,8 @@ async fn a_missing_subscriber_or_node_is_an_error_that_says_so() {
     let (session, endpoint) = listening_peer().await;
     let connect = ["--connect", &endpoint];
     let error = refusal(1, &[&connect[..], &["--wait-for-subscriber=1"]].concat()).await;
-    assert_says(
-        &error,
-        &["no node took frames on `albireo/node/front/frame`"],
-    );
+    let nobody = "no node took frames on `albireo/node/front/frame`";
+    assert_says(&error, &[nobody]);
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
     let fast = [&connect[..], &["--rate", "max"]].concat();
     let error = refusal(3, &[&fast[..], &["--camera", "frnt"]].concat()).await;
@@ -271,19 +260,11 @@ fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
     }
 }
 
-/// Needs the real `ffmpeg`.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn needs_ffmpeg_a_real_video_arrives_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("test.mp4");
-    let made = std::process::Command::new("ffmpeg")
-        .args(["-v", "error", "-f", "lavfi", "-i"])
-        .args(["testsrc=size=320x180:rate=24:duration=2", "-c:v", "mpeg4"])
-        .arg(&file)
-        .status()
-        .expect("this test needs ffmpeg: apt-get install ffmpeg");
-    assert!(made.success());
+    let file = test_video(folder.path(), "test.mp4", "rate=24:duration=2");
     for encoding in ["jpeg", "png"] {
         let more = ["--rate", "max", "--encoding", encoding];
         let (frames, sent) = replayed(&file, &more, async || {}).await;

@@ -2,22 +2,42 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
-use crate::support::{Node, assert_says, signal, until, until_read};
+use crate::support::{
+    Node, PATIENCE, assert_says, next, run_command, until, until_read, zenoh_client,
+};
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
-use albireo_wire::{ClipEnd, HealthState};
+use albireo_wire::{ClipEnd, HealthState, HealthStatus};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-/// `inner` with a bug: it panics after this many frames.
-fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
-    let before = move || good = good.checked_sub(1).expect("a bug in a policy");
-    Box::new(Before { inner, before })
+/// A bench whose policy has a bug: it panics after this many frames.
+async fn buggy(good: u32) -> Bench {
+    let config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    let policies = move |_: &str| {
+        let (inner, mut good) = (policy.build()?, good);
+        let before = move || good = good.checked_sub(1).expect("a bug in a policy");
+        Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
+    };
+    let prepared = PreparedNode::new(&config).unwrap();
+    Bench::start_prepared(&config, prepared.with_policies(Arc::new(policies))).await
+}
+
+/// Waits for a status that is as wanted.
+async fn status(
+    changes: &mut watch::Receiver<HealthStatus>,
+    wanted: impl FnMut(&HealthStatus) -> bool,
+) -> HealthStatus {
+    let status = timeout(PATIENCE, changes.wait_for(wanted)).await;
+    status.expect("the status changes in time").unwrap().clone()
 }
 
 /// Settings of a node that asks this detector about every frame.
@@ -31,37 +51,21 @@ fn settings(detector: &str, more: &str) -> String {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_frame_vanishes() {
-    let config = configuration();
-    let policy: PolicyConfig = config.policy.clone();
-    let prepared = PreparedNode::new(&config)
-        .unwrap()
-        .with_policies(Arc::new(move |_| {
-            let inner = policy.build()?;
-            Ok(buggy(inner, 2))
-        }));
-    let mut bench = Bench::start_prepared(&config, prepared).await;
+    let mut bench = buggy(2).await;
     let mut reports = bench.reports().await;
     let mut changes = bench.board.readiness.subscribe();
     let picture = pictures(1).remove(0);
     for seq in 0..2 {
-        bench
-            .send_of_clip(picture.clone(), "image/jpeg", seq, Some("a"))
-            .await;
+        bench.send_of_clip(picture.clone(), seq, "a").await;
         assert_eq!(bench.answer().await.seq, seq);
     }
     // The third frame meets the bug.
-    bench
-        .send_of_clip(picture.clone(), "image/jpeg", 2, Some("a"))
-        .await;
-    let changed = timeout(
-        LONG,
-        changes.wait_for(|status| status.state == HealthState::NotReady),
-    );
-    let status = changed.await.unwrap().unwrap().clone();
-    let reason = &status.reasons["tasks"];
-    assert_says(reason, &["camera front", "a bug in a policy"]);
+    bench.send_of_clip(picture.clone(), 2, "a").await;
+    let failed = status(&mut changes, |status| status.state == HealthState::NotReady).await;
+    let said = ["camera front", "a bug in a policy"];
+    assert_says(&failed.reasons["tasks"], &said);
     // The open clip is not lost with the loop.
-    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
 
     until("a restart", async || {
@@ -70,9 +74,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
         })
     })
     .await;
-    bench
-        .send_of_clip(picture.clone(), "image/jpeg", 3, Some("a"))
-        .await;
+    bench.send_of_clip(picture, 3, "a").await;
     assert_eq!(bench.answer().await.seq, 3);
     let health = bench.board.readiness.health();
     assert_eq!(health.state(), HealthState::Degraded);
@@ -82,19 +84,11 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
-    let config = configuration();
-    let policy: PolicyConfig = config.policy.clone();
-    let prepared = PreparedNode::new(&config)
-        .unwrap()
-        .with_policies(Arc::new(move |_| {
-            let inner = policy.build()?;
-            Ok(buggy(inner, 0))
-        }));
-    let bench = Bench::start_prepared(&config, prepared).await;
+    let bench = buggy(0).await;
     let picture = pictures(1).remove(0);
     // Each frame that a loop takes ends it, and the pauses between two loops grow: most frames find none.
     for seq in 0..40 {
-        bench.send(picture.clone(), "image/jpeg", seq).await;
+        bench.send(picture.clone(), seq).await;
     }
     let failures = || -> u64 {
         let counts = bench.board.tasks.counts();
@@ -121,15 +115,11 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     let mut bench = Bench::start(&config).await;
     let mut reports = bench.reports().await;
     // Dark pictures are answered at once, a bright one never.
-    bench
-        .send_of_clip(solid(0), "image/jpeg", 0, Some("last"))
-        .await;
+    bench.send_of_clip(solid(0), 0, "last").await;
     assert_eq!(bench.answer().await.seq, 0);
-    bench
-        .send_of_clip(solid(255), "image/jpeg", 1, Some("last"))
-        .await;
+    bench.send_of_clip(solid(255), 1, "last").await;
     for seq in 2..4 {
-        let sent = bench.send_of_clip(solid(0), "image/jpeg", seq, Some("last"));
+        let sent = bench.send_of_clip(solid(0), seq, "last");
         let answered = timeout(Duration::from_secs(1), sent).await;
         assert!(answered.is_err(), "its turn has not come");
     }
@@ -138,11 +128,14 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
     bench.shutdown.cancel();
-    let ended = timeout(LONG, &mut bench.stopped).await.unwrap().unwrap();
+    let ended = timeout(PATIENCE, &mut bench.stopped)
+        .await
+        .unwrap()
+        .unwrap();
     let took = start.elapsed();
     ended.unwrap();
     assert!(took < Duration::from_secs(4), "it took {took:?}");
-    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
     assert_eq!(report.degraded_frames, 1);
     assert_eq!(report.ended_by, ClipEnd::Shutdown);
@@ -159,19 +152,14 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
     config.zenoh.connect = first.endpoints.clone();
     let second = Bench::start(&config).await;
     let mut changes = second.board.readiness.subscribe();
-    let changed = timeout(
-        LONG,
-        changes.wait_for(|status| {
-            (status.reasons.get("zenoh")).is_some_and(|reason| reason.contains("of this name"))
-        }),
-    );
-    assert_eq!(changed.await.unwrap().unwrap().state, HealthState::Degraded);
+    let of_this_name = |status: &HealthStatus| {
+        let reason = status.reasons.get("zenoh");
+        reason.is_some_and(|reason| reason.contains("of this name"))
+    };
+    let told = status(&mut changes, of_this_name).await;
+    assert_eq!(told.state, HealthState::Degraded);
     first.stop().await;
-    let free = timeout(
-        LONG,
-        changes.wait_for(|status| !status.reasons.contains_key("zenoh")),
-    );
-    free.await.expect("the name is free").unwrap();
+    status(&mut changes, |now| !now.reasons.contains_key("zenoh")).await;
     second.stop().await;
 }
 
@@ -180,9 +168,7 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
 async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let limits = "# development: stop_timeout_s=60\ndetector.timeout_ms = 600000\n";
     let node = Node::start(&settings("hanging.onnx", limits)).await;
-    let endpoint = [node.zenoh.clone()];
-    let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
-    let session = session.unwrap();
+    let session = zenoh_client(&node.zenoh).await;
     // The detector computes forever on the first; the ring holds two more, and one more pushes one out: by then the
     // camera's loop waits for the detector.
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
@@ -196,21 +182,18 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
             }
         }
     };
-    timeout(LONG, stuck).await.expect("the detector hangs");
+    timeout(PATIENCE, stuck).await.expect("the detector hangs");
     // Signals of one kind that come before they are heard are one: so it is sent until the node has ended.
     let id = node.id().to_string();
     let again = tokio::spawn(async move {
         let mut period = tokio::time::interval(Duration::from_millis(50));
         loop {
             period.tick().await;
-            let mut kill = std::process::Command::new("kill");
-            let _ = kill
-                .args(["-TERM", &id])
-                .stderr(std::process::Stdio::null())
-                .status();
+            let mut kill = Command::new("kill");
+            let _ = kill.args(["-TERM", &id]).stderr(Stdio::null()).status();
         }
     });
-    let (status, took, _, _) = timeout(LONG, node.stop()).await.unwrap();
+    let (status, took, _, _) = node.ended().await;
     again.abort();
     assert_eq!(status.code(), Some(130));
     assert!(took < Duration::from_secs(5), "{took:?}");
@@ -220,9 +203,11 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 #[ignore = "needs ONNX Runtime"]
 async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
     let node = Node::start(&settings("colours.onnx", "")).await;
-    // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one.
-    signal(node.id(), "-INT");
-    let (status, _, log, _) = timeout(LONG, node.stop()).await.unwrap();
+    // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one. One
+    // shell sends both, since what comes a second after the first is a second request.
+    let kill = "kill -INT $0 && kill -TERM $0";
+    run_command(Command::new("sh").args(["-c", kill, &node.id().to_string()])).succeeds();
+    let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(0), "{log}");
 }
 
@@ -249,15 +234,12 @@ async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
 #[ignore = "needs ONNX Runtime"]
 async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
     let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
-    let endpoint = [node.zenoh.clone()];
-    let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
-    put_grey(&session.unwrap(), 0, 255).await;
-    let (status, log) = timeout(LONG, node.ended()).await.unwrap();
+    let session = zenoh_client(&node.zenoh).await;
+    put_grey(&session, 0, 255).await;
+    let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(1), "{log}");
-    assert!(
-        log.contains("the thread of the detector has not come back for 30 s"),
-        "{log}"
-    );
+    let said = "the thread of the detector has not come back for 30 s";
+    assert_says(&log, &[said]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -268,21 +250,16 @@ async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_unti
     let mut bench = Bench::start(&config).await;
     let mut changes = bench.board.readiness.subscribe();
     for seq in 0..6 {
-        bench.send(solid(20), "image/jpeg", seq).await;
+        bench.send(solid(20), seq).await;
         let answer = bench.answer().await;
         assert_eq!(answer.degraded, seq >= 4, "frame {seq}");
     }
-    let fault = timeout(
-        LONG,
-        changes.wait_for(|status| status.reasons.contains_key("detector")),
-    );
-    let status = fault.await.unwrap().unwrap().clone();
-    assert_eq!(status.state, HealthState::NotReady);
-    assert_says(&status.reasons["detector"], &["impossible"]);
-    bench.send(solid(230), "image/jpeg", 6).await;
+    let fault = status(&mut changes, |now| now.reasons.contains_key("detector")).await;
+    assert_eq!(fault.state, HealthState::NotReady);
+    assert_says(&fault.reasons["detector"], &["impossible"]);
+    bench.send(solid(230), 6).await;
     assert!(!bench.answer().await.degraded);
-    let works = changes.wait_for(|status| !status.reasons.contains_key("detector"));
-    timeout(LONG, works).await.expect("it works again").unwrap();
+    status(&mut changes, |now| !now.reasons.contains_key("detector")).await;
     bench.stop().await;
 }
 
@@ -292,8 +269,7 @@ async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
     let folder = tempfile::tempdir().unwrap();
     // Who opens a pipe to write waits until somebody reads.
     let pipe = folder.path().join("lock");
-    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
-    assert!(made.unwrap().success());
+    crate::support::pipe(&pipe);
     let mut config = configuration();
     config.node.state_dir = Some(folder.path().to_owned());
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -313,12 +289,11 @@ async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
     let reader = tokio::task::spawn_blocking(move || std::fs::File::open(pipe));
     let _reader = reader.await.unwrap().unwrap();
     assert_eq!(found, [200, 503, 503]);
-    let begun = Instant::now();
-    while status("/api/v1/cameras").await != 200 {
-        assert!(begun.elapsed() < LONG, "the node does not go on");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    until("the node goes on", async || {
+        status("/api/v1/cameras").await == 200
+    })
+    .await;
     assert_eq!(status("/healthz").await, 200);
     shutdown.cancel();
-    timeout(LONG, running).await.unwrap().unwrap().unwrap();
+    timeout(PATIENCE, running).await.unwrap().unwrap().unwrap();
 }

@@ -3,11 +3,13 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::golden_traces::replay::{Recorded, Screen, decide_frame, reference};
-use crate::golden_traces::shared_data::sequences;
+use crate::golden_traces::replay::{Screen, decide_frame, reference};
+use crate::golden_traces::shared_data::{detections, given, sequences};
 use crate::support::{assert_says, project, run_command, text};
+use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Outcome};
+use albireo_eval::average_precision::ScoredBox;
 use rstest::rstest;
 use serde_json::json;
 use std::fmt::Write;
@@ -59,32 +61,23 @@ fn the_types_of_the_wheel_are_what_its_stubs_say() {
     }
 }
 
-/// Numbers of 64 bits, as `golden.py` writes them.
-fn push(numbers: &mut Vec<u8>, more: &[f64]) {
-    numbers.extend(more.iter().flat_map(|number| number.to_ne_bytes()));
-}
-
-/// What the core decides on a recording, in the layout of `golden.py`.
+/// What the core decides on a recording: numbers of 64 bits in the layout of `golden.py`.
 fn decided(
     asked: &str,
     screen: Screen,
     picture: PictureSize,
-    frames: u64,
-    recorded: &Recorded,
+    recorded: &[Vec<Detection>],
 ) -> Vec<u8> {
     let mut policy = reference(asked);
     let mut outcome = Outcome::default();
     let mut numbers = Vec::new();
-    for index in 0..frames {
-        let found = recorded.get(&index).map_or(&[][..], Vec::as_slice);
+    for (index, found) in (0..).zip(recorded) {
         decide_frame(&mut *policy, index, screen, picture, found, &mut outcome);
-        let state = FrameState::ALL
-            .iter()
-            .position(|state| *state == outcome.state);
-        let counts =
-            [state.unwrap(), outcome.active, outcome.boxes.len()].map(|count| count as f64);
+        let mut states = FrameState::ALL.iter();
+        let state = states.position(|state| *state == outcome.state).unwrap();
         let tau = outcome.tau_max.unwrap_or(-1.0);
-        push(&mut numbers, &[counts[0], tau, counts[1], counts[2]]);
+        numbers.extend([state as f64, tau]);
+        numbers.extend([outcome.active as f64, outcome.boxes.len() as f64]);
         for shown in &outcome.boxes {
             let corners = shown.bounding_box.pixel_corners(picture);
             let source = match shown.source {
@@ -93,50 +86,29 @@ fn decided(
                 BoxSource::Followed => 2.0,
                 BoxSource::Rescued => 3.0,
             };
-            push(
-                &mut numbers,
-                &[
-                    corners.x1,
-                    corners.y1,
-                    corners.x2,
-                    corners.y2,
-                    shown.confidence,
-                ],
-            );
             let object = shown.object.map_or(-1.0, |id| id.0 as f64);
-            push(&mut numbers, &[f64::from(shown.class.0), object, source]);
+            numbers.extend([corners.x1, corners.y1, corners.x2, corners.y2]);
+            numbers.extend([shown.confidence, shown.class.0.into(), object, source]);
         }
         let mut objects = Vec::new();
         policy.objects(&mut |object| objects.push(*object));
-        push(&mut numbers, &[objects.len() as f64]);
+        numbers.push(objects.len() as f64);
         for object in objects {
-            let b = object.bounding_box;
             let confirmed = f64::from(u8::from(object.confirmed));
-            push(
-                &mut numbers,
-                &[object.id.0 as f64, object.class.0.into(), confirmed],
-            );
-            push(
-                &mut numbers,
-                &[
-                    object.confidence,
-                    b.center_x,
-                    b.center_y,
-                    b.width,
-                    b.height,
-                    object.tau,
-                ],
-            );
+            numbers.extend([object.id.0 as f64, object.class.0.into(), confirmed]);
+            numbers.push(object.confidence);
+            numbers.extend(<[f64; 4]>::from(object.bounding_box));
+            numbers.push(object.tau);
             let counters = [
                 object.hits,
                 object.since_update,
                 object.since_infer,
                 object.misses,
             ];
-            push(&mut numbers, &counters.map(f64::from));
+            numbers.extend(counters.map(f64::from));
         }
     }
-    numbers
+    numbers.into_iter().flat_map(f64::to_ne_bytes).collect()
 }
 
 #[test]
@@ -154,11 +126,20 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
     let mut jobs = String::new();
     let mut expected = Vec::new();
     for sequence in sequences() {
-        let (picture, corners) = (sequence.picture(), sequence.corners());
-        let recorded = sequence.detections();
-        let frames: Vec<_> = (0..sequence.frames)
-            .map(|frame| corners.get(&frame).map_or(&[][..], Vec::as_slice))
-            .collect();
+        let (picture, recorded) = (sequence.picture, detections(&sequence));
+        let corners = |found: &ScoredBox| {
+            let c = found.corners;
+            [
+                c.x1,
+                c.y1,
+                c.x2,
+                c.y2,
+                found.confidence,
+                found.class.0.into(),
+            ]
+        };
+        let frame = |found: &Vec<ScoredBox>| found.iter().map(corners).collect();
+        let frames: Vec<Vec<[f64; 6]>> = given(&sequence).iter().map(frame).collect();
         for (number, (policy, threshold, screen)) in policies.into_iter().enumerate() {
             let name = format!("{}-{number}", sequence.name);
             let job = json!({
@@ -168,7 +149,7 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
             });
             writeln!(jobs, "{job}").unwrap();
             let asked = format!("{policy}:{threshold}");
-            let decided = decided(&asked, screen, picture, sequence.frames, &recorded);
+            let decided = decided(&asked, screen, picture, &recorded);
             expected.push((name, decided));
         }
     }

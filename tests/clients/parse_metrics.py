@@ -1,6 +1,6 @@
 """Reads metrics with Prometheus' own Python parser and prints how many samples each family has, as JSON.
 
-Usage: parse_metrics.py < metrics
+Usage: parse_metrics.py < metrics, the text as a JSON string
 """
 
 import json
@@ -8,5 +8,5 @@ import sys
 
 from prometheus_client.parser import text_string_to_metric_families
 
-families = text_string_to_metric_families(sys.stdin.read())
+families = text_string_to_metric_families(json.load(sys.stdin))
 print(json.dumps({family.name: len(family.samples) for family in families}))

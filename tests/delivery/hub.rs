@@ -1,6 +1,6 @@
 //! A stand-in for a hub: commits what it is sent to a file, synced, and answers then. Its manners can be bad.
 
-use crate::support::{PATIENCE, until, zenoh_session};
+use crate::support::{until, zenoh_client, zenoh_session};
 use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -42,9 +42,7 @@ pub(super) struct Hub {
 
 impl Hub {
     pub(super) async fn start(endpoint: &str, manner: Manner) -> Self {
-        let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
-            .await
-            .unwrap();
+        let session = zenoh_client(endpoint).await;
         let inner = Arc::new(Mutex::new(Inner {
             manner,
             file: tempfile::NamedTempFile::new().unwrap(),
@@ -78,13 +76,13 @@ impl Hub {
     }
 
     pub(super) async fn wait_for(&self, reports: usize) {
-        self.until("reports", |inner| inner.stored.len() >= reports)
-            .await;
+        let done = |inner: &Inner| inner.stored.len() >= reports;
+        self.until("reports", done).await;
     }
 
     pub(super) async fn wait_for_asked(&self, times: usize) {
-        self.until("queries", |inner| inner.asked.len() >= times)
-            .await;
+        let done = |inner: &Inner| inner.asked.len() >= times;
+        self.until("queries", done).await;
     }
 
     /// Time between two batches.

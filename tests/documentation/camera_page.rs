@@ -1,6 +1,6 @@
 //! The page about cameras: its configuration and its commands, with cameras that really send instead of those in it.
 
-use super::{blocks, run_line, shell, workshop};
+use super::{commands_to_run, run_line, shell, workshop};
 use crate::support::live_camera::RtspCamera;
 use crate::support::{Node, assert_says, free_port, json_at, project, text, until};
 
@@ -11,10 +11,7 @@ const ITS_NODE: &str = "tcp/192.168.0.5:7447";
 
 /// The page's command that begins like this, of a block that is to be run.
 fn command(begins: &str) -> String {
-    let blocks = blocks().into_iter();
-    let blocks =
-        blocks.filter(|block| block.page == "docs/cameras.md" && block.mark == "<!-- run -->");
-    let mut commands = blocks.flat_map(|block| block.commands);
+    let mut commands = commands_to_run(|page| page == "docs/cameras.md").into_iter();
     let found = commands.find(|command| command.starts_with(begins));
     found.unwrap_or_else(|| panic!("docs/cameras.md has no command `{begins}`"))
 }

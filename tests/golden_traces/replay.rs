@@ -1,18 +1,15 @@
 //! Replays recorded detections through a policy and compares every frame with a golden trace.
 
 use albireo_core::detection::{ClassId, Detection};
-use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
+use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
     Albireo, BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig,
     Profile, decide,
 };
 use serde::Deserialize;
-use std::collections::BTreeMap;
 
 /// Largest difference of boxes and τ.
 const TOLERANCE: f64 = 1e-9;
-/// Detections below this were not given to the published code.
-const DETECTOR_THRESHOLD: f64 = 0.5;
 
 #[derive(Deserialize)]
 struct GoldenFrame {
@@ -41,7 +38,6 @@ struct GoldenObject {
 /// A line of an excerpt, beside what is golden in it.
 #[derive(Deserialize)]
 struct ExcerptFrame {
-    frame: u64,
     /// cx, cy, w, h, confidence, class.
     detections: Vec<(f64, f64, f64, f64, f64, u16)>,
 }
@@ -51,37 +47,6 @@ struct ExcerptFrame {
 pub(crate) enum Screen {
     NeverEmpty,
     EmptyWithoutDetections,
-}
-
-/// Detections by frame, in file order.
-pub(crate) type Recorded = BTreeMap<u64, Vec<Detection>>;
-
-/// By frame what a recording has: corners in pixels, confidence, class.
-pub(crate) fn read_corners(csv: &str) -> BTreeMap<u64, Vec<[f64; 6]>> {
-    let mut recorded = BTreeMap::<_, Vec<_>>::new();
-    for line in csv.lines().skip(1) {
-        let fields: Vec<f64> = line.split(',').map(|f| f.parse().unwrap()).collect();
-        let [frame, x1, y1, x2, y2, confidence, class] = fields[..] else {
-            panic!("a detection has seven numbers, not `{line}`");
-        };
-        if confidence >= DETECTOR_THRESHOLD {
-            let found = recorded.entry(frame as u64).or_default();
-            found.push([x1, y1, x2, y2, confidence, class]);
-        }
-    }
-    recorded
-}
-
-pub(crate) fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
-    let detection = |[x1, y1, x2, y2, confidence, class]: [f64; 6]| Detection {
-        bounding_box: Corners { x1, y1, x2, y2 }.normalise(picture),
-        class: ClassId(class as u16),
-        confidence,
-    };
-    read_corners(csv)
-        .into_iter()
-        .map(|(frame, found)| (frame, found.into_iter().map(detection).collect()))
-        .collect()
 }
 
 /// The policy `asked` for, `NAME[:ARGUMENT]`, in the profile of the published code.
@@ -120,25 +85,25 @@ pub(crate) fn decide_frame(
     let Ok(()) = decide(policy, head, &mut known, outcome);
 }
 
-/// Replays `recorded` and compares every frame of `golden`. Returns the number of frames compared.
+/// Replays `recorded` and compares every frame of it with `golden`.
 pub(crate) fn compare(
     what: &str,
     asked: &str,
     screen: Screen,
     picture: PictureSize,
-    recorded: &Recorded,
+    recorded: &[Vec<Detection>],
     golden: &str,
-) -> u64 {
+) {
     let mut policy = reference(asked);
     let mut outcome = Outcome::default();
-    let mut frames = 0;
-    for line in golden.lines() {
+    assert_eq!(recorded.len(), golden.lines().count(), "{what}: frames");
+    for (line, detections) in golden.lines().zip(recorded) {
         let expected: GoldenFrame = serde_json::from_str(line).unwrap();
         let at = format!("{what}, frame {}", expected.frame);
-        let detections = recorded.get(&expected.frame).map_or(&[][..], Vec::as_slice);
+        let index = expected.frame;
         decide_frame(
             &mut *policy,
-            expected.frame,
+            index,
             screen,
             picture,
             detections,
@@ -171,9 +136,7 @@ pub(crate) fn compare(
         if policy.name() == Albireo::NAME {
             assert_eq!(rescued, expected.state == "AI", "{at}: rescued boxes");
         }
-        frames += 1;
     }
-    frames
 }
 
 fn compare_object(at: &str, found: &ObjectRecord, expected: &GoldenObject) {
@@ -182,24 +145,12 @@ fn compare_object(at: &str, found: &ObjectRecord, expected: &GoldenObject) {
     assert_eq!(found.class.0, expected.class, "{at}: class");
     assert_eq!(found.confirmed, expected.confirmed, "{at}: confirmed");
     assert_eq!(found.confidence, expected.conf, "{at}: confidence");
-    let counters = [
-        found.hits,
-        found.since_update,
-        found.since_infer,
-        found.misses,
-    ];
-    let expected_counters = [
-        expected.hits,
-        expected.since_update,
-        expected.since_infer,
-        expected.rescues,
-    ];
-    assert_eq!(counters, expected_counters, "{at}: counters");
-    let b = found.bounding_box;
-    for (found, expected) in [b.center_x, b.center_y, b.width, b.height]
-        .into_iter()
-        .zip(expected.bounding_box)
-    {
+    assert_eq!(found.hits, expected.hits, "{at}: hits");
+    assert_eq!(found.since_update, expected.since_update, "{at}: update");
+    assert_eq!(found.since_infer, expected.since_infer, "{at}: infer");
+    assert_eq!(found.misses, expected.rescues, "{at}: rescues");
+    let sides: [f64; 4] = found.bounding_box.into();
+    for (found, expected) in sides.into_iter().zip(expected.bounding_box) {
         close(found, expected, at, "box");
     }
     close(found.tau, expected.tau, at, "tau");
@@ -214,17 +165,17 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
 
 /// Replays an excerpt, whose lines carry the detections.
 pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
-    let mut recorded = Recorded::new();
-    for line in lines.lines() {
+    let detections = |line: &str| -> Vec<Detection> {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();
         let detections = frame.detections.iter().map(|d| Detection {
             bounding_box: BoundingBox::new(d.0, d.1, d.2, d.3),
             confidence: d.4,
             class: ClassId(d.5),
         });
-        recorded.insert(frame.frame, detections.collect());
-    }
-    let frames = compare("excerpt", asked, screen, picture, &recorded, lines);
-    assert_eq!(frames, recorded.len() as u64);
+        detections.collect()
+    };
+    let recorded: Vec<_> = lines.lines().map(detections).collect();
+    compare("excerpt", asked, screen, picture, &recorded, lines);
+    let frames = recorded.len();
     assert!(frames >= 36, "{frames}");
 }

@@ -1,64 +1,47 @@
-//! The recorded sequences of the shared data, their golden traces and the table of their figures.
+//! The recorded sequences of the shared data, and their golden traces.
 
-use super::replay::{Recorded, read_corners, read_detections};
 use crate::support::shared;
-use albireo_core::geometry::PictureSize;
-use serde::Deserialize;
-use std::collections::BTreeMap;
+use albireo_core::detection::Detection;
+use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::data::{Clip, recorded};
 use std::io::Read;
-use std::path::Path;
 
-/// A recorded sequence.
-#[derive(Deserialize)]
-pub(crate) struct Sequence {
-    pub name: String,
-    width: u32,
-    height: u32,
-    pub frames: u64,
-}
-
-#[derive(Deserialize)]
-struct Sequences {
-    sequences: Vec<Sequence>,
-}
-
-impl Sequence {
-    pub(crate) fn picture(&self) -> PictureSize {
-        PictureSize::new(self.width, self.height)
-    }
-
-    pub(crate) fn detections(&self) -> Recorded {
-        let path = format!("data/recorded/detections/{}.csv", self.name);
-        read_detections(&read_to_string(&shared(&path)), self.picture())
-    }
-
-    /// By frame what [`detections`](Self::detections) is made from: corners in pixels, confidence, class.
-    pub(crate) fn corners(&self) -> BTreeMap<u64, Vec<[f64; 6]>> {
-        let path = format!("data/recorded/detections/{}.csv", self.name);
-        read_corners(&read_to_string(&shared(&path)))
-    }
-
-    /// The golden trace of the policy that goes by the name `folder`.
-    pub(crate) fn golden(&self, folder: &str) -> String {
-        let path = shared(&format!("golden/{folder}/{}.jsonl.gz", self.name));
-        let file = std::fs::File::open(&path)
-            .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        let mut golden = String::new();
-        flate2::read::GzDecoder::new(file)
-            .read_to_string(&mut golden)
-            .unwrap();
-        golden
-    }
-}
+/// Detections below this were not given to the published code.
+const DETECTOR_THRESHOLD: f64 = 0.5;
 
 /// All 21 of them.
-pub(crate) fn sequences() -> Vec<Sequence> {
-    let list = read_to_string(&shared("data/recorded/sequences.json"));
-    let sequences = serde_json::from_str::<Sequences>(&list).unwrap().sequences;
-    assert_eq!(sequences.len(), 21);
-    sequences
+pub(crate) fn sequences() -> Vec<Clip> {
+    let clips = recorded::read(&shared("data/recorded")).unwrap().clips;
+    assert_eq!(clips.len(), 21);
+    clips
 }
 
-fn read_to_string(path: &Path) -> String {
-    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+/// By frame what was given to the published code.
+pub(crate) fn given(sequence: &Clip) -> Vec<Vec<ScoredBox>> {
+    let frames = sequence.detections.iter().flatten().cloned();
+    let is_given = |found: &ScoredBox| found.confidence >= DETECTOR_THRESHOLD;
+    frames
+        .map(|frame| frame.into_iter().filter(is_given).collect())
+        .collect()
+}
+
+/// The same as policies take it.
+pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
+    let normalise = |found: ScoredBox| found.normalise(sequence.picture);
+    let frames = given(sequence).into_iter();
+    frames
+        .map(|frame| frame.into_iter().map(normalise).collect())
+        .collect()
+}
+
+/// The golden trace of the policy that goes by the name `folder`.
+pub(crate) fn golden(sequence: &Clip, folder: &str) -> String {
+    let path = shared(&format!("golden/{folder}/{}.jsonl.gz", sequence.name));
+    let file =
+        std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let mut golden = String::new();
+    flate2::read::GzDecoder::new(file)
+        .read_to_string(&mut golden)
+        .unwrap();
+    golden
 }

@@ -28,24 +28,13 @@ fn with_file(file: PathBuf) -> HttpConfig {
 async fn with_a_token_all_but_health_and_the_page_needs_it() {
     let node = Served::with(with_token()).await;
     node.ready();
-    for path in [
-        "/",
-        "/healthz",
-        "/readyz",
-        "/openapi.json",
-        "/docs/",
-        "/api/v1/caller",
-    ] {
+    let open = "/ /healthz /readyz /openapi.json /docs/ /api/v1/caller";
+    for path in open.split(' ') {
         assert_eq!(node.get(path).await.status(), 200, "{path}");
     }
-    let closed = [
-        "/metrics",
-        "/api/v1/threshold",
-        "/api/v1/events",
-        "/api/v1/cameras/front/frame.jpg",
-        "/nothing",
-    ];
-    for path in closed {
+    let closed =
+        "/metrics /api/v1/threshold /api/v1/events /api/v1/cameras/front/frame.jpg /nothing";
+    for path in closed.split(' ') {
         let response = node.get(path).await;
         assert_eq!(response.headers()["www-authenticate"], "Bearer", "{path}");
         problem(response, 401).await;
@@ -86,10 +75,10 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
     assert_eq!(status("the-first-token-of-all").await, 200);
     node.refused("/metrics", 401).await;
     write("the-second-token-of-all\n");
-    until("the second token", async || {
-        status("the-second-token-of-all").await == 200
-    })
-    .await;
+    let is_taken = async |token: &str| {
+        until(token, async || status(token).await == 200).await;
+    };
+    is_taken("the-second-token-of-all").await;
     assert_eq!(status("the-first-token-of-all").await, 401);
     // Fewer than 16 characters. The file is looked at every second or so.
     write("short\n");
@@ -97,10 +86,7 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
     assert_eq!(status("the-second-token-of-all").await, 200);
     assert_eq!(status("short").await, 401);
     write("the-third-token-of-all\n");
-    until("the third token", async || {
-        status("the-third-token-of-all").await == 200
-    })
-    .await;
+    is_taken("the-third-token-of-all").await;
 }
 
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
@@ -124,11 +110,8 @@ async fn an_address_that_others_reach_is_not_served_without_a_token_or_a_word() 
         ..HttpConfig::default()
     };
     assert!(refused("0.0.0.0:0", anybody).await.is_none());
-    assert!(
-        refused("127.0.0.1:0", HttpConfig::default())
-            .await
-            .is_none()
-    );
+    let local = refused("127.0.0.1:0", HttpConfig::default()).await;
+    assert!(local.is_none());
 }
 
 #[rstest]

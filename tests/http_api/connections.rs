@@ -1,7 +1,7 @@
 //! Connections that send or read nothing are closed, and never keep other clients out.
 
 use super::served::{Frames, Served, frame};
-use crate::support::Node;
+use crate::support::{Node, PATIENCE};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use reqwest::StatusCode;
@@ -10,9 +10,6 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
-
-/// Far longer than anything here takes.
-const LONG: Duration = Duration::from_secs(60);
 
 async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
     let config = HttpConfig {
@@ -33,7 +30,7 @@ async fn a_connection_that_sends_no_whole_request_is_closed() {
         let mut connection = TcpStream::connect(node.address).await.unwrap();
         connection.write_all(sent.as_bytes()).await.unwrap();
         let mut said = Vec::new();
-        let ended = timeout(LONG, connection.read_to_end(&mut said)).await;
+        let ended = timeout(PATIENCE, connection.read_to_end(&mut said)).await;
         ended.expect("it is closed").unwrap();
         assert_eq!(said.starts_with(b"HTTP/1.1 200"), answered);
     }
@@ -47,7 +44,7 @@ async fn idle_connections_never_shut_out_who_asks() {
         idle.push(TcpStream::connect(node.address).await.unwrap());
     }
     for _ in 0..20 {
-        let answer = timeout(LONG, node.get("/healthz")).await.unwrap();
+        let answer = timeout(PATIENCE, node.get("/healthz")).await.unwrap();
         assert_eq!(answer.status(), StatusCode::OK);
     }
 }
@@ -57,10 +54,10 @@ async fn when_all_places_are_taken_the_oldest_connection_is_closed_for_a_new_one
     let node = served(600_000, 2).await;
     let mut oldest = node.get("/api/v1/events?types=frame").await;
     let mut newer = node.get("/api/v1/events?types=frame").await;
-    let answer = timeout(LONG, node.get("/healthz")).await.unwrap();
+    let answer = timeout(PATIENCE, node.get("/healthz")).await.unwrap();
     assert_eq!(answer.status(), StatusCode::OK);
     let ended = async { while let Ok(Some(_)) = oldest.chunk().await {} };
-    timeout(LONG, ended).await.expect("it is closed");
+    timeout(PATIENCE, ended).await.expect("it is closed");
     node.front().answered(frame(7, FrameState::P));
     let heard = async {
         while let Ok(Some(event)) = newer.chunk().await {
@@ -70,7 +67,7 @@ async fn when_all_places_are_taken_the_oldest_connection_is_closed_for_a_new_one
         }
         false
     };
-    assert!(timeout(LONG, heard).await.unwrap(), "the newer goes on");
+    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer goes on");
 }
 
 #[tokio::test]
@@ -106,7 +103,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
             node.get("/healthz").await;
         }
     };
-    timeout(LONG, closed).await.expect("it is closed");
+    timeout(PATIENCE, closed).await.expect("it is closed");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -123,10 +120,9 @@ async fn a_thousand_idle_connections_cost_neither_health_nor_descriptors() {
     for _ in 0..1100 {
         idle.push(TcpStream::connect(&address).await.unwrap());
     }
-    let answer = timeout(LONG, reqwest::get(format!("{}/healthz", node.http))).await;
+    let answer = timeout(PATIENCE, reqwest::get(format!("{}/healthz", node.http))).await;
     assert_eq!(answer.unwrap().unwrap().status(), StatusCode::OK);
-    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id()))
-        .unwrap()
-        .count();
+    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id()));
+    let descriptors = descriptors.unwrap().count();
     assert!(descriptors < 500, "{descriptors} descriptors");
 }

@@ -3,6 +3,7 @@ use albireo_core::policy::FrameState;
 use albireo_vision::picture::PictureFormat;
 use serde_json::Value;
 use std::collections::BTreeSet;
+use tokio::io::AsyncBufReadExt;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
@@ -56,10 +57,8 @@ fn operations(document: &Value) -> Vec<(String, &Value)> {
 async fn the_document_has_every_route_and_each_is_there() {
     let node = filled().await;
     let document = node.json("/openapi.json").await;
-    let documented: BTreeSet<_> = operations(&document)
-        .into_iter()
-        .map(|(name, _)| name)
-        .collect();
+    let documented = operations(&document).into_iter().map(|(name, _)| name);
+    let documented: BTreeSet<_> = documented.collect();
     assert_eq!(documented, ROUTES.lines().map(str::to_owned).collect());
     for route in ROUTES
         .lines()
@@ -68,10 +67,8 @@ async fn the_document_has_every_route_and_each_is_there() {
         let path = route.replace("{camera}", "front");
         assert_eq!(node.get(&path).await.status(), 200, "{path}");
     }
-    assert_eq!(
-        document,
-        serde_json::to_value(albireo_node::api::http::openapi()).unwrap()
-    );
+    let described = albireo_node::api::http::openapi();
+    assert_eq!(document, serde_json::to_value(described).unwrap());
 }
 
 #[test]
@@ -122,10 +119,8 @@ async fn every_documented_command_works() {
     let directory = tempfile::tempdir().unwrap();
     for (name, operation) in operations(&document) {
         let text = operation["description"].as_str().unwrap();
-        let command = text
-            .split('`')
-            .find(|part| part.starts_with("curl "))
-            .unwrap_or_else(|| panic!("{name} shows no command"));
+        let command = text.split('`').find(|part| part.starts_with("curl "));
+        let command = command.unwrap_or_else(|| panic!("{name} shows no command"));
         let here = command.replace("127.0.0.1:8080", &node.address.to_string());
         assert_ne!(here, command, "{name}");
         let mut curl = Command::new("sh")
@@ -140,9 +135,7 @@ async fn every_documented_command_works() {
             // It never ends by itself: its first line will do.
             let mut lines = tokio::io::BufReader::new(curl.stdout.take().unwrap());
             let mut line = String::new();
-            tokio::io::AsyncBufReadExt::read_line(&mut lines, &mut line)
-                .await
-                .unwrap();
+            lines.read_line(&mut line).await.unwrap();
             assert!(line.starts_with("event: "), "{command}: {line}");
             curl.kill().await.unwrap();
             continue;

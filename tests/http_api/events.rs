@@ -1,11 +1,10 @@
 use super::served::{Frames, Served, clip, frame};
-use crate::support::{assert_has, until};
+use crate::support::{PATIENCE, assert_has, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use futures_util::StreamExt;
 use reqwest::Response;
 use serde_json::{Value, json};
-use std::time::Duration;
 
 /// Reads server-sent events one by one.
 struct Events {
@@ -27,12 +26,11 @@ impl Events {
         loop {
             if let Some((event, rest)) = self.text.split_once("\n\n") {
                 let field = |name: &str| {
-                    event
-                        .lines()
-                        .find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
+                    let mut lines = event.lines();
+                    lines.find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
                 };
-                let found = field("event")
-                    .zip(field("data"))
+                let found = field("event").zip(field("data"));
+                let found = found
                     .map(|(name, data)| (name.to_owned(), serde_json::from_str(data).unwrap()));
                 self.text = rest.to_owned();
                 if found.is_some() {
@@ -41,11 +39,9 @@ impl Events {
                 continue;
             }
             // Generous: it is only reached when an event never comes.
-            let chunk = tokio::time::timeout(Duration::from_secs(20), self.body.next())
-                .await
-                .expect("no event came")?;
-            self.text
-                .push_str(std::str::from_utf8(&chunk.unwrap()).unwrap());
+            let chunk = tokio::time::timeout(PATIENCE, self.body.next()).await;
+            let chunk = chunk.expect("no event came")?.unwrap();
+            self.text.push_str(std::str::from_utf8(&chunk).unwrap());
         }
     }
 
@@ -84,10 +80,8 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     }
     node.front().answered(frame(1, FrameState::P));
     let event = events.expect("frame").await;
-    assert_has(
-        &event,
-        &json!({"seq": 1, "state": "P", "boxes": [{"class": "car"}]}),
-    );
+    let expected = json!({"seq": 1, "state": "P", "boxes": [{"class": "car"}]});
+    assert_has(&event, &expected);
     node.board.record_clip(clip("front", 3));
     assert_eq!(events.expect("clip").await["count"], 3);
     node.board.publish_counters(5);
@@ -128,12 +122,8 @@ async fn a_stream_ends_when_the_node_stops() {
 async fn wrong_wishes_and_too_many_streams_are_refused() {
     let node = Served::start().await;
     let refused = node.refused("/api/v1/events?types=frame,frames", 400).await;
-    assert!(
-        refused["allowed"]
-            .as_array()
-            .unwrap()
-            .contains(&json!("counters"))
-    );
+    let allowed = refused["allowed"].as_array().unwrap();
+    assert!(allowed.contains(&json!("counters")));
     node.refused("/api/v1/events?camera=roof", 404).await;
     node.refused("/api/v1/events?type=frame", 400).await;
     let mut open = Vec::new();

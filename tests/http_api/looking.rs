@@ -22,16 +22,12 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
     rear.answered(frame(0, FrameState::P));
     let all = node.json("/api/v1/frame-states").await;
     let states = json!({"E": 1, "P": 2, "E+I": 1, "I": 1, "AI": 1});
-    assert_has(
-        &all,
-        &json!({"frames": 6, "states": states, "skip_rate": 0.5}),
-    );
+    let expected = json!({"frames": 6, "states": states, "skip_rate": 0.5});
+    assert_has(&all, &expected);
     assert_eq!(all["cameras"][0]["dropped"]["lost"], 3);
     let one = node.json("/api/v1/cameras/rear/frame-states").await;
-    assert_has(
-        &one,
-        &json!({"states": {"P": 1}, "skip_rate": 1.0, "tau_max": 1.5e-4}),
-    );
+    let expected = json!({"states": {"P": 1}, "skip_rate": 1.0, "tau_max": 1.5e-4});
+    assert_has(&one, &expected);
     node.refused("/api/v1/cameras/roof/frame-states", 404).await;
 }
 
@@ -40,14 +36,8 @@ async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..4 {
-        let mut message = frame(
-            seq,
-            if seq == 0 {
-                FrameState::I
-            } else {
-                FrameState::P
-            },
-        );
+        let state = [FrameState::I, FrameState::P][usize::from(seq > 0)];
+        let mut message = frame(seq, state);
         message.degraded = seq > 1;
         front.answered(message);
     }
@@ -58,22 +48,15 @@ async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
     assert_eq!(node.board.counters(front, 0).skip_rate, 0.25);
     let metrics = node.metrics().await;
     let skipped = r#"albireo_frames_skipped_total{camera="front"} 1"#;
-    assert_says(
-        &metrics,
-        &[
-            skipped,
-            r#"albireo_frames_degraded_total{camera="front"} 2"#,
-        ],
-    );
+    let degraded = r#"albireo_frames_degraded_total{camera="front"} 2"#;
+    assert_says(&metrics, &[skipped, degraded]);
 }
 
 #[tokio::test]
 async fn cameras_are_listed_in_the_order_of_the_configuration() {
     let node = Served::start().await;
-    node.board
-        .camera("rear")
-        .unwrap()
-        .answered(frame(0, FrameState::I));
+    let rear = node.board.camera("rear").unwrap();
+    rear.answered(frame(0, FrameState::I));
     let front = json!({"camera": "front", "width": null});
     let rear = json!({"key": "albireo/car-7/rear/frame", "width": 320});
     let cameras = json!({"cameras": [front, rear]});
@@ -87,10 +70,8 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
     zenoh.not_ready("the session is not open yet");
     let starting = node.refused("/readyz", 503).await;
     let requested = json!(["cuda", "cpu"]);
-    assert_has(
-        &starting,
-        &json!({"ready": false, "provider": null, "requested_providers": requested}),
-    );
+    let expected = json!({"ready": false, "provider": null, "requested_providers": requested});
+    assert_has(&starting, &expected);
     assert_eq!(starting["reasons"].as_array().unwrap().len(), 2);
     zenoh.works();
     node.ready();
@@ -172,13 +153,7 @@ async fn clips_come_newest_first_by_camera_and_number() {
     let front = clips(&node, "/api/v1/clips?camera=front&limit=256").await;
     assert_eq!(front.len(), 255);
     assert_eq!(clips(&node, "/api/v1/clips").await.len(), 50);
-    for query in [
-        "limit=0",
-        "limit=257",
-        "limit=-1",
-        "limit=many",
-        "camera=front&colour=red",
-    ] {
+    for query in "limit=0 limit=257 limit=-1 limit=many camera=front&colour=red".split(' ') {
         node.refused(&format!("/api/v1/clips?{query}"), 400).await;
     }
     node.refused("/api/v1/clips?camera=roof", 404).await;
@@ -198,11 +173,9 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
         (format!("after={}", id(5)), &[], None),
     ] {
         let path = format!("/api/v1/clips?{query}");
-        let found = clips(&node, &path)
-            .await
-            .into_iter()
-            .map(|(_, number)| number);
-        assert_eq!(found.collect::<Vec<_>>(), numbers, "{query}");
+        let found = clips(&node, &path).await.into_iter();
+        let found: Vec<_> = found.map(|(_, number)| number).collect();
+        assert_eq!(found, numbers, "{query}");
         assert_eq!(node.json(&path).await["next"], json!(next), "{query}");
     }
 }
@@ -210,13 +183,8 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
 #[tokio::test]
 async fn errors_of_the_framework_are_problem_documents_too() {
     let node = Served::start().await;
-    let unknown = [
-        "/nothing",
-        "/api/v2",
-        "/api/v2/threshold",
-        "/api/v1/cameras/front/nothing",
-    ];
-    for path in unknown {
+    let unknown = "/nothing /api/v2 /api/v2/threshold /api/v1/cameras/front/nothing";
+    for path in unknown.split(' ') {
         node.refused(path, 404).await;
     }
     // A path that is not UTF-8.
@@ -240,12 +208,8 @@ async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
     let request = request.header("content-type", "application/json");
     let response = request.send().await.unwrap();
     assert_says(response.headers()["allow"].to_str().unwrap(), allowed);
-    let answer = problem(response, 405).await;
-    let answer = answer["allowed"].as_array().unwrap();
-    assert!(
-        allowed.iter().all(|method| answer.contains(&json!(method))),
-        "{answer:?}"
-    );
+    let answer = problem(response, 405).await["allowed"].to_string();
+    assert_says(&answer, allowed);
 }
 
 #[tokio::test]
@@ -261,10 +225,8 @@ async fn a_request_that_does_not_end_is_answered_and_dropped() {
     connection.write_all(head.as_bytes()).await.unwrap();
     let mut answer = String::new();
     connection.read_to_string(&mut answer).await.unwrap();
-    assert_says(
-        &answer,
-        &["HTTP/1.1 408 ", "application/problem+json", "within 50ms"],
-    );
+    let said = ["HTTP/1.1 408 ", "application/problem+json", "within 50ms"];
+    assert_says(&answer, &said);
 }
 
 #[tokio::test]
@@ -284,10 +246,8 @@ async fn the_page_needs_nothing_from_elsewhere() {
 async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
     let node = Served::start().await;
     let missing = node.refused("/api/v1/cameras/front/detections", 404).await;
-    assert_says(
-        missing["detail"].as_str().unwrap(),
-        &["albireo/car-7/front/frame"],
-    );
+    let detail = missing["detail"].as_str().unwrap();
+    assert_says(detail, &["albireo/car-7/front/frame"]);
     node.front().answered_all(&[FrameState::P, FrameState::I]);
     let answer = node.json("/api/v1/cameras/front").await;
     let expected = json!({
@@ -324,10 +284,8 @@ async fn the_index_names_every_route_of_the_description() {
     assert_eq!(index["cameras"], json!(["front", "rear"]));
     let routes = index["routes"].as_array().unwrap();
     assert!(routes.len() >= 18, "{routes:?}");
-    assert!(
-        routes.iter().all(|route| route["summary"] != ""),
-        "{routes:?}"
-    );
+    let mut summaries = routes.iter().map(|route| &route["summary"]);
+    assert!(summaries.all(|summary| summary != ""), "{routes:?}");
     let described = node.json("/openapi.json").await;
     let paths = described["paths"].as_object().unwrap().keys();
     for path in paths {

@@ -78,8 +78,8 @@ fn samples(text: &str) -> BTreeMap<&str, f64> {
     let lines = text
         .lines()
         .filter(|line| !line.is_empty() && !line.starts_with('#'));
-    lines
-        .map(|line| line.rsplit_once(' ').unwrap())
+    let samples = lines.map(|line| line.rsplit_once(' ').unwrap());
+    samples
         .map(|(series, value)| (series, value.parse().unwrap()))
         .collect()
 }
@@ -90,10 +90,8 @@ async fn metrics_are_right() {
     let node = filled().await;
     let response = node.request(Method::GET, "/metrics").send().await.unwrap();
     let media_type = response.headers()["content-type"].to_str().unwrap();
-    assert!(
-        media_type.starts_with("text/plain; version=0.0.4"),
-        "{media_type}"
-    );
+    let expected = "text/plain; version=0.0.4";
+    assert!(media_type.starts_with(expected), "{media_type}");
     let text = response.text().await.unwrap();
     let found = samples(&text);
     for (series, value) in samples(EXPECTED) {

@@ -72,36 +72,24 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
     // A call on every third frame, and uncertainty that grows with the time since.
     for seq in 0..300 {
         let age = seq % 3;
-        let mut message = frame(
-            seq,
-            if age == 2 {
-                FrameState::I
-            } else {
-                FrameState::P
-            },
-        );
+        let state = [FrameState::P, FrameState::I][usize::from(age == 2)];
+        let mut message = frame(seq, state);
         message.tau_max = Some(1.1e-4 * (age + 1) as f64);
         front.answered(message);
     }
     let answer = node.json(&format!("{path}?values=1e-4,3e-4,1")).await;
-    assert_has(
-        &answer,
-        &json!({"estimated": true, "threshold": {"value": 3e-4}}),
-    );
+    let expected = json!({"estimated": true, "threshold": {"value": 3e-4}});
+    assert_has(&answer, &expected);
     let really = answer["skip_rate"].as_f64().unwrap();
     assert!((really - 2.0 / 3.0).abs() < 0.01, "{answer}");
-    let rates = [0, 1, 2].map(|value| answer["values"][value]["skip_rate"].as_f64().unwrap());
-    assert!(
-        rates[0] == 0.0 && (rates[1] - really).abs() < 0.01 && rates[2] > 0.9,
-        "{answer}"
-    );
+    let rate = |value: usize| answer["values"][value]["skip_rate"].as_f64().unwrap();
+    assert!(rate(0) == 0.0 && rate(2) > 0.9, "{answer}");
+    assert!((rate(1) - really).abs() < 0.01, "{answer}");
     let curve = node.json(path).await;
     let curve = curve["values"].as_array().unwrap();
     assert_eq!(curve.len(), 41);
-    assert!(
-        curve.is_sorted_by_key(|value| value["skipped"].as_u64()),
-        "{curve:?}"
-    );
+    let is_rising = curve.is_sorted_by_key(|value| value["skipped"].as_u64());
+    assert!(is_rising, "{curve:?}");
     for bad in ["x", "0", "-1", "nan", &"1,".repeat(70)] {
         node.refused(&format!("{path}?values={bad}"), 400).await;
     }
@@ -156,10 +144,8 @@ async fn savings_are_reported_since_the_start_and_today() {
         });
         for period in ["since_start", "today"] {
             let answer = &overview[period];
-            assert_has(
-                answer,
-                &json!({"frames": 5, "avoided_calls": 2, "energy": energy}),
-            );
+            let expected = json!({"frames": 5, "avoided_calls": 2, "energy": energy});
+            assert_has(answer, &expected);
             assert_eq!(answer["since_ms"], overview["today"]["since_ms"]);
         }
     }
@@ -205,10 +191,8 @@ async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
     assert_eq!(names.join(" "), expected);
     for (name, text) in &files {
         assert!(!text.contains(secret), "{name}");
-        assert!(
-            !name.ends_with(".json") || serde_json::from_str::<Value>(text).is_ok(),
-            "{name}"
-        );
+        let is_json = serde_json::from_str::<Value>(text).is_ok();
+        assert!(is_json || !name.ends_with(".json"), "{name}");
     }
     assert_says(&files["configuration.json"], &["(secret)"]);
     assert_says(&files["metrics.txt"], &["albireo_frames_total"]);
@@ -225,12 +209,8 @@ async fn the_command_fetches_it(node: &str, secret: &str) {
     let fetch = async |token: &str| -> Ended {
         let mut command = albireo();
         command.args(["diag", node, "--output"]).arg(&archive);
-        command
-            .env("ALBIREO_HTTP__TOKEN", token)
-            .output()
-            .await
-            .unwrap()
-            .into()
+        command.env("ALBIREO_HTTP__TOKEN", token);
+        command.output().await.unwrap().into()
     };
     assert_says(&fetch("not-the-token-of-it").await.fails(), &["token"]);
     fetch(secret).await.succeeds();

@@ -1,9 +1,8 @@
 use super::served::{Frames, Served, frame, problem};
-use crate::support::{assert_has, assert_says};
+use crate::support::{PATIENCE, assert_has, assert_says};
 use albireo_core::policy::FrameState;
 use reqwest::Method;
 use serde_json::{Value, json};
-use std::time::Duration;
 
 const PATH: &str = "/api/v1/target";
 
@@ -48,10 +47,8 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     });
     assert_has(&set, &expected);
     assert_eq!(read(&node).await, set);
-    assert_says(
-        &node.metrics().await,
-        &["albireo_target{target=\"skip_rate\"} 0.5"],
-    );
+    let series = "albireo_target{target=\"skip_rate\"} 0.5";
+    assert_says(&node.metrics().await, &[series]);
 
     let path = "/api/v1/cameras/front/threshold";
     assert_eq!(node.put(path, r#"{"u": 7e-4}"#).await.status(), 200);
@@ -75,14 +72,9 @@ async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls()
     let node = Served::kept_in(directory.path()).await;
     let body = r#"{"target": {"skip_rate": 0.5}}"#;
     let change = tokio::spawn(node.request(Method::PUT, PATH).body(body).send());
-    let served = tokio::time::timeout(Duration::from_secs(20), async {
+    let served = tokio::time::timeout(PATIENCE, async {
         while read(&node).await["target"] != json!({"skip_rate": 0.5}) {}
-        for path in [
-            "/api/v1/threshold",
-            "/api/v1/cameras",
-            "/metrics",
-            "/readyz",
-        ] {
+        for path in "/api/v1/threshold /api/v1/cameras /metrics /readyz".split(' ') {
             node.get(path).await.text().await.unwrap();
         }
         for (seq, camera) in node.board.cameras.iter().enumerate() {

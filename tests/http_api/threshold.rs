@@ -53,10 +53,8 @@ async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
     for path in PATHS {
         for &(body, status) in &all {
             let refused = problem(node.put(path, body).await, status).await;
-            assert_says(
-                refused["detail"].as_str().unwrap(),
-                &["number from 1e-9 to 1"],
-            );
+            let detail = refused["detail"].as_str().unwrap();
+            assert_says(detail, &["number from 1e-9 to 1"]);
             assert_has(&refused["knob"], &json!({"minimum": 1e-9, "maximum": 1.0}));
         }
     }
@@ -105,10 +103,8 @@ async fn a_huge_body_is_refused_without_reading_it_all() {
     let body = |length: usize| format!("{{\"u\": 5e-4{}}}", " ".repeat(length - 11));
     for path in PATHS {
         let refused = problem(node.put(path, body(16385)).await, 413).await;
-        assert_says(
-            refused["detail"].as_str().unwrap(),
-            &["at most 16384 bytes"],
-        );
+        let detail = refused["detail"].as_str().unwrap();
+        assert_says(detail, &["at most 16384 bytes"]);
         assert_eq!(node.put(path, body(16384)).await.status(), 200);
     }
 }
@@ -134,11 +130,8 @@ async fn a_change_for_all_reaches_every_camera_and_its_loop() {
     let response = node.put(PATHS[0], r#" {"v": 1, "u": 7e-4} "#).await;
     let all: Value = response.json().await.unwrap();
     assert_eq!(all["u"], 7e-4);
-    assert!(
-        loops
-            .iter()
-            .all(|camera_loop| *camera_loop.borrow() == Some(7e-4))
-    );
+    let mut thresholds = loops.iter().map(|camera_loop| *camera_loop.borrow());
+    assert!(thresholds.all(|threshold| threshold == Some(7e-4)));
 }
 
 #[tokio::test]
@@ -156,10 +149,8 @@ async fn a_policy_without_a_threshold_says_so() {
     let node = Served::over(HttpConfig::default(), board("vanilla", None)).await;
     for path in PATHS {
         let refused = problem(node.put(path, r#"{"u": 5e-4}"#).await, 409).await;
-        assert_eq!(
-            refused["detail"],
-            "policy `vanilla` has no threshold to change"
-        );
+        let detail = "policy `vanilla` has no threshold to change";
+        assert_eq!(refused["detail"], detail);
     }
     let front = node.json(PATHS[1]).await;
     assert_eq!(front, json!({"camera": "front", "survives_restart": false}));

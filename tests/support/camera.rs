@@ -1,15 +1,15 @@
 //! A camera that names a clip a frame, so that each frame ends a clip.
 
-use super::{PATIENCE, both_ways};
+use super::{PATIENCE, both_ways, heard, next};
+use crate::node_frames::attachment;
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
-use albireo_wire::{ClipReport, FrameAttachment, VERSION, read};
+use albireo_wire::{ClipReport, read};
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
-use tokio::time::timeout;
+use tokio::sync::mpsc::UnboundedReceiver;
 use zenoh::Session;
 use zenoh::pubsub::Publisher;
+use zenoh::sample::Sample;
 
 /// The camera `front` of a node.
 pub(crate) struct Camera {
@@ -19,7 +19,8 @@ pub(crate) struct Camera {
     picture: Vec<u8>,
     /// Number of the next frame, and of its clip.
     pub(crate) seq: u64,
-    reported: Arc<Mutex<BTreeSet<String>>>,
+    reports: UnboundedReceiver<ClipReport>,
+    reported: BTreeSet<String>,
 }
 
 impl Camera {
@@ -28,28 +29,12 @@ impl Camera {
         let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
             .await
             .unwrap();
-        let (sender, answers) = unbounded_channel();
-        session
-            .declare_subscriber(format!("albireo/{node}/front/detections"))
-            .callback(move |_| {
-                let _ = sender.send(());
-            })
-            .background()
-            .await
-            .unwrap();
-        let reported: Arc<Mutex<BTreeSet<String>>> = Arc::default();
-        let of_callback = Arc::clone(&reported);
-        session
-            .declare_subscriber(format!("albireo/{node}/front/clip"))
-            .callback(move |sample| {
-                let report: ClipReport = read(&sample.payload().to_bytes()).unwrap();
-                of_callback.lock().unwrap().insert(report.clip);
-            })
-            .background()
-            .await
-            .unwrap();
+        let of = |what: &str| format!("albireo/{node}/front/{what}");
+        let answers = heard(&session, &of("detections"), drop).await;
+        let report = |sample: Sample| read(&sample.payload().to_bytes()).unwrap();
+        let reports = heard(&session, &of("clip"), report).await;
         let frames = session
-            .declare_publisher(format!("albireo/{node}/front/frame"))
+            .declare_publisher(of("frame"))
             .congestion_control(zenoh::qos::CongestionControl::Block)
             .await
             .unwrap();
@@ -61,35 +46,31 @@ impl Camera {
             answers,
             picture: scene.frame(0).jpeg(80).unwrap(),
             seq: 0,
-            reported,
+            reports,
+            reported: BTreeSet::new(),
         }
     }
 
     /// Sends `count` frames of a clip each, and waits for each answer: then all clips but the last are closed.
     pub(crate) async fn clips(&mut self, count: u64) {
         for _ in 0..count {
-            let attachment = FrameAttachment {
-                v: VERSION,
-                seq: Some(self.seq),
-                t_ns: Some(self.seq),
-                clip: Some(format!("clip-{}", self.seq)),
-                ..FrameAttachment::default()
-            };
+            let attachment = attachment(self.seq, None, Some(&format!("clip-{}", self.seq)));
             self.seq += 1;
             self.frames
                 .put(self.picture.clone())
                 .encoding("image/jpeg")
-                .attachment(serde_json::to_vec(&attachment).unwrap())
+                .attachment(attachment)
                 .await
                 .unwrap();
-            let answer = timeout(PATIENCE, self.answers.recv()).await;
-            answer.unwrap().unwrap();
+            next(&mut self.answers).await;
         }
     }
 
     /// The clips whose reports the node has published: it keeps a report on its disk before.
-    pub(crate) fn reported(&self) -> BTreeSet<String> {
-        self.reported.lock().unwrap().clone()
+    pub(crate) fn reported(&mut self) -> &mut BTreeSet<String> {
+        let new = std::iter::from_fn(|| self.reports.try_recv().ok());
+        self.reported.extend(new.map(|report| report.clip));
+        &mut self.reported
     }
 
     pub(crate) async fn close(self) {

@@ -1,10 +1,12 @@
 //! The tiny models of tests/fixtures/models, and pictures for them.
 
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_vision::detector::{Detected, DetectorConfig, DetectorHandle};
+use albireo_vision::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::Picture;
 use std::path::PathBuf;
 use std::sync::Arc;
+
+pub(crate) const CAMERA: CameraSlot = CameraSlot(0);
 
 /// Twice the size of the models' input.
 pub(crate) const PICTURE: PictureSize = PictureSize::new(128, 64);
@@ -22,6 +24,13 @@ pub(crate) fn config(name: &str) -> DetectorConfig {
     }
 }
 
+/// The same with something else configured too.
+pub(crate) fn changed(name: &str, change: impl FnOnce(&mut DetectorConfig)) -> DetectorConfig {
+    let mut config = config(name);
+    change(&mut config);
+    config
+}
+
 /// The detector with that configuration, started.
 pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
     DetectorHandle::start(config)
@@ -31,10 +40,16 @@ pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
 
 /// Why a configuration is refused.
 pub(crate) async fn refusal(config: &DetectorConfig) -> String {
-    let refused = DetectorHandle::start(config).await.err();
-    refused
-        .unwrap_or_else(|| panic!("{config:?} was accepted"))
-        .to_string()
+    match DetectorHandle::start(config).await {
+        Ok(_) => panic!("{config:?} was accepted"),
+        Err(error) => error.to_string(),
+    }
+}
+
+/// What it finds in a picture of one colour.
+pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
+    let answer = detector.detect(CAMERA, one_colour(color)).await;
+    answer.unwrap()
 }
 
 /// Asserts that the only detection is the fixtures' box, in a picture of [`PICTURE`].
@@ -44,10 +59,8 @@ pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
         panic!("{found:?}");
     };
     assert_eq!(detection.class.0, class);
-    assert!(
-        (detection.confidence - confidence).abs() < 2e-3,
-        "{detection:?}"
-    );
+    let off = (detection.confidence - confidence).abs();
+    assert!(off < 2e-3, "{detection:?}");
     let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(PICTURE);
     for (found, expected) in [x1, y1, x2, y2].into_iter().zip([16.0, 8.0, 80.0, 40.0]) {
         assert!((found - expected).abs() < 0.05, "{detection:?}");

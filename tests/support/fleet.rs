@@ -5,7 +5,8 @@ use super::{
 };
 use albireo_wire::{ClipReport, ReportAnswer, ReportBatch, ReportRefusal, VERSION, read};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
@@ -69,10 +70,8 @@ impl HubProcess {
 
     /// Starts a hub with the given command: under another program.
     pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
-        let listen = settings
-            .iter()
-            .find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
-        let http = listen.map(|(_, address)| format!("http://{address}"));
+        let mut named = settings.iter();
+        let http = named.find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
         let log = tempfile::NamedTempFile::new().expect("a log");
         command
             .envs(settings.iter().map(|(name, value)| (*name, value)))
@@ -82,7 +81,7 @@ impl HubProcess {
             .stderr(log.reopen().expect("the log is there"));
         Self {
             child: command.spawn().expect("the hub starts"),
-            http: http.expect("an address of its own"),
+            http: format!("http://{}", http.expect("an address of its own").1),
             log,
         }
     }
@@ -170,6 +169,15 @@ impl Router {
     }
 }
 
+/// A configuration in `folder` for `albireo router`, which lets everybody in.
+pub(crate) fn router_config(folder: &Path) -> PathBuf {
+    let file = folder.join("router.json5");
+    let endpoints = json!([format!("tcp/127.0.0.1:{}", free_port())]);
+    let config = json!({"listen": {"endpoints": endpoints}});
+    std::fs::write(&file, config.to_string()).expect("a file");
+    file
+}
+
 /// The session of a node's uplink, which waits for its router.
 pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
     let retry = json!({"period_init_ms": 50, "period_max_ms": 200});
@@ -202,9 +210,7 @@ pub(crate) async fn send(
         v: VERSION,
         node: node.to_owned(),
         t_ms: now_ns() / 1_000_000,
-        reports: numbers
-            .map(|number| report(node, number, begun_ns))
-            .collect(),
+        reports: numbers.map(|one| report(node, one, begun_ns)).collect(),
     };
     let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
     let replies = session
@@ -227,6 +233,31 @@ pub(crate) async fn send(
         }
     }
     None
+}
+
+/// Sends the reports of a node until they are acknowledged; what else was answered, by reason.
+pub(crate) async fn deliver(
+    session: &zenoh::Session,
+    node: &str,
+    numbers: std::ops::RangeInclusive<u64>,
+    begun_ns: u64,
+) -> BTreeMap<String, u64> {
+    let until = Instant::now() + PATIENCE;
+    let mut refused = BTreeMap::new();
+    loop {
+        match send(session, node, numbers.clone(), begun_ns).await {
+            Some(Ok(answer)) => {
+                assert!(answer.refused.is_empty(), "{answer:?}");
+                return refused;
+            }
+            Some(Err(refusal)) => {
+                *refused.entry(format!("{:?}", refusal.reason)).or_default() += 1;
+            }
+            None => *refused.entry("nobody".to_owned()).or_default() += 1,
+        }
+        assert!(Instant::now() < until, "never acknowledged: {refused:?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 }
 
 /// A different id for each node, time and number.

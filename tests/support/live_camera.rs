@@ -42,6 +42,10 @@ impl RtspCamera {
         Self { child, port }
     }
 
+    pub(crate) fn address(&self) -> String {
+        format!("rtsp://127.0.0.1:{}/stream", self.port)
+    }
+
     /// Cuts its power.
     pub(crate) async fn kill(mut self) {
         self.child.kill().await.expect("the camera can be killed");
@@ -118,9 +122,8 @@ impl Script {
             Self::Repeat(parts) => (parts, true),
             Self::FallSilent(parts) => (parts, false),
             Self::EndlessPart => {
-                client
-                    .write_all(b"--cut\r\nContent-Type: image/jpeg\r\n\r\n\xff\xd8\xff\xe0")
-                    .await?;
+                let head = b"--cut\r\nContent-Type: image/jpeg\r\n\r\n\xff\xd8\xff\xe0";
+                client.write_all(head).await?;
                 let more = vec![0x11; 1 << 20];
                 loop {
                     client.write_all(&more).await?;

@@ -25,7 +25,10 @@ use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader, Lines};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::time::timeout;
+use zenoh::Session;
+use zenoh::sample::Sample;
 
 /// The longest any single thing may take on a busy machine before a test gives up on it.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
@@ -91,6 +94,15 @@ pub(crate) async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     in_time.unwrap_or_else(|_| panic!("not in time: {what}"));
 }
 
+/// Waits until the service at `http` is ready.
+pub(crate) async fn until_ready(http: &str) {
+    until("the service is ready", async || {
+        let ready = reqwest::get(format!("{http}/readyz")).await;
+        ready.is_ok_and(|response| response.status().is_success())
+    })
+    .await;
+}
+
 /// Sends a process a signal.
 pub(crate) fn signal(process: u32, signal: &str) {
     let mut kill = std::process::Command::new("kill");
@@ -127,7 +139,7 @@ pub(crate) async fn metric(http: &str, series: &str) -> f64 {
 }
 
 /// A Zenoh session with these settings over Zenoh's own.
-pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<zenoh::Session> {
+pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<Session> {
     let mut config = zenoh::Config::default();
     config.insert_json5("scouting/multicast/enabled", "false")?;
     for (key, value) in settings {
@@ -137,7 +149,7 @@ pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<z
 }
 
 /// A client with Zenoh's own settings, shared memory among them.
-pub(crate) async fn zenoh_client(endpoint: &str) -> zenoh::Session {
+pub(crate) async fn zenoh_client(endpoint: &str) -> Session {
     let settings = [
         ("mode", "client".into()),
         ("connect/endpoints", vec![endpoint].into()),
@@ -145,8 +157,27 @@ pub(crate) async fn zenoh_client(endpoint: &str) -> zenoh::Session {
     zenoh_session(&settings).await.expect("a session")
 }
 
+/// What arrives on `key` from now on, as `read` takes it.
+pub(crate) async fn heard<T: Send + 'static>(
+    session: &Session,
+    key: &str,
+    read: impl Fn(Sample) -> T + Send + Sync + 'static,
+) -> UnboundedReceiver<T> {
+    let (sender, messages) = unbounded_channel();
+    let subscriber = session.declare_subscriber(key.to_owned());
+    let subscriber = subscriber.callback(move |sample| drop(sender.send(read(sample))));
+    subscriber.background().await.unwrap();
+    messages
+}
+
+/// The next message.
+pub(crate) async fn next<T>(messages: &mut UnboundedReceiver<T>) -> T {
+    let message = timeout(PATIENCE, messages.recv()).await;
+    message.expect("a message comes in time").unwrap()
+}
+
 /// A peer that listens on a free port, and its endpoint.
-pub(crate) async fn listening_peer() -> (zenoh::Session, String) {
+pub(crate) async fn listening_peer() -> (Session, String) {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let session = open_session(&[], &listen, Duration::ZERO).await.unwrap();
     let locator = session.info().locators().await.into_iter().next().unwrap();
@@ -238,6 +269,18 @@ pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     let file = folder.join(name);
     std::fs::write(&file, format!("#!/bin/sh\n{body}\n")).unwrap();
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
+    file
+}
+
+/// A video of ffmpeg's test picture in `folder`, 320x180, with `options` such as `rate=20:duration=1`.
+pub(crate) fn test_video(folder: &Path, name: &str, options: &str) -> PathBuf {
+    let file = folder.join(name);
+    let picture = format!("testsrc=size=320x180:{options}");
+    let mut ffmpeg = std::process::Command::new("ffmpeg");
+    ffmpeg.args([
+        "-v", "error", "-f", "lavfi", "-i", &picture, "-c:v", "mpeg4",
+    ]);
+    run_command(ffmpeg.arg(&file)).succeeds();
     file
 }
 
@@ -333,11 +376,7 @@ impl Node {
     }
 
     pub(crate) async fn wait_until_ready(&self) {
-        until("the node is ready", async || {
-            let ready = reqwest::get(format!("{}/readyz", self.http)).await;
-            ready.is_ok_and(|response| response.status().is_success())
-        })
-        .await;
+        until_ready(&self.http).await;
     }
 
     /// What its HTTP interface answers.
@@ -350,30 +389,18 @@ impl Node {
         self.child.id().expect("the node runs")
     }
 
-    /// Sends the signal a service manager sends.
-    pub(crate) fn terminate(&self) {
-        signal(self.id(), "-TERM");
-    }
-
-    /// Waits until the node ends by itself; how it ended, and its log.
-    pub(crate) async fn ended(mut self) -> (ExitStatus, String) {
-        let status = timeout(PATIENCE, self.child.wait()).await;
-        let status = status.expect("the node ends").unwrap();
-        (status, self.log.await.unwrap())
-    }
-
-    /// Terminates the node; how it ended, how long that took, its log, and its folder.
-    pub(crate) async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+    /// Waits until the node ends; how it ended, how long that took, its log, and its folder.
+    pub(crate) async fn ended(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();
-        self.terminate();
         let status = timeout(PATIENCE, self.child.wait()).await;
-        let status = status.expect("the node ends").unwrap();
-        (
-            status,
-            start.elapsed(),
-            self.log.await.unwrap(),
-            self.folder,
-        )
+        let (status, took) = (status.expect("the node ends").unwrap(), start.elapsed());
+        (status, took, self.log.await.unwrap(), self.folder)
+    }
+
+    /// Terminates the node; as [`ended`](Self::ended).
+    pub(crate) async fn stop(self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+        signal(self.id(), "-TERM");
+        self.ended().await
     }
 
     /// Terminates the node, which must end well; its log.
@@ -410,7 +437,7 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
 }
 
 /// Waits until a node has subscribed to the frames of its camera, and knows what `session` has subscribed to.
-pub(crate) async fn both_ways(session: &zenoh::Session, node: &str, camera: &str) {
+pub(crate) async fn both_ways(session: &Session, node: &str, camera: &str) {
     let key = format!("albireo/{node}/{camera}/frame");
     let sender = FrameSender::declare(session, &key, Pacing::Drop).await;
     let waited = sender.unwrap().wait_for_receiver(PATIENCE).await;
@@ -419,14 +446,24 @@ pub(crate) async fn both_ways(session: &zenoh::Session, node: &str, camera: &str
 }
 
 /// Waits until a node has read what `session` sent: links keep their order, and a query that is answered comes after.
-pub(crate) async fn until_read(session: &zenoh::Session, node: &str, camera: &str) {
+pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
     let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
     let replies = replies.await.expect("a query");
-    while timeout(PATIENCE, replies.recv_async())
-        .await
-        .unwrap()
-        .is_ok()
-    {}
+    let answered = async { while replies.recv_async().await.is_ok() {} };
+    timeout(PATIENCE, answered).await.expect("an answer");
+}
+
+/// Runs `albireo replay` with frames that are each taken by the camera `front` of a node, and waits for it.
+pub(crate) async fn replay(node: &Node, source: &str, more: &[&str]) {
+    let every = ["--every", "--wait-for-subscriber", "--connect", &node.zenoh];
+    let mut command = albireo();
+    let output = command
+        .args(["replay", source])
+        .args(every)
+        .args(more)
+        .output();
+    let output = timeout(PATIENCE, output).await;
+    Ended::from(output.expect("the replay ends in time").unwrap()).succeeds();
 }
 
 /// The independent client: Eclipse Zenoh's Python binding.
@@ -522,11 +559,8 @@ pub(crate) fn assert_has(found: &Value, expected: &Value) {
         match (found, expected) {
             (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
             (Value::Array(found), Value::Array(expected)) => {
-                found.len() == expected.len()
-                    && found
-                        .iter()
-                        .zip(expected)
-                        .all(|(one, wanted)| has(one, wanted))
+                let mut pairs = found.iter().zip(expected);
+                found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))
             }
             _ => found == expected,
         }
