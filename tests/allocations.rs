@@ -42,13 +42,7 @@ fn detections(frame: usize) -> Vec<Detection> {
 /// A grey picture of the same film: stripes that stand still for three frames and then move on.
 fn grey_picture(frame: usize) -> Vec<u8> {
     let moved = frame % PERIOD / 3;
-    let pixel = |place: usize| {
-        if (place / 7 + moved).is_multiple_of(2) {
-            0
-        } else {
-            200
-        }
-    };
+    let pixel = |place: usize| 200 * ((place / 7 + moved) % 2) as u8;
     (0..GREY.pixels() as usize).map(pixel).collect()
 }
 
@@ -56,13 +50,9 @@ fn grey_picture(frame: usize) -> Vec<u8> {
 fn drifting_picture(frame: usize) -> Vec<u8> {
     let phase = (frame % PERIOD) as f64 / PERIOD as f64 * std::f64::consts::TAU;
     let (width, height) = (DRIFTING.width as usize, f64::from(DRIFTING.height));
-    let moved = [
-        0.02 * width as f64 * phase.sin(),
-        0.02 * height * phase.cos(),
-    ];
     let pixel = |place: usize| {
-        let x = (place % width) as f64 - moved[0];
-        let y = (place / width) as f64 - moved[1];
+        let x = (place % width) as f64 - 0.02 * width as f64 * phase.sin();
+        let y = (place / width) as f64 - 0.02 * height * phase.cos();
         (128.0 + 50.0 * (0.7 * x + 0.2 * y).sin() + 50.0 * (0.8 * y - 0.3 * x).sin()) as u8
     };
     (0..DRIFTING.pixels() as usize).map(pixel).collect()
@@ -101,10 +91,8 @@ impl Decider for TwoFramesLate<'_> {
         if pending {
             self.waits = Some((head, need));
         }
-        let due = self
-            .waits
-            .filter(|(waiting, _)| waiting.index + 2 <= head.index);
-        if let Some((waiting, need)) = due {
+        let is_due = |(waiting, _): &(FrameHead, Need)| waiting.index + 2 <= head.index;
+        if let Some((waiting, need)) = self.waits.filter(is_due) {
             let (found, pixels) = &self.film[waiting.index as usize % PERIOD];
             let mut known = evidence(waiting.index as usize % PERIOD, found, pixels);
             let Ok(evidence) = known.evidence(need);
@@ -173,11 +161,7 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
             check(asked, profile, states, false);
         }
     }
-    for asked in [
-        "albireo:3e-4",
-        "expected-loss:0.5",
-        "expected-loss+flow:0.5",
-    ] {
+    for asked in "albireo:3e-4 expected-loss:0.5 expected-loss+flow:0.5".split(' ') {
         check(asked, Profile::Paper, &[P, I, AI], true);
     }
 }
@@ -192,12 +176,12 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     let mut outcome = Outcome::default();
     let follows = asked.contains("+flow");
     let frames = (0..PERIOD).map(|frame| {
-        let pixels = if follows {
-            drifting_picture(frame)
+        let picture = if follows {
+            drifting_picture
         } else {
-            grey_picture(frame)
+            grey_picture
         };
-        (detections(frame), pixels)
+        (detections(frame), picture(frame))
     });
     let film: Vec<Frame> = frames.collect();
     let mut waiting;
@@ -236,10 +220,6 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
             "{asked}, {profile:?}: the film has no {wanted} frame"
         );
     }
-    for ((frame, state), allocations) in least {
-        assert_eq!(
-            allocations, 0,
-            "{asked}, {profile:?}: frame {frame}, state {state}"
-        );
-    }
+    least.retain(|_, allocations| *allocations > 0);
+    assert!(least.is_empty(), "{asked}, {profile:?}: {least:?}");
 }

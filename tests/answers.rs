@@ -4,13 +4,12 @@
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
-use crate::support::{PATIENCE, next, until_read};
+use crate::support::{PATIENCE, grey_jpeg, next, until_read};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
 use albireo_node::config::NodeConfig;
 use albireo_scene::BoxScene;
-use albireo_vision::picture::Picture;
 use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -35,16 +34,6 @@ fn at_once(policy: &str) -> NodeConfig {
 /// All that was published and not yet taken.
 fn taken<T>(messages: &mut UnboundedReceiver<T>) -> Vec<T> {
     std::iter::from_fn(|| messages.try_recv().ok()).collect()
-}
-
-fn of_one_colour(value: u8) -> Vec<u8> {
-    let mut picture = Picture::black(PictureSize::new(640, 360));
-    picture.pixels.fill(value);
-    let mut jpeg = Vec::new();
-    let encoder = jpeg_encoder::Encoder::new(&mut jpeg, 90);
-    let rgb = jpeg_encoder::ColorType::Rgb;
-    encoder.encode(&picture.pixels, 640, 360, rgb).unwrap();
-    jpeg
 }
 
 /// A drive, and what the node published of it.
@@ -191,7 +180,7 @@ impl Ended {
 #[ignore = "needs ONNX Runtime"]
 async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fails() {
     let scene = pictures(100);
-    let (white, dark) = ([of_one_colour(255)], [of_one_colour(36)]);
+    let [white, dark] = [255, 36].map(|value| [grey_jpeg(value, [640, 360])]);
     let is_seen = |late: &DetectionsMessage| !late.degraded && !late.boxes.is_empty();
     for policy in ["albireo:1e-3", "expected-loss:0.3"] {
         let mut drive = Drive::start(&at_once(policy)).await;

@@ -10,9 +10,8 @@ use tokio::time::timeout;
 
 /// After the first detection comes a table of clips without another line in it: the road's clips in order.
 fn assert_is_a_table(lines: &[String]) {
-    let first = lines
-        .iter()
-        .position(|line| line.starts_with("first detection after"));
+    let is_first = |line: &String| line.starts_with("first detection after");
+    let first = lines.iter().position(is_first);
     let mut after = lines[first.expect("cars are found")..].iter().skip(1);
     assert_eq!(after.next().unwrap(), "");
     assert!(after.next().unwrap().starts_with("clip "), "{lines:?}");
@@ -51,12 +50,8 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     let count = |page: &Value| page["clips"].as_array().map_or(0, Vec::len);
     until("clips arrive", async || count(&json_at(&page).await) >= 2).await;
     let clips = json_at(&page).await;
-    let mut of = clips["clips"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|clip| &clip["node"]);
-    assert!(of.all(|node| node == "demo"), "{clips}");
+    let mut all = clips["clips"].as_array().unwrap().iter();
+    assert!(all.all(|clip| clip["node"] == "demo"), "{clips}");
     // Its status was sent before the hub could hear, perhaps; then the hub asks for it.
     let node = format!("{hub}/api/v1/nodes/demo");
     until("the node is seen", async || {
@@ -72,19 +67,14 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     }
     let ended = timeout(PATIENCE, demo.wait_with_output()).await.unwrap();
     let ended = Ended::from(ended.unwrap());
-    assert_eq!(
-        (ended.code, &*ended.err),
-        (Some(0), ""),
-        "nothing tears the table"
-    );
+    let code = (ended.code, &*ended.err);
+    assert_eq!(code, (Some(0), ""), "nothing tears the table");
     assert_says(&rest.join("\n"), &["detector skipped on"]);
     assert_is_a_table(&rest);
     // ONNX Runtime leaves its own file there.
     for left in std::fs::read_dir(temporary.path()).unwrap() {
         let name = left.unwrap().file_name().into_string().unwrap();
-        assert!(
-            !name.starts_with("albireo"),
-            "the hub's folder goes with it: {name}"
-        );
+        let is_ours = name.starts_with("albireo");
+        assert!(!is_ours, "the hub's folder goes with it: {name}");
     }
 }

@@ -3,14 +3,13 @@
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 #![allow(clippy::expect_used)]
 
-use crate::support::{answer_of, python, shared};
+use crate::support::{answer_of, project, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
-use albireo_eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
+use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
 use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
-use std::path::Path;
 use std::process::Command;
 
 /// A name, predictions and ground truth.
@@ -19,59 +18,59 @@ type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 /// What pycocotools says about these boxes, one answer a case.
 fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
-    let request = json!({"clips": clips});
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let script = root.join("tests/python/coco_average_precision.py");
-    answer_of(Command::new(python()).arg(script), &request)
+    let mut script = Command::new(python());
+    script.arg(project("tests/python/coco_average_precision.py"));
+    answer_of(&mut script, &json!({"clips": clips}))
 }
 
 /// A case in the form the script takes.
 fn frames((_, predictions, truth): &Case) -> Value {
-    let numbers = |c: Corners| [c.x1, c.y1, c.x2, c.y2];
+    let predicted = |b: &ScoredBox| {
+        let c = b.corners;
+        json!([c.x1, c.y1, c.x2, c.y2, b.class.0, b.confidence])
+    };
+    let known = |b: &ScoredBox| {
+        let c = b.corners;
+        json!([c.x1, c.y1, c.x2, c.y2, b.class.0])
+    };
     let frames = predictions.iter().zip(truth).map(|(predictions, truth)| {
-        let predictions = predictions.iter().map(|p| {
-            let [x1, y1, x2, y2] = numbers(p.corners);
-            json!([x1, y1, x2, y2, p.class.0, p.confidence])
-        });
-        let truth = truth.iter().map(|t| {
-            let [x1, y1, x2, y2] = numbers(t.corners);
-            json!([x1, y1, x2, y2, t.class.0])
-        });
-        json!({
-            "predictions": predictions.collect::<Vec<_>>(),
-            "truth": truth.collect::<Vec<_>>(),
-        })
+        let predictions: Vec<_> = predictions.iter().map(predicted).collect();
+        let truth: Vec<_> = truth.iter().map(known).collect();
+        json!({"predictions": predictions, "truth": truth})
     });
     frames.collect()
 }
 
 fn assert_agreement(cases: &[Case]) {
     let answers = coco(cases);
-    for (index, (what, predictions, truth)) in cases.iter().enumerate() {
-        compare(what, predictions, truth, &answers[index]);
+    for ((what, predictions, truth), theirs) in
+        cases.iter().zip(answers.as_array().expect("answers"))
+    {
+        for (name, classes, interpolation) in [
+            (
+                "pooled_all_points",
+                Classes::Pooled,
+                Interpolation::AllPoints,
+            ),
+            ("pooled_101", Classes::Pooled, Interpolation::Coco101),
+            ("separate_101", Classes::Separate, Interpolation::Coco101),
+        ] {
+            let ours = accuracy(predictions, truth, classes, interpolation);
+            let ours = ours.expect("there is ground truth");
+            for (figure, value) in [("ap50", ours.ap50), ("map", ours.map)] {
+                let expected = theirs[name][figure].as_f64().expect("a number");
+                let off = (value - expected).abs();
+                assert!(
+                    off < 1e-6,
+                    "{what} {name} {figure}: {value}, pycocotools {expected}"
+                );
+            }
+        }
     }
 }
 
-fn compare(what: &str, predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>], theirs: &Value) {
-    for (name, classes, interpolation) in [
-        (
-            "pooled_all_points",
-            Classes::Pooled,
-            Interpolation::AllPoints,
-        ),
-        ("pooled_101", Classes::Pooled, Interpolation::Coco101),
-        ("separate_101", Classes::Separate, Interpolation::Coco101),
-    ] {
-        let ours: Accuracy =
-            accuracy(predictions, truth, classes, interpolation).expect("there is ground truth");
-        for (figure, value) in [("ap50", ours.ap50), ("map", ours.map)] {
-            let expected = theirs[name][figure].as_f64().expect("a number");
-            assert!(
-                (value - expected).abs() < 1e-6,
-                "{what} {name} {figure}: {value}, pycocotools {expected}"
-            );
-        }
-    }
+fn corners([x1, y1, x2, y2]: [f64; 4]) -> Corners {
+    Corners { x1, y1, x2, y2 }
 }
 
 #[test]
@@ -86,33 +85,21 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
             let (x, y) = (uniform() * 300.0, uniform() * 200.0);
             let (w, h) = (20.0 + uniform() * 80.0, 20.0 + uniform() * 80.0);
             let class = ClassId((uniform() * 3.0) as u16);
-            let corners = Corners {
-                x1: x,
-                y1: y,
-                x2: x + w,
-                y2: y + h,
-            };
-            there.push(ScoredBox {
-                corners,
+            let real = ScoredBox {
+                corners: corners([x, y, x + w, y + h]),
                 class,
                 confidence: 1.0,
                 object: None,
-            });
+            };
+            there.push(real);
             // Most are found, roughly, some twice, some under a wrong name.
             while uniform() < 0.6 {
-                let mut near = || (uniform() - 0.5) * 16.0;
-                let corners = Corners {
-                    x1: x + near(),
-                    y1: y + near(),
-                    x2: x + w + near(),
-                    y2: y + h + near(),
-                };
-                let class = if uniform() < 0.9 { class } else { ClassId(1) };
+                let near = [x, y, x + w, y + h].map(|side| side + (uniform() - 0.5) * 16.0);
                 found.push(ScoredBox {
-                    corners,
-                    class,
+                    corners: corners(near),
+                    class: if uniform() < 0.9 { class } else { ClassId(1) },
                     confidence: uniform(),
-                    object: None,
+                    ..real
                 });
             }
         }
@@ -135,19 +122,7 @@ fn shared_python_recorded_detections_score_as_in_pycocotools() {
         if clip.frames > 300 {
             continue;
         }
-        let predictions: Vec<Vec<ScoredBox>> = detections
-            .iter()
-            .map(|frame| {
-                let boxes = frame.iter().map(|detection| ScoredBox {
-                    corners: detection.corners,
-                    class: detection.class,
-                    confidence: detection.confidence,
-                    object: None,
-                });
-                boxes.collect()
-            })
-            .collect();
-        cases.push((clip.name.clone(), predictions, truth.clone()));
+        cases.push((clip.name.clone(), detections.clone(), truth.clone()));
     }
     assert_eq!(cases.len(), 8);
     assert_agreement(&cases);

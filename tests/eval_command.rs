@@ -8,6 +8,8 @@ use rstest::rstest;
 use std::path::Path;
 use tempfile::TempDir;
 
+const DETECTIONS: &str = "frame,x1,y1,x2,y2,score,class\n";
+
 /// A recording of three clips: a car that drives through, the same without ground truth, and nothing.
 fn recording() -> TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -16,7 +18,7 @@ fn recording() -> TempDir {
         {"name": "unlabelled", "width": 640, "height": 480, "fps": 10, "frames": 40},
         {"name": "nothing", "width": 640, "height": 480, "fps": 10, "frames": 5}]}"#;
     write(folder.path(), "sequences.json", index);
-    let mut detections = "frame,x1,y1,x2,y2,score,class\n".to_owned();
+    let mut detections = DETECTIONS.to_owned();
     let mut truth = "frame,x1,y1,x2,y2,class,object_id\n".to_owned();
     for frame in 0..40 {
         let x = 20 + 10 * frame;
@@ -29,11 +31,7 @@ fn recording() -> TempDir {
     }
     write(folder.path(), "detections/drive.csv", &detections);
     write(folder.path(), "detections/unlabelled.csv", &detections);
-    write(
-        folder.path(),
-        "detections/nothing.csv",
-        "frame,x1,y1,x2,y2,score,class\n",
-    );
+    write(folder.path(), "detections/nothing.csv", DETECTIONS);
     write(folder.path(), "groundtruth/drive.csv", &truth);
     folder
 }
@@ -64,10 +62,8 @@ fn one_command_compares_sweeps_traces_and_reports() {
     let ended = eval(&arguments);
     let complaint = ended.err.clone();
     let table = ended.succeeds();
-    assert!(
-        table.lines().all(|line| line.chars().count() <= 100),
-        "{table}"
-    );
+    let mut lines = table.lines();
+    assert!(lines.all(|line| line.chars().count() <= 100), "{table}");
     let labels = [
         "vanilla",
         "albireo-u3e-4",
@@ -76,10 +72,8 @@ fn one_command_compares_sweeps_traces_and_reports() {
         "p: projected",
     ];
     assert_says(&table, &labels);
-    assert_says(
-        &complaint,
-        &["unlabelled: no ground truth", "nothing: not one detection"],
-    );
+    let lacks = ["unlabelled: no ground truth", "nothing: not one detection"];
+    assert_says(&complaint, &lacks);
 
     let path = traces.join("albireo-u3e-4-erd-detections/drive.jsonl.gz");
     let frames = trace::read(&path).expect("the trace is there");
@@ -95,11 +89,8 @@ fn one_command_compares_sweeps_traces_and_reports() {
     let report = std::fs::read(out.join("report.json")).expect("it is there");
     let report: serde_json::Value = serde_json::from_slice(&report).expect("it is JSON");
     assert!(report["policies"][1]["projected_energy"]["joules"].is_number());
-    for name in [
-        "ap50-against-skip-rate",
-        "frame-states",
-        "clips-ap50-change-against-skip-rate",
-    ] {
+    let figures = "ap50-against-skip-rate frame-states clips-ap50-change-against-skip-rate";
+    for name in figures.split(' ') {
         let svg = std::fs::read_to_string(out.join(format!("{name}.svg"))).expect("a figure");
         assert!(svg.starts_with("<svg"), "{name}");
     }
@@ -110,10 +101,8 @@ fn one_command_compares_sweeps_traces_and_reports() {
     assert!(places[0].is_some() && places.is_sorted(), "{places:?}");
     assert_says(&page, &["p: projected"]);
     for outside in ["src=", "<link", "@import", "url("] {
-        assert!(
-            !page.contains(outside),
-            "the page loads something: {outside}"
-        );
+        let is_loaded = page.contains(outside);
+        assert!(!is_loaded, "the page loads something: {outside}");
     }
 }
 
@@ -130,16 +119,10 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn the_reports_names_are_safe_in_its_page() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    write(
-        folder.path(),
-        "sequences.json",
-        r#"{"sequences": [{"name": "<b>&", "width": 64, "height": 48, "frames": 2}]}"#,
-    );
-    write(
-        folder.path(),
-        "detections/<b>&.csv",
-        "frame,x1,y1,x2,y2,score,class\n0,1,1,9,9,0.9,2\n",
-    );
+    let index = r#"{"sequences": [{"name": "<b>&", "width": 64, "height": 48, "frames": 2}]}"#;
+    write(folder.path(), "sequences.json", index);
+    let rows = format!("{DETECTIONS}0,1,1,9,9,0.9,2\n");
+    write(folder.path(), "detections/<b>&.csv", &rows);
     let out = folder.path().join("out");
     eval(&["recorded", text(folder.path()), "--out", text(&out)]).succeeds();
     let page = std::fs::read_to_string(out.join("report.html")).expect("the page");
@@ -169,22 +152,15 @@ fn bad_input_ends_with_what_was_wrong_where_and_what_to_do(
     if drive == "none" {
         std::fs::remove_file(folder.path().join("detections/drive.csv")).expect("removed");
     } else if !drive.is_empty() {
-        let rows = format!("frame,x1,y1,x2,y2,score,class\n{drive}");
+        let rows = format!("{DETECTIONS}{drive}");
         write(folder.path(), "detections/drive.csv", &rows);
     }
     let command = command.replace("FOLDER", text(folder.path()));
     let ended = eval(&command.split(' ').collect::<Vec<_>>());
-    assert!(
-        ended.code != Some(0) && ended.out.is_empty(),
-        "{}",
-        ended.out
-    );
+    assert_ne!(ended.code, Some(0));
+    assert_eq!(ended.out, "");
     for part in parts {
-        assert_eq!(
-            ended.err.matches(part).count(),
-            1,
-            "{part} in {}",
-            ended.err
-        );
+        let count = ended.err.matches(part).count();
+        assert_eq!(count, 1, "{part} in {}", ended.err);
     }
 }

@@ -51,14 +51,11 @@ fn write_pictures(folder: &Path, frames: u32) {
         let green = if frame % 11 < 6 { 135 + frame % 7 } else { 60 };
         let colour = [red as u8, green as u8, (frame % 80) as u8];
         let pixels = colour.repeat(size.pixels() as usize);
-        write_jpeg(&folder.join(format!("{frame}.jpg")), &pixels, [1280, 720]);
+        let file = folder.join(format!("{frame}.jpg"));
+        let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
+        let rgb = jpeg_encoder::ColorType::Rgb;
+        encoder.encode(&pixels, 1280, 720, rgb).unwrap();
     }
-}
-
-fn write_jpeg(path: &Path, pixels: &[u8], [width, height]: [u16; 2]) {
-    let encoder = jpeg_encoder::Encoder::new_file(path, 90).unwrap();
-    let rgb = jpeg_encoder::ColorType::Rgb;
-    encoder.encode(pixels, width, height, rgb).unwrap();
 }
 
 fn fixture_detector() -> DetectorConfig {

@@ -26,15 +26,16 @@ impl Tree {
             start: Instant::now(),
             joules: 0.0,
         };
-        tree.write("class/hwmon/hwmon1/name", "ina3221");
-        tree.write("class/hwmon/hwmon1/in1_label", "VDD_IN");
-        tree.write("class/hwmon/hwmon1/in1_input", "5000");
-        let zone = "class/powercap/intel-rapl:0";
-        tree.write(&format!("{zone}/name"), "package-0");
-        tree.write(
-            &format!("{zone}/max_energy_range_uj"),
-            &RANGE_UJ.to_string(),
-        );
+        for (file, text) in [
+            ("class/hwmon/hwmon1/name", "ina3221"),
+            ("class/hwmon/hwmon1/in1_label", "VDD_IN"),
+            ("class/hwmon/hwmon1/in1_input", "5000"),
+            ("class/powercap/intel-rapl:0/name", "package-0"),
+        ] {
+            tree.write(file, text);
+        }
+        let range = "class/powercap/intel-rapl:0/max_energy_range_uj";
+        tree.write(range, &RANGE_UJ.to_string());
         tree.show(0.0);
         tree
     }
@@ -83,10 +84,9 @@ async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationTok
     (power, stop)
 }
 
-/// The node's energy of those seconds.
-async fn energy(power: &PowerHandle, start: Instant, seconds: u64) -> Energy {
+/// The node's energy between two moments.
+pub(crate) async fn energy(power: &PowerHandle, start: Instant, end: Instant) -> Energy {
     let measured = power.camera("front").measure(start);
-    let end = start + Duration::from_secs(seconds);
     measured.finish(end, Duration::MAX).await.unwrap().node
 }
 
@@ -103,7 +103,8 @@ async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [Energy; 2] {
         tree.start = Instant::now();
         let start = tree.start + Duration::from_secs(1);
         tree.play(10.0, watts).await;
-        found.push(energy(&power, start, 8).await);
+        let end = start + Duration::from_secs(8);
+        found.push(energy(&power, start, end).await);
         stop.cancel();
     }
     found.try_into().unwrap()

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use crate::support::assert_says;
+use crate::support::{assert_says, until};
 use albireo_power::{self as power, Domain, Energy, PowerConfig, PowerHandle, PowerSource};
 use albireo_wire::EnergyQuality;
 use serde_json::{Value, json};
@@ -57,8 +57,7 @@ impl Running {
     }
 
     async fn energy(&self, start: Instant, end: Instant) -> Energy {
-        let measured = self.power.camera("front").measure(start);
-        measured.finish(end, Duration::MAX).await.unwrap().node
+        crate::power_sysfs::energy(&self.power, start, end).await
     }
 
     async fn end(self) {
@@ -87,17 +86,18 @@ async fn a_constant_power_is_its_watts_times_the_time() {
 
 #[tokio::test]
 async fn a_square_wave_keeps_its_mean_and_its_peak() {
+    // Steps so small that lines which a busy machine prints late do not count, and still larger than what is allowed.
     let wave = json!([
-        [0, 39.5],
-        [0.5, 39.5],
-        [0.500001, 40.5],
-        [1, 40.5],
-        [1.000001, 39.5]
+        [0, 39.9],
+        [0.5, 39.9],
+        [0.500001, 40.1],
+        [1, 40.1],
+        [1.000001, 39.9]
     ]);
     let running = run(&json!({"curve": wave})).await;
     let (mean, found) = running.watch(Duration::from_secs(5)).await;
     assert!(close(mean, 40.0), "{mean} {found:?}");
-    assert_eq!(found.domains[0].peak_watts, Some(40.5));
+    assert_eq!(found.domains[0].peak_watts, Some(40.1));
     running.end().await;
 }
 
@@ -128,25 +128,25 @@ async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading
     let (mean, found) = running.watch(Duration::from_secs(6)).await;
     assert!(close(mean, 30.0), "{found:?}");
     assert_eq!(found.domains[0].peak_watts, Some(30.0));
-    let now = Instant::now();
-    let after = running.energy(now - Duration::from_millis(900), now).await;
-    assert!(after.samples > 3, "it prints again: {after:?}");
+    until("it prints again", async || {
+        let now = Instant::now();
+        let after = running.energy(now - Duration::from_millis(900), now).await;
+        after.samples > 3
+    })
+    .await;
     running.end().await;
 }
 
 #[test]
 fn a_program_without_rails_says_that_root_is_needed_and_another_program_is_refused() {
     let line = "RAM 998/15389MB (lfb 3313x4MB) CPU [4%@883] EMC_FREQ 0% GR3D_FREQ 0% cpu@56.8C";
+    let denied = "permission denied; it prints no power rails for this user";
     for (line, said) in [
-        (
-            line,
-            "permission denied; it prints no power rails for this user",
-        ),
-        (line, "sudo -n tegrastats"),
-        ("hello", "does not print lines of tegrastats"),
+        (line, &[denied, "sudo -n tegrastats"][..]),
+        ("hello", &["does not print lines of tegrastats"]),
     ] {
         let (_folder, config) = stand_in(&json!({"lines": [line]}));
         let error = power::open(&config).err().unwrap();
-        assert_says(&error.to_string(), &[said]);
+        assert_says(&error.to_string(), said);
     }
 }

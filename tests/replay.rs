@@ -2,7 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::{PATIENCE, assert_says, free_port, listening_peer, script, test_video};
+use crate::support::{
+    PATIENCE, assert_says, free_port, grey_jpeg, listening_peer, script, test_video,
+};
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
@@ -90,15 +92,9 @@ fn pictures(count: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for number in 0..count {
         let file = folder.path().join(format!("{number}.jpg"));
-        write_grey(&file, &vec![number as u8; 64 * 48], [64, 48]);
+        std::fs::write(file, grey_jpeg(number as u8, [64, 48])).unwrap();
     }
     folder
-}
-
-fn write_grey(file: &Path, pixels: &[u8], [width, height]: [u16; 2]) {
-    let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
-    let grey = jpeg_encoder::ColorType::Luma;
-    encoder.encode(pixels, width, height, grey).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -133,7 +129,10 @@ async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
             (noise >> 24) as u8
         })
         .collect();
-    write_grey(&folder.path().join("noise.jpg"), &pixels, [640, 480]);
+    let file = folder.path().join("noise.jpg");
+    let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
+    let grey = jpeg_encoder::ColorType::Luma;
+    encoder.encode(&pixels, 640, 480, grey).unwrap();
     let more = ["--rate", "max", "--loop", "--frames", "300"];
     let (frames, sent) = replayed(folder.path(), &more, async || {
         tokio::time::sleep(Duration::from_millis(2)).await;

@@ -6,7 +6,7 @@ use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
 use crate::support::{
-    Node, PATIENCE, assert_says, next, run_command, until, until_read, zenoh_client,
+    Node, PATIENCE, assert_says, grey_jpeg, next, run_command, until, until_read, zenoh_client,
 };
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -211,13 +211,9 @@ async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
     assert_eq!(status.code(), Some(0), "{log}");
 }
 
-/// A JPEG file of 64x32 pixels of one grey.
+/// A picture of one grey, of the size of the detectors' input.
 fn solid(value: u8) -> Vec<u8> {
-    let mut file = Vec::new();
-    let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
-    let pixels = vec![value; 64 * 32 * 3];
-    (encoder.encode(&pixels, 64, 32, jpeg_encoder::ColorType::Rgb)).unwrap();
-    file
+    grey_jpeg(value, [64, 32])
 }
 
 /// Puts a grey frame of 64x32 pixels to the camera `front` of a node.

@@ -1,7 +1,7 @@
 //! What cannot be evaluated is refused with what was wrong, where, and what to do.
 
-use super::{by_hand, detector, fixture_detector, write_jpeg, write_pictures};
-use crate::support::{assert_says, run};
+use super::{by_hand, detector, fixture_detector, write_pictures};
+use crate::support::{assert_says, grey_jpeg, run};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::error::EvalError;
@@ -64,7 +64,7 @@ fn a_broken_picture_and_one_of_another_size_are_named() {
     let whole = std::fs::read(&second).unwrap();
     std::fs::write(&second, &whole[..whole.len() / 2]).unwrap();
     assert_says(&on_pictures(folder.path(), &[]), &["frame 1"]);
-    write_jpeg(&second, &[90; 64 * 64 * 3], [64, 64]);
+    std::fs::write(&second, grey_jpeg(90, [64, 64])).unwrap();
     let sizes = "64x64, those before it are 1280x720";
     assert_says(&on_pictures(folder.path(), &[]), &[sizes]);
 }
@@ -168,9 +168,6 @@ fn ground_truth_for_pictures_of_another_size_is_refused() {
     truth.attach_to(&mut clip, false, &mut report).unwrap();
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
-    let error = truth
-        .attach_to(&mut clip, false, &mut report)
-        .unwrap_err()
-        .to_string();
-    assert_says(&error, &["1280x720", "640x360"]);
+    let error = truth.attach_to(&mut clip, false, &mut report).unwrap_err();
+    assert_says(&error.to_string(), &["1280x720", "640x360"]);
 }

@@ -272,6 +272,16 @@ pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     file
 }
 
+/// A JPEG file of one grey.
+pub(crate) fn grey_jpeg(value: u8, [width, height]: [u16; 2]) -> Vec<u8> {
+    let mut file = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
+    let pixels = vec![value; 3 * usize::from(width) * usize::from(height)];
+    let rgb = jpeg_encoder::ColorType::Rgb;
+    encoder.encode(&pixels, width, height, rgb).unwrap();
+    file
+}
+
 /// A video of ffmpeg's test picture in `folder`, 320x180, with `options` such as `rate=20:duration=1`.
 pub(crate) fn test_video(folder: &Path, name: &str, options: &str) -> PathBuf {
     let file = folder.join(name);

@@ -158,7 +158,7 @@ fn work_of(state: FrameState, examined: bool) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::replay::Replay;
+    use crate::summary::tests::of_states;
 
     fn model() -> EnergyModel {
         EnergyModel {
@@ -183,12 +183,9 @@ mod tests {
     }
 
     fn result(states: &[FrameState]) -> ClipResult {
-        let replay = Replay::default();
-        let mut result = ClipResult::from_replay("clip", "policy", &replay);
-        result.frames = states.len();
+        let mut result = of_states("clip", "policy", states);
         result.states_by_frame = states.to_vec();
         for &state in states {
-            result.states.count(state);
             result.detector_frames += usize::from(!state.is_skipped());
             result.screen_frames += usize::from(matches!(state, FrameState::E | FrameState::EI));
         }

@@ -208,4 +208,4 @@ fn mark_frontier(summaries: &mut [PolicySummary]) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

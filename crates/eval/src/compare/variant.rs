@@ -66,8 +66,6 @@ mod tests {
     #[test]
     fn what_cannot_be_compared_is_refused_with_what_to_do() {
         let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
-        assert!(refused(&["vanila", "albireo"], &[]).contains("`vanilla`"));
-        assert!(refused(&["nobody", "albireo"], &[]).contains("the policies are `albireo`"));
         assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("--policy albireo"));
         assert!(refused(&["albireo"], &[]).contains("name a second policy"));
         assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));

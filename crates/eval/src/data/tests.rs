@@ -80,13 +80,7 @@ fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
 }
 
 #[test]
-fn a_missing_file_is_named_with_what_to_do() {
-    let empty = tempfile::tempdir().unwrap();
-    assert_refused(recorded::read(empty.path()), &["sequences.json"]);
-    assert_refused(
-        recorded(INDEX, None, None),
-        &["detections/a.csv", "needs its detections"],
-    );
+fn missing_ground_truth_that_the_index_counts_is_named() {
     let index = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
     assert_refused(recorded(&index, Some(""), None), &["groundtruth/a.csv"]);
 }

@@ -96,29 +96,19 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::replay::Replay;
+    use crate::summary::tests::of_states;
     use albireo_core::policy::FrameState;
 
     #[test]
     fn a_figure_that_does_not_exist_is_an_empty_cell() {
-        let replay = Replay::default();
-        let mut result = ClipResult::from_replay("clip, one", "vanilla", &replay);
-        result.frames = 1;
-        result.states.count(FrameState::I);
-        let rows = rows(&[result]);
+        let rows = rows(&[of_states("clip, one", "vanilla", &[FrameState::I])]);
         let cell = |name: &str| {
             let found = rows[0].iter().find(|(column, _)| *column == name);
             found.expect("the column is there").1.as_str()
         };
         assert_eq!(cell("sequence"), "clip, one");
         assert_eq!(cell("skip_rate"), "0");
-        for name in [
-            "ap50",
-            "ap50_decayed",
-            "delta_ap50",
-            "projected_energy_j",
-            "gt_boxes",
-        ] {
+        for name in "ap50 ap50_decayed delta_ap50 projected_energy_j gt_boxes".split(' ') {
             assert_eq!(cell(name), "", "{name}");
         }
     }

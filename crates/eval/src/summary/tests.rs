@@ -3,17 +3,17 @@ use crate::average_precision::Accuracy;
 use crate::replay::Replay;
 use albireo_core::policy::FrameState;
 
+/// What a policy made of a clip with frames of these states.
+pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> ClipResult {
+    let mut result = ClipResult::from_replay(clip, policy, &Replay::default());
+    result.frames = states.len();
+    states.iter().for_each(|state| result.states.count(*state));
+    result
+}
+
 fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipResult {
-    let replay = Replay::default();
-    let mut result = ClipResult::from_replay(clip, policy, &replay);
-    result.frames = 10;
-    for frame in 0..10 {
-        result.states.count(if frame < skipped {
-            FrameState::P
-        } else {
-            FrameState::I
-        });
-    }
+    let states = [[FrameState::P; 10], [FrameState::I; 10]].concat();
+    let mut result = of_states(clip, policy, &states[10 - skipped..][..10]);
     result.accuracy = ap50.map(|ap50| Accuracy {
         ap50,
         map: ap50 / 2.0,

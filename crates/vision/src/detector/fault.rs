@@ -130,16 +130,11 @@ mod tests {
             (999, "unknown error"),
         ] {
             let words = in_words(&cuda(number, text));
-            assert!(
-                words.starts_with("the GPU is lost to this process"),
-                "{words}"
-            );
-            assert!(words.contains(text), "{words}");
+            let lost = "the GPU is lost to this process";
+            assert!(words.starts_with(lost) && words.contains(text), "{words}");
             // Also in a sentence of ours.
-            assert!(
-                device_is_lost(&format!("the run failed: {words}")),
-                "{words}"
-            );
+            let sentence = format!("the run failed: {words}");
+            assert!(device_is_lost(&sentence), "{words}");
         }
         for (number, text) in [
             (46, "CUDA-capable device(s) is/are busy or unavailable"),
@@ -162,9 +157,7 @@ mod tests {
         ] {
             assert!(!device_is_lost(&message), "{message}");
         }
-        assert_eq!(
-            in_words("Got invalid dimensions. "),
-            "Got invalid dimensions"
-        );
+        let trimmed = in_words("Got invalid dimensions. ");
+        assert_eq!(trimmed, "Got invalid dimensions");
     }
 }

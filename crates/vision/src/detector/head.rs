@@ -108,4 +108,4 @@ pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Resul
 }
 
 #[cfg(test)]
-mod tests;
+pub(in crate::detector) mod tests;

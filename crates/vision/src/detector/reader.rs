@@ -178,33 +178,25 @@ impl Parts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detector::head::bind;
-    use crate::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
+    use crate::detector::HeadName;
+    use crate::detector::head::tests::bound;
     use crate::picture::{Letterbox, Picture};
 
     /// What a YOLO model with one class has found when all its boxes have this centre and these sides, and this score.
     fn read(boxes: [f32; 4], score: f32) -> ReadOut {
         const ANCHORS: usize = 42;
-        let spec = |name: &str, shape: &[i64]| TensorSpec {
-            name: name.to_owned(),
-            element: ElementType::Float32,
-            shape: shape.to_vec(),
-        };
-        let signature = Signature {
-            inputs: vec![spec("images", &[1, 3, 32, 64])],
-            outputs: vec![spec("output0", &[1, 5, ANCHORS as i64])],
-            metadata: Metadata::default(),
-        };
-        let input = signature.picture_input(None).unwrap();
-        let head = bind(HeadName::Yolo, &signature, input).unwrap();
+        let shape = [1, 5, ANCHORS as i64];
+        let head = bound(HeadName::Yolo, &[1, 3, 32, 64], &[("output0", &shape)]);
         let mut letterbox = Letterbox::new(head.input_format);
-        let mapping = letterbox.fill(&Picture::black(input.size)).unwrap();
+        let mapping = letterbox
+            .fill(&Picture::black(head.input_format.size))
+            .unwrap();
         let config = DetectorConfig::default();
         let classes = Classes::new(&["car".to_owned()], &config).unwrap();
         let [x, y, width, height] = boxes;
         let values = [x, y, width, height, score].map(|value| [value; ANCHORS]);
         let outputs = [TensorView {
-            shape: &[1, 5, ANCHORS as i64],
+            shape: &shape,
             values: values.as_flattened(),
         }];
         let mut reader = Reader::new(head, classes, &config);

@@ -147,11 +147,8 @@ mod tests {
         drop(held);
         assert_eq!(buffers.idle(), 2);
         assert_eq!(buffers.take(50).pixels.capacity(), 100);
-        assert_eq!(
-            buffers.take(400).pixels.capacity(),
-            300,
-            "it has to grow least"
-        );
+        // It has to grow least.
+        assert_eq!(buffers.take(400).pixels.capacity(), 300);
         assert_eq!(buffers.take(1).pixels.capacity(), 0, "none is left");
     }
 

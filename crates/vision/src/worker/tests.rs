@@ -289,10 +289,8 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_sessio
     let error = late.await.unwrap().unwrap_err();
     assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
     assert_eq!(begun.elapsed(), TIMEOUT);
-    assert!(matches!(
-        waiting.await.unwrap().unwrap_err(),
-        InferenceError::Unavailable(_)
-    ));
+    let refused = waiting.await.unwrap().unwrap_err();
+    assert!(matches!(refused, InferenceError::Unavailable(_)));
     let reason = stage.until_degraded().await;
     assert!(reason.contains("2000 ms"), "{reason}");
 
@@ -316,10 +314,8 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_sessio
         ..WorkerCounts::default()
     };
     assert_eq!(stage.counts(), expected);
-    assert!(
-        stage.ended.try_recv().is_err(),
-        "the model was never dropped"
-    );
+    // The model was never dropped.
+    assert!(stage.ended.try_recv().is_err());
 }
 
 #[tokio::test(start_paused = true)]
@@ -352,10 +348,8 @@ async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
     assert!(!ended.is_finished());
     pass(Duration::from_millis(1)).await;
     let reason = ended.await.unwrap().unwrap_err();
-    assert!(
-        reason.contains("thread of the scripted has not come back for 32 s"),
-        "{reason}"
-    );
+    let said = "thread of the scripted has not come back for 32 s";
+    assert!(reason.contains(said), "{reason}");
     assert_eq!(stage.until_degraded().await, reason);
     let error = stage.ask(1).await.unwrap().unwrap_err();
     assert_eq!(error, InferenceError::Stopped);
@@ -366,17 +360,11 @@ async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
 async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
     let mut stage = stage(settings()).await;
     let error = stage.run(Step::Implausible).await.unwrap_err();
-    assert_eq!(
-        error,
-        InferenceError::Implausible("scripted nonsense".to_owned())
-    );
-    assert_eq!(
-        *stage.worker.status.borrow(),
-        DetectorStatus::Implausible {
-            reason: "scripted nonsense".to_owned(),
-            provider: ExecutionProvider::Cpu
-        }
-    );
+    let reason = "scripted nonsense".to_owned();
+    assert_eq!(error, InferenceError::Implausible(reason.clone()));
+    let provider = ExecutionProvider::Cpu;
+    let expected = DetectorStatus::Implausible { reason, provider };
+    assert_eq!(*stage.worker.status.borrow(), expected);
     assert!(stage.worker.accepts().is_ok());
     stage.run(Step::Answer).await.unwrap();
     assert!(matches!(
@@ -384,10 +372,8 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
         DetectorStatus::Ready { .. }
     ));
     let counts = stage.counts();
-    assert_eq!(
-        (counts.completed, counts.failed, counts.rebuilds),
-        (1, 1, 0)
-    );
+    let counted = (counts.completed, counts.failed, counts.rebuilds);
+    assert_eq!(counted, (1, 1, 0));
 }
 
 #[tokio::test(start_paused = true)]
@@ -490,24 +476,22 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
 
 #[tokio::test(start_paused = true)]
 async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it() {
+    const WAITED: Duration = Duration::from_millis(500);
     const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
     let first = stage.begin(0).await;
     let waiting = [1, 2, 3].map(|camera| stage.ask(camera));
     stage.until_waiting(3).await;
-    pass(Duration::from_millis(500)).await;
+    pass(WAITED).await;
     stage.end(Step::Answer);
     assert_eq!(stage.next_run().await, [1, 2, 3]);
     pass(RUN).await;
     stage.end(Step::Answer);
     let first = first.await.unwrap().unwrap();
-    assert_eq!(
-        (first.took, first.pictures),
-        (Duration::from_millis(500), 1)
-    );
+    assert_eq!((first.took, first.pictures), (WAITED, 1));
     for waited in waiting {
         let answer = waited.await.unwrap().unwrap();
-        assert_eq!(answer.queued, Duration::from_millis(500));
+        assert_eq!(answer.queued, WAITED);
         assert_eq!((answer.took, answer.pictures), (RUN, 3));
     }
 }
@@ -598,10 +582,8 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
     stage.until_waiting(1).await;
     let stopping = stage.stop();
     assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
-    assert_eq!(
-        stage.ask(2).await.unwrap().unwrap_err(),
-        InferenceError::Stopped
-    );
+    let refused = stage.ask(2).await.unwrap().unwrap_err();
+    assert_eq!(refused, InferenceError::Stopped);
     assert!(!stopping.is_finished());
     stage.end(Step::Answer);
     in_hand.await.unwrap().unwrap();
@@ -617,10 +599,8 @@ async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
     let stopping = stage.stop();
     pass(TIMEOUT).await;
     stopping.await.unwrap();
-    assert!(matches!(
-        hanging.await.unwrap().unwrap_err(),
-        InferenceError::TimedOut { .. }
-    ));
+    let error = hanging.await.unwrap().unwrap_err();
+    assert!(matches!(error, InferenceError::TimedOut { .. }));
 }
 
 #[tokio::test(start_paused = true)]

@@ -106,11 +106,8 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
             let after = frame.attachment.t_ns.unwrap() - first_time;
             assert!(after.abs_diff(expected.as_nanos() as u64) < 1000);
             assert_eq!(frame.attachment.clip, None);
-            assert_eq!(
-                frame.attachment.width,
-                Some(1),
-                "a raw picture gives its size"
-            );
+            // A raw picture gives its size.
+            assert_eq!(frame.attachment.width, Some(1));
         }
     }
 }

@@ -35,7 +35,11 @@ fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
     }
 }
 
-fn bound(name: HeadName, input: &[i64], outputs: &[(&str, &[i64])]) -> Head {
+pub(in crate::detector) fn bound(
+    name: HeadName,
+    input: &[i64],
+    outputs: &[(&str, &[i64])],
+) -> Head {
     let signature = signature(input, outputs);
     bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
 }

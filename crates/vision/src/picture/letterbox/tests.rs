@@ -200,10 +200,8 @@ fn the_fraction_is_cut_off_as_yolox_does_it() {
 #[test]
 fn a_picture_that_is_empty_or_too_short_is_an_error() {
     let mut letterbox = Letterbox::new(format(32, 32, Fit::Stretch));
-    assert_eq!(
-        letterbox.fill(&Picture::default()),
-        Err(LetterboxError::Empty(PictureSize::new(0, 0)))
-    );
+    let empty = LetterboxError::Empty(PictureSize::new(0, 0));
+    assert_eq!(letterbox.fill(&Picture::default()), Err(empty));
     let mut short = picture(8, 8, PixelLayout::Rgb8);
     short.pixels.pop();
     let error = letterbox.fill(&short).unwrap_err().to_string();
@@ -215,9 +213,8 @@ fn a_picture_of_one_row_or_of_extreme_shape_is_no_trouble() {
     for fit in [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch] {
         let mut letterbox = Letterbox::new(format(32, 32, fit));
         for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
-            letterbox
-                .fill(&picture(width, height, PixelLayout::Rgb8))
-                .unwrap();
+            let picture = picture(width, height, PixelLayout::Rgb8);
+            letterbox.fill(&picture).unwrap();
         }
     }
 }
