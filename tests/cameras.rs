@@ -310,7 +310,6 @@ async fn a_sender_that_restarts_loses_no_frame() {
         !dropped.is_empty() && dropped.iter().all(is_zero),
         "{dropped:?}"
     );
-    node.stop().await;
 }
 
 #[rstest]
@@ -484,5 +483,4 @@ async fn cameras_that_come_and_go_leave_no_memory_in_the_node() {
     let after = memory_mb(node.id(), "VmRSS:");
     println!("{count} sessions: {before:.1} MB, then {after:.1} MB");
     assert!(after - before < 10.0, "{before:.1} MB, then {after:.1} MB");
-    node.stop().await;
 }

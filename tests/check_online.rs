@@ -24,11 +24,8 @@ async fn check_online_reports_the_running_provider_and_that_the_hub_accepts_repo
     assert_says(&said, &["works  detector: runs on cpu, ", uplink]);
     // A hub of another fleet is none of this node's.
     let other = check_online(&zenoh, ("ALBIREO_NODE__PREFIX", "another"));
-    assert_says(
-        &(other.out.clone() + &other.fails()),
-        &["but no hub takes reports"],
-    );
-    hub.kill().await;
+    let said = other.out.clone() + &other.fails();
+    assert_says(&said, &["but no hub takes reports"]);
 }
 
 #[test]
@@ -38,10 +35,10 @@ fn check_online_names_what_does_not_answer_and_exits_1() {
     let cameras = "[{name=\"road\",source=\"rtsp://127.0.0.1:9/road\"}]";
     let checked = check_online(&nobody, ("ALBIREO_CAMERA", cameras));
     let said = checked.out.clone() + &checked.fails();
+    let works = "works  detector: runs on cpu, ";
     let fails = ["fails  camera.road.source: ", "fails  uplink.connect: "];
     assert_says(
         &said,
-        &["works  detector: runs on cpu, ", "2 of these do not work"],
+        &[works, fails[0], fails[1], "2 of these do not work"],
     );
-    assert_says(&said, &fails);
 }

@@ -308,8 +308,6 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     hub.until("/api/v1/clips?node=car-7", three).await;
     hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
         .await;
-    camera.close().await;
-    let _ = node.stop().await;
 }
 
 #[test]

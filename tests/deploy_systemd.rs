@@ -217,7 +217,8 @@ async fn a_router_notifies_ready_and_feeds_its_watchdog() {
     ends_well(router, &mut manager).await;
 }
 
-fn node(folder: &Path, model: &Path) -> PathBuf {
+/// A node with that model, and who manages it.
+fn node(folder: &Path, model: &Path) -> (Child, Manager) {
     let file = folder.join("node.toml");
     let settings = format!(
         "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\npower.source = \"none\"\n\
@@ -226,7 +227,9 @@ fn node(folder: &Path, model: &Path) -> PathBuf {
         model.display()
     );
     std::fs::write(&file, settings).unwrap();
-    file
+    let manager = Manager::new();
+    let arguments = ["node", "--config", file.to_str().unwrap()];
+    (manager.start(&arguments, &[]), manager)
 }
 
 #[tokio::test]
@@ -234,10 +237,7 @@ fn node(folder: &Path, model: &Path) -> PathBuf {
 async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     let folder = tempfile::tempdir().unwrap();
     let model = project("tests/fixtures/models/boxes.onnx");
-    let file = node(folder.path(), &model);
-    let mut manager = Manager::new();
-    let arguments = ["node", "--config", file.to_str().unwrap()];
-    let node = manager.start(&arguments, &[]);
+    let (node, mut manager) = node(folder.path(), &model);
     manager.until("READY=1", 1).await;
     let fed = manager.count("WATCHDOG=1");
     manager.until("WATCHDOG=1", fed + 10).await;
@@ -252,15 +252,11 @@ async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
     // A pipe without a writer: loading it never ends.
     let model = folder.path().join("detector.onnx");
     pipe(&model);
-    let file = node(folder.path(), &model);
-    let mut manager = Manager::new();
-    let arguments = ["node", "--config", file.to_str().unwrap()];
-    let mut node = manager.start(&arguments, &[]);
+    let (_node, mut manager) = node(folder.path(), &model);
     manager.until("WATCHDOG=1", 3).await;
     manager.until("STATUS=stuck: detector", 1).await;
     let fed = manager.count("WATCHDOG=1");
     manager.during(Duration::from_secs(2)).await;
     assert_eq!(manager.count("WATCHDOG=1"), fed, "{:?}", manager.heard);
     assert_eq!(manager.count("READY=1"), 0);
-    node.kill().await.unwrap();
 }

@@ -190,8 +190,6 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     })
     .await;
     assert_eq!(reqwest::get(&path).await.unwrap().status(), 404);
-    car.end().await;
-    hub.kill().await;
 }
 
 /// What can be killed.

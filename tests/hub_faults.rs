@@ -61,8 +61,6 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
     hub.until_ready().await;
     let clips = hub.clips(NODE).await;
     assert_eq!(clips.len() as u64, last + 100);
-    session.close().await.unwrap();
-    hub.kill().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -94,8 +92,6 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
     let hub = HubProcess::start(&settings);
     deliver(&session, NODE, 4..=6, begun).await;
     assert_eq!(hub.clips(NODE).await.len(), 6);
-    session.close().await.unwrap();
-    hub.kill().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -116,8 +112,6 @@ async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
     let hub = HubProcess::start(&settings);
     let refused = deliver(&session, NODE, 1..=3, begun).await;
     assert_eq!(hub.clips(NODE).await.len(), 3, "{refused:?}");
-    session.close().await.unwrap();
-    hub.kill().await;
 }
 
 /// What a hostile node sends, by the kind of key.
@@ -212,8 +206,6 @@ async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_u
     // An optimised hub on a quiet machine keeps within a second.
     assert!(slow < Duration::from_secs(10), "{slow:?}");
     assert!(peak < 200.0, "{peak} MB");
-    session.close().await.unwrap();
-    hub.kill().await;
 }
 
 /// What the system calls of a hub say of its disk and its answers.
@@ -315,5 +307,4 @@ async fn what_is_acknowledged_was_synced_to_the_disk_before() {
     assert!(traced.acknowledged >= 40, "{traced:?}");
     assert!(traced.syncs >= 40, "{traced:?}");
     assert_eq!(traced.too_early, 0, "{traced:?}");
-    hub.kill().await;
 }
