@@ -49,7 +49,7 @@ mod record;
 mod reporting;
 mod settled;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tracker;
 mod vanilla;
 

@@ -86,17 +86,8 @@ impl EvidenceAtHand for FrameEvidence<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::PictureSize;
-    use crate::policy::tests::seen;
+    use crate::policy::tests::{head, seen};
     use crate::policy::{Albireo, AlbireoSettings, FrameState};
-
-    fn head(index: u64) -> FrameHead {
-        FrameHead {
-            index,
-            step: 1,
-            picture: PictureSize::new(1280, 720),
-        }
-    }
 
     /// A picture that cannot be decoded.
     struct Broken;

@@ -2,7 +2,8 @@
 
 mod camera;
 
-pub(super) use camera::{PICTURE, Run, ride, seen};
+pub(crate) use camera::{PICTURE, seen};
+pub(super) use camera::{Run, built, head, records, ride};
 
 use super::config::known_policies;
 use super::*;
@@ -176,12 +177,8 @@ proptest! {
     ) {
         let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker"];
         for name in names {
-            let built = [String::new(), "+flow".to_owned()].map(|suffix| {
-                let mut config = PolicyConfig::default();
-                config.select(&format!("{name}{suffix}")).unwrap();
-                config.build().unwrap()
-            });
-            let [mut off, mut flow] = built;
+            let [mut off, mut flow] =
+                ["", "+flow"].map(|suffix| built(&format!("{name}{suffix}"), Profile::Paper));
             let range = off.knob().unwrap();
             let value = range.useful_minimum + knob * (range.useful_maximum - range.useful_minimum);
             off.set_knob(value).unwrap();

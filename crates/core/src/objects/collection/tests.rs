@@ -1,18 +1,11 @@
 //! Promises of the life of objects.
 
 use super::*;
-use crate::detection::ClassId;
-use crate::geometry::BoundingBox;
 use crate::policy::AlbireoSettings;
-
-const PICTURE: PictureSize = PictureSize::new(1280, 720);
+use crate::policy::tests::PICTURE;
 
 fn seen(x: f64) -> Detection {
-    Detection {
-        bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
-        class: ClassId(0),
-        confidence: 0.9,
-    }
+    crate::policy::tests::seen(x, 0.9)
 }
 
 /// One frame in which the detector finds `detections`.

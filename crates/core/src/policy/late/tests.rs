@@ -2,11 +2,8 @@ use super::*;
 use crate::detection::{ClassId, Detection};
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::config::known_policies;
-use crate::policy::tests::{PICTURE, seen};
-use crate::policy::{
-    EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, ObjectRecord, PolicyConfig, Profile,
-    decide,
-};
+use crate::policy::tests::{PICTURE, built, head, records, seen};
+use crate::policy::{EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, Profile, decide};
 use proptest::prelude::*;
 
 const GREY: PictureSize = PictureSize::new(64, 48);
@@ -107,16 +104,7 @@ fn late_policies() -> impl Iterator<Item = &'static str> {
 }
 
 fn build(name: &str) -> Box<dyn Policy> {
-    build_as(name, Profile::Paper)
-}
-
-fn build_as(name: &str, profile: Profile) -> Box<dyn Policy> {
-    let mut config = PolicyConfig {
-        profile,
-        ..PolicyConfig::default()
-    };
-    config.select(name).unwrap();
-    config.build().unwrap()
+    built(name, Profile::Paper)
 }
 
 fn profiles() -> impl Strategy<Value = Profile> {
@@ -125,12 +113,6 @@ fn profiles() -> impl Strategy<Value = Profile> {
 
 fn late(name: &str) -> LatePolicy {
     LatePolicy::new(build(name)).unwrap()
-}
-
-fn records(policy: &dyn Policy) -> Vec<ObjectRecord> {
-    let mut records = Vec::new();
-    policy.objects(&mut |record| records.push(*record));
-    records
 }
 
 /// Gives frame `event` what it needs; returns what it needs next.
@@ -279,8 +261,8 @@ proptest! {
         profile in profiles(),
     ) {
         for name in late_policies() {
-            let mut waiting = build_as(name, profile);
-            let mut camera = Camera::new(build_as(name, profile), &script);
+            let mut waiting = built(name, profile);
+            let mut camera = Camera::new(built(name, profile), &script);
             for (frame, (event, head)) in script.iter().zip(heads(&script)).enumerate() {
                 event.set_threshold(&mut *waiting);
                 let grey = event.grey();
@@ -305,10 +287,10 @@ proptest! {
         profile in profiles(),
     ) {
         for name in late_policies() {
-            let mut camera = Camera::new(build_as(name, profile), &script);
+            let mut camera = Camera::new(built(name, profile), &script);
             while camera.frame() {
                 let so_far = &script[..camera.next];
-                let mut policy = build_as(name, profile);
+                let mut policy = built(name, profile);
                 let before = from_the_start(&mut *policy, so_far, &camera.given);
                 let before = before.last().map(predicted);
                 prop_assert_eq!(camera.live.last(), before.as_ref(), "{}", name);
@@ -316,7 +298,7 @@ proptest! {
                 if !camera.arrivals() {
                     continue;
                 }
-                let mut policy = build_as(name, profile);
+                let mut policy = built(name, profile);
                 let after = from_the_start(&mut *policy, so_far, &camera.given);
                 prop_assert_eq!(records(camera.late.policy()), records(&*policy), "{}", name);
                 prop_assert_eq!(camera.late.policy().knob_value(), policy.knob_value());
@@ -353,14 +335,6 @@ proptest! {
                 prop_assert_eq!(&alone.settled, &together.settled);
             }
         }
-    }
-}
-
-fn head(index: u64) -> FrameHead {
-    FrameHead {
-        index,
-        step: 1,
-        picture: PICTURE,
     }
 }
 

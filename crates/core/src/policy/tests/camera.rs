@@ -3,15 +3,40 @@
 use super::*;
 use std::convert::Infallible;
 
-pub(in crate::policy) const PICTURE: PictureSize = PictureSize::new(1280, 720);
+pub(crate) const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
 /// A detection at `x`, in the middle of the picture's height.
-pub(in crate::policy) fn seen(x: f64, confidence: f64) -> Detection {
+pub(crate) fn seen(x: f64, confidence: f64) -> Detection {
     Detection {
         bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
         class: ClassId(0),
         confidence,
     }
+}
+
+/// A frame of a stream without gaps.
+pub(in crate::policy) fn head(index: u64) -> FrameHead {
+    FrameHead {
+        index,
+        step: 1,
+        picture: PICTURE,
+    }
+}
+
+/// The policy `asked` for, `NAME[:ARGUMENT]`.
+pub(in crate::policy) fn built(asked: &str, profile: Profile) -> Box<dyn Policy> {
+    let mut config = PolicyConfig {
+        profile,
+        ..PolicyConfig::default()
+    };
+    config.select(asked).unwrap();
+    config.build().unwrap()
+}
+
+pub(in crate::policy) fn records<P: Policy + ?Sized>(policy: &P) -> Vec<ObjectRecord> {
+    let mut records = Vec::new();
+    policy.objects(&mut |record| records.push(*record));
+    records
 }
 
 /// Evidence that records the requests.
@@ -42,12 +67,7 @@ pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
 impl Run {
     /// The policy `asked` for, `NAME[:ARGUMENT]`.
     pub(in crate::policy) fn new(asked: &str, profile: Profile) -> Self {
-        let mut config = PolicyConfig {
-            profile,
-            ..PolicyConfig::default()
-        };
-        config.select(asked).unwrap();
-        Self::of(&config)
+        Self::with(built(asked, profile))
     }
 
     pub(in crate::policy) fn of(config: &PolicyConfig) -> Self {
@@ -74,9 +94,8 @@ impl<P: Policy + ?Sized> Run<P> {
     fn head(&mut self, step: u32) -> FrameHead {
         self.index += u64::from(step) - 1;
         let head = FrameHead {
-            index: self.index,
             step,
-            picture: PICTURE,
+            ..head(self.index)
         };
         self.index += 1;
         head
@@ -110,9 +129,7 @@ impl<P: Policy + ?Sized> Run<P> {
     }
 
     pub(in crate::policy) fn records(&self) -> Vec<ObjectRecord> {
-        let mut records = Vec::new();
-        self.policy.objects(&mut |record| records.push(*record));
-        records
+        records(&*self.policy)
     }
 
     /// Source, centre and confidence of each box reported.
