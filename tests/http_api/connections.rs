@@ -22,7 +22,7 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
 
 #[tokio::test]
 async fn a_connection_that_sends_no_whole_request_is_closed() {
-    let node = served(100, 256).await;
+    let node = served(300, 256).await;
     let begun = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n";
     // Kept open after an answer, it is closed as well.
     let sent = ["", &format!("{begun}X-Slow: "), &format!("{begun}\r\n")];

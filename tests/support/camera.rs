@@ -34,8 +34,9 @@ impl Camera {
         let report = |sample: Sample| read(&sample.payload().to_bytes()).unwrap();
         let reports = heard(&session, &of("clip"), report).await;
         let frames = session
+            // As `albireo publish` does, it does not wait for others who listen to its frames and do not read.
             .declare_publisher(of("frame"))
-            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .congestion_control(zenoh::qos::CongestionControl::Drop)
             .await
             .unwrap();
         both_ways(&session, node, "front").await;
