@@ -1,7 +1,5 @@
 //! Live cameras: opened by the node itself or by `albireo publish`, lost and reconnected, with hidden passwords.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::node_frames::attachment;
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
 use crate::support::{

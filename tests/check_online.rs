@@ -1,7 +1,5 @@
 //! `albireo check --online` tries everything that a configuration names, as a node would use it.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::fleet::{HubProcess, settings, sqlite};
 use crate::support::{Ended, assert_says, free_port, run};
 

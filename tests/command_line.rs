@@ -1,7 +1,5 @@
 //! The command line as a user meets it: help, `check`, and the environment.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::support::run;
 use rstest::rstest;
 

@@ -1,8 +1,6 @@
 //! `albireo compare`, as a user runs it: the node's own code with YOLOX-Nano, a clip of a few
 //! seconds, and its report.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use crate::support::{
     Ended, assert_has, assert_says, fake_nvpmodel, fake_tegrastats, project, run,
 };

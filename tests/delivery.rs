@@ -1,8 +1,6 @@
 //! Clip reports on their way to a hub, with a small stand-in for it: a real queryable on its own session that
 //! commits to a file before it answers.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 mod hub;
 
 use crate::support::camera::Camera;

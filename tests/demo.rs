@@ -1,7 +1,5 @@
 //! `albireo demo` with its hub, as a user runs it.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{Ended, PATIENCE, albireo, assert_says, json_at, signal, until};
 use serde_json::Value;
 use std::process::Stdio;

@@ -1,8 +1,6 @@
 //! Access control of a fleet: a router and a hub as processes, certificates and rules made by the program, and every
 //! kind of intruder.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
 use crate::support::{
     PATIENCE, albireo, assert_says, free_port, heard, metric, run, signal, text, until_ready,

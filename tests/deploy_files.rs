@@ -1,7 +1,5 @@
 //! The files shipped beside the programs: manual pages, completions, packages, containers, proxies.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{assert_says, project, run, run_command, text};
 use clap::CommandFactory;
 use std::collections::BTreeSet;

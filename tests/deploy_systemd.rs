@@ -1,7 +1,5 @@
 //! The systemd units: valid, as restricted as promised, and working with the real programs.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 #[cfg(feature = "hub")]
 use crate::support::fleet::{behind, router_config, settings, sqlite};
 use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};

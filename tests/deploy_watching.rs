@@ -1,8 +1,6 @@
 //! Prometheus rules and Grafana dashboards: every alert is played, and node, hub or router really exports every metric
 //! that a rule or a dashboard names.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::http_api::served::Served;
 use crate::support::fleet::{HubProcess, router_config, settings, sqlite};
 use crate::support::{albireo, free_port, project, run_command, text_at, until};

@@ -1,7 +1,5 @@
 //! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
 
-#![allow(clippy::panic, clippy::unwrap_used)]
-
 use super::support::assert_says;
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, one_colour, refusal, started,

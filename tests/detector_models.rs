@@ -1,7 +1,5 @@
 //! Real models on real frames find what their README says.
 
-#![allow(clippy::expect_used, clippy::unwrap_used)]
-
 use super::support::shared;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};

@@ -1,8 +1,6 @@
 //! A model that ONNX Runtime's own tool has quantised: read as the one it was made from, and finding what that
 //! finds.
 
-#![allow(clippy::unwrap_used)]
-
 use albireo_core::detection::Detection;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};

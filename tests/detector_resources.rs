@@ -1,7 +1,5 @@
 //! Models that need more memory or time than there is.
 
-#![allow(clippy::panic, clippy::unwrap_used)]
-
 use super::support::detectors::{CAMERA, changed, detected, model, one_colour, started};
 use super::support::{Node, assert_says, until};
 use albireo_vision::detector::{DetectorStatus, InferenceError};

@@ -1,8 +1,6 @@
 //! ONNX Runtime itself, on models of a few hundred bytes: a model that fits runs, any other is refused at the
 //! start with a helpful error.
 
-#![allow(clippy::panic, clippy::unwrap_used)]
-
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,
 };

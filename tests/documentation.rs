@@ -4,8 +4,6 @@
 //! A block of commands is marked by the line before it: `<!-- run -->`, `<!-- not run: WHY -->`, or `<!-- by hand, DATE -->` where it needs
 //! more than a test has.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 mod camera_page;
 
 use crate::support::{Node, PATIENCE, assert_says, free_port, project, python, text, until_ready};

@@ -1,8 +1,6 @@
 //! The whole way over real processes: `albireo node`, `albireo replay`, and a client that shares no code
 //! with them.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{Client, Node, answer_of, project, python, replay, shared, value_of};
 use serde_json::Value;
 use std::collections::BTreeSet;

@@ -1,6 +1,5 @@
 //! The evaluation agrees with what others compute on the same boxes: the published evaluator's figures and
 //! COCO's own tool.
-#![allow(clippy::expect_used)]
 
 use crate::support::shared;
 use albireo_core::policy::{PolicyConfig, Profile};

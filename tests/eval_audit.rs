@@ -1,5 +1,4 @@
 //! The audit's intervals on recordings, where the comparison of all frames is known.
-#![allow(clippy::expect_used)]
 
 use crate::support::shared;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};

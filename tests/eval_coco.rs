@@ -1,7 +1,6 @@
 //! Average precision is what COCO's own tool computes on the same boxes, where the definitions coincide.
 //!
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
-#![allow(clippy::expect_used)]
 
 use crate::support::{answer_of, project, python, shared};
 use albireo_core::detection::ClassId;

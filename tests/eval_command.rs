@@ -1,5 +1,4 @@
 //! `albireo eval` as a user runs it: its output, its files, and its errors for bad input.
-#![allow(clippy::expect_used, clippy::panic)]
 
 use crate::support::{Ended, assert_says, run};
 use albireo_core::policy::FrameState;

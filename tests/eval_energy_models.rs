@@ -1,5 +1,4 @@
 //! The shipped energy models say where they come from.
-#![allow(clippy::expect_used)]
 
 use albireo_eval::energy_model::EnergyModel;
 use std::path::Path;

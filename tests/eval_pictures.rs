@@ -1,6 +1,5 @@
 //! Evaluation on pictures: the stored results of a run give the same decisions again, and both equal those of a
 //! policy that calls detector and screen itself, frame by frame, as in the node.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod bad_input;
 mod live;

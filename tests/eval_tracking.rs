@@ -1,5 +1,4 @@
 //! HOTA and IDF1 are what TrackEval computes on the same boxes.
-#![allow(clippy::expect_used)]
 
 use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::golden_traces::shared_data::{detections, sequences};

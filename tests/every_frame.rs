@@ -1,7 +1,5 @@
 //! Cameras that must not lose a frame (`delivery = "every"`): only their own senders are slowed down.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::node_frames::{Bench, CAMERA, attachment, configuration, pictures};
 use crate::support::policies::Before;
 use crate::support::{PATIENCE, until};
@@ -10,7 +8,8 @@ use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
 use albireo_node::input::Delivery;
 use albireo_wire::FrameAnswer;
-use std::sync::{Arc, Condvar, Mutex};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -18,36 +17,6 @@ use tokio::time::timeout;
 const LIVE: u64 = 100;
 
 const TAPES: [&str; 2] = ["tape-a", "tape-b"];
-
-/// Shut until it is opened.
-#[derive(Default)]
-struct Gate {
-    open: Mutex<bool>,
-    opened: Condvar,
-}
-
-impl Gate {
-    fn pass(&self) {
-        let mut open = self.open.lock().unwrap();
-        while !*open {
-            open = self.opened.wait(open).unwrap();
-        }
-    }
-
-    fn open(&self) {
-        *self.open.lock().unwrap() = true;
-        self.opened.notify_all();
-    }
-}
-
-/// Opens the gate however the test ends: a runtime waits for threads that are in the middle of something.
-struct OpenAtLast(Arc<Gate>);
-
-impl Drop for OpenAtLast {
-    fn drop(&mut self) {
-        self.0.open();
-    }
-}
 
 async fn put(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) {
     session
@@ -95,9 +64,9 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         ring: 1,
         ..CameraConfig::named(tape)
     }));
-    let gate = Arc::new(Gate::default());
-    let shut = Arc::clone(&gate);
-    let _open = OpenAtLast(Arc::clone(&gate));
+    // The tapes' policies wait until this is dropped, however the test ends.
+    let (shut, gate) = channel::<()>();
+    let gate = Arc::new(Mutex::new(gate));
     let prepared = PreparedNode::new(&config)
         .unwrap()
         .with_policies(Arc::new(move |camera| {
@@ -105,9 +74,10 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
             if !TAPES.contains(&camera) {
                 return Ok(inner);
             }
-            let gate = Arc::clone(&shut);
+            let gate = Arc::clone(&gate);
             // The other tasks of this worker thread go on.
-            let before = move || tokio::task::block_in_place(|| gate.pass());
+            let pass = move || assert!(gate.lock().unwrap().recv().is_err());
+            let before = move || tokio::task::block_in_place(&pass);
             Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
         }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
@@ -130,7 +100,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         answered.expect("who asks for a threshold is answered");
     }
     assert!(senders.iter().all(|sender| !sender.is_finished()));
-    gate.open();
+    drop(shut);
     for sender in senders {
         timeout(PATIENCE, sender).await.unwrap().unwrap();
     }

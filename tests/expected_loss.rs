@@ -1,5 +1,4 @@
 //! What the expected-loss policy reaches on the recordings.
-#![allow(clippy::expect_used)]
 
 use crate::support::shared;
 

@@ -1,8 +1,6 @@
 //! A small fleet of real processes (nodes with a detector, a router, a hub, a database server): no report is lost or
 //! stored twice when they are killed.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::camera::Camera;
 use crate::support::fleet::{
     HubProcess, Router, Settings, behind, from_environment, settings, sqlite,

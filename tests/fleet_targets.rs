@@ -1,7 +1,5 @@
 //! A target set by `albireo fleet` at a hub, held by a real node, switched off by hand, and refused with a reason.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::fleet::Car;
 use crate::support::fleet::{HubProcess, settings, sqlite};
 use crate::support::{PATIENCE, assert_has, assert_says, json_at, run};

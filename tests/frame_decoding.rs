@@ -1,7 +1,5 @@
 //! Pictures are decoded right, or refused: never wrong, never a panic, never more memory than allowed.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,

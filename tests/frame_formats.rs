@@ -1,7 +1,5 @@
 //! Every payload format of a camera is read, and unreadable payloads are counted by kind.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::node_frames::rmw_attachment;
 use albireo_core::geometry::PictureSize;
 use albireo_node::input::{Frame, FrameNumber, PayloadFormat, RawSample, read_frame};

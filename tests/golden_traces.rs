@@ -3,8 +3,6 @@
 //! The traces are those of the shared data, over its recorded detections; excerpts are in
 //! `fixtures/golden`.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use crate::support::text;
 use albireo_core::geometry::PictureSize;
 use replay::{Screen, compare, compare_excerpt};

@@ -1,7 +1,5 @@
 //! Heads and preprocessing against numbers that the vendors' own code made (`make parity` writes them).
 
-#![allow(clippy::expect_used, clippy::unwrap_used)]
-
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::head::{self, Suppression, TensorView, keep_best, suppress};
 use albireo_vision::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};

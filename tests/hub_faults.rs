@@ -1,8 +1,6 @@
 //! The hub as a process when its disk fails or a node floods it: it acknowledges only what is on the disk, and loses
 //! nothing.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::fleet::{HubProcess, deliver, now_ns, report, send, settings, sqlite, uplink};
 use crate::support::{assert_says, memory_mb, metric};
 use albireo_wire::{

@@ -1,7 +1,5 @@
 //! The hub as a process, killed in the middle of ingest: every report is one row in its database.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::fleet::{HubProcess, from_environment, now_ns, send, settings, sqlite, uplink};
 use crate::support::postgres::Postgres;
 use crate::support::{PATIENCE, until};

@@ -1,8 +1,6 @@
 //! A node in this process, with a real Zenoh session, ONNX Runtime and a detector that finds coloured boxes: what it
 //! does with frames good and bad, with thresholds, and at the end.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{PATIENCE, both_ways, heard, next, project, until, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_node::config::{CameraConfig, NodeConfig};

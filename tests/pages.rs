@@ -1,8 +1,6 @@
 //! The web pages: their types are current, and they are small. `make browser` tests them in a browser against the
 //! program itself.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{project, run_command};
 use std::path::PathBuf;
 use std::process::Command;

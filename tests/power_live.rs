@@ -1,8 +1,6 @@
 //! A node with a board's power monitor (a copy of the sysfs tree): where its watts and joules are
 //! reported, and what happens to frames when the monitor hangs.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use crate::support::{
     Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
     script, value_of,

@@ -2,8 +2,6 @@
 //!
 //! The expected values are in the README of the shared data; the means are over 200 clips.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::support::shared;
 use albireo_node::camera::clip::energy_of;
 use albireo_power::{Energy, Measured};

@@ -1,8 +1,6 @@
 //! Known curves of power, on fixture trees of sysfs that change as time goes, come out of the sampler to
 //! 0.1 %, through the same code as on a machine. Time is tokio's paused clock, so nothing here waits.
 
-#![allow(clippy::unwrap_used)]
-
 use albireo_power::{self as power, Domain, Energy, PowerConfig, PowerHandle, PowerSource};
 use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,6 @@
 //! Known curves of power, printed in real time by a stand-in for `tegrastats`, come out of the sampler to
 //! 0.1 %, through the same code as on a board.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::support::{assert_says, until};
 use albireo_power::{self as power, Domain, Energy, PowerConfig, PowerHandle, PowerSource};
 use albireo_wire::EnergyQuality;

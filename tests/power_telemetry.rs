@@ -1,7 +1,5 @@
 //! Every recorded line of `tegrastats` says what an independent reading of it says.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use crate::support::{shared, text};
 use albireo_power::{Domain, RailMap, Value, tegrastats_rails};
 use serde::Deserialize;

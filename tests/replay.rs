@@ -1,7 +1,5 @@
 //! `albireo replay` plays a camera: every frame arrives, in order, with its number, time and clip.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{
     PATIENCE, assert_says, free_port, grey_jpeg, listening_peer, script, test_video,
 };
@@ -172,7 +170,6 @@ async fn a_missing_subscriber_or_node_is_an_error_that_says_so() {
 }
 
 /// Shell scripts in place of the two programs: `answer` is what ffmpeg does when asked for frames.
-#[cfg(unix)]
 fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
     let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;
     Ffmpeg {
@@ -181,7 +178,6 @@ fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
     }
 }
 
-#[cfg(unix)]
 #[test]
 fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
     let folder = pictures(2);
@@ -209,7 +205,6 @@ fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
     }
 }
 
-#[cfg(unix)]
 #[test]
 fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
     let folder = tempfile::tempdir().unwrap();
@@ -226,7 +221,6 @@ fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
     assert_says(&error.to_string(), &["apt-get install ffmpeg"]);
 }
 
-#[cfg(target_os = "linux")]
 #[test]
 fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,8 +1,6 @@
 //! The structure of the workspace: the crates are those of ARCHITECTURE.md, the method depends on little, every dependency is
 //! used, and a test that needs something says so in words that `run.sh` knows.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::support::{project, run_command, text};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,5 @@
 //! A node whose parts fail or hang: failures are detected, failed parts restart, and stopping takes no longer than configured.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;

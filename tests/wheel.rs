@@ -1,8 +1,6 @@
 //! The Python package: it decides as the core does, its own tests pass, and the README's example runs where nothing else
 //! is installed.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use crate::golden_traces::replay::{Screen, decide_frame, reference};
 use crate::golden_traces::shared_data::{detections, given, sequences};
 use crate::support::{assert_says, project, run_command, text};

@@ -4,10 +4,8 @@ use super::{by_hand, detector, fixture_detector, write_pictures};
 use crate::support::{assert_says, grey_jpeg, run};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
-use albireo_eval::error::EvalError;
-use albireo_eval::footage::FrameSource;
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat, run_pass};
-use albireo_vision::picture::EncodedPicture;
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 
@@ -80,35 +78,20 @@ fn a_detector_whose_classes_nobody_judges_is_refused() {
     assert_says(&said, &["cat, dog", "--class-names"]);
 }
 
-/// Footage with nothing in it.
-struct Nothing;
-
-impl FrameSource for Nothing {
-    fn name(&self) -> &str {
-        "nothing"
-    }
-    fn rate(&self) -> f64 {
-        25.0
-    }
-    fn frames(&self) -> Option<u64> {
-        None
-    }
-    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
-        Ok(None)
-    }
-    fn rewind(&mut self) -> Result<(), EvalError> {
-        Ok(())
-    }
-}
-
 #[test]
 #[ignore = "needs ONNX Runtime"]
 fn a_video_without_a_frame_is_an_error_not_a_zero() {
     let mut models = ModelRunner::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 1);
+    // One that is at its end.
+    let mut over = Pictures::of_folder(folder.path(), 25.0).unwrap();
+    while over.next().unwrap().is_some() {}
     let keep = PassSettings::default();
-    let error = run_pass(&mut Nothing, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
-    assert_says(&error.to_string(), &["nothing: not a single frame"]);
+    let error = run_pass(&mut over, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
+    let expected = format!("{}: not a single frame", over.name());
+    assert_says(&error.to_string(), &[&expected]);
 }
 
 /// Ground truth in the Scalabel form: a car on each of `frames` frames of the clip `video`.

@@ -1,8 +1,6 @@
 //! What the end-to-end tests share: the program as a process, the independent Zenoh client, and the
 //! folder of recordings.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 pub(crate) mod camera;
 pub(crate) mod detectors;
 #[cfg(feature = "hub")]
