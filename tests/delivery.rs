@@ -66,10 +66,9 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_that_stops_in_a_pause_tries_once_more() {
     let (node, mut camera, _) = node_and_camera().await;
-    let hour = Manner::Busy {
-        retry_after_ms: 3_600_000,
-    };
-    let hub = Hub::start(&node.zenoh, hour).await;
+    // An hour.
+    let retry_after_ms = 3_600_000;
+    let hub = Hub::start(&node.zenoh, Manner::Busy { retry_after_ms }).await;
     camera.clips(4).await;
     hub.wait_for_asked(1).await;
     wait_for(&node, "albireo_outbox_waiting", 3.0).await;
@@ -135,10 +134,8 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
 #[ignore = "needs ONNX Runtime"]
 async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
     let (node, mut camera, _) = node_and_camera().await;
-    let busy = Manner::Busy {
-        retry_after_ms: 700,
-    };
-    let hub = Hub::start(&node.zenoh, busy).await;
+    let retry_after_ms = 700;
+    let hub = Hub::start(&node.zenoh, Manner::Busy { retry_after_ms }).await;
     camera.clips(3).await;
     hub.wait_for_asked(3).await;
     let shortest = hub.pauses().into_iter().min().unwrap();

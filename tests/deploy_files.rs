@@ -100,10 +100,8 @@ fn shellcheck_finds_nothing_in_the_scripts() {
 #[test]
 #[ignore = "needs hadolint"]
 fn hadolint_finds_nothing_in_the_images() {
-    accepts(
-        "hadolint",
-        &["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"],
-    );
+    let images = ["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"];
+    accepts("hadolint", &images);
 }
 
 /// Runs a maintainer script of `package` with everything it touches under `root`, and users and owners made up.
@@ -315,7 +313,7 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
     let authority = folder.path().join("caddy/pki/authorities/local/root.crt");
     let asks = |path: &str, more: &[&str]| {
         let ended = Command::new("curl")
-            .args(["--silent", "--show-error", "--max-time", "3", "--cacert"])
+            .args(["--silent", "--show-error", "--max-time", "30", "--cacert"])
             .arg(&authority)
             .args(more)
             .arg(format!("https://localhost:{port}{path}"))
@@ -331,7 +329,8 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
     let both = [&status[..], &token].concat();
     assert_eq!(asks("/api/v1/nodes", &both), "200");
     // The first bytes of the stream come although it does not end.
-    let included = [&token[..], &["--no-buffer", "--include"]].concat();
+    let included = ["--no-buffer", "--include", "--max-time", "3"];
+    let included = [&token[..], &included].concat();
     let stream = asks("/api/v1/events", &included).to_lowercase();
     assert_says(&stream, &["text/event-stream", "strict-transport-security"]);
 }

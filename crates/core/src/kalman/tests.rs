@@ -20,12 +20,9 @@ fn sizes() -> impl Strategy<Value = PictureSize> {
 }
 
 /// Parameters from a third to three times the default.
-fn parameters(motion: MotionModel) -> impl Strategy<Value = FilterParameters> {
-    prop::array::uniform11(0.33f64..3.0).prop_map(move |f| {
-        let mut parameters = FilterParameters {
-            motion,
-            ..FilterParameters::default()
-        };
+fn parameters() -> impl Strategy<Value = FilterParameters> {
+    prop::array::uniform11(0.33f64..3.0).prop_map(|f| {
+        let mut parameters = FilterParameters::default();
         for (part, factors) in [
             (&mut parameters.process, &f[..5]),
             (&mut parameters.initial, &f[5..10]),
@@ -89,28 +86,21 @@ fn compare<const N: usize>(
 
 proptest! {
     #[test]
-    fn ten_dimensions_equal_the_textbook_filter(
-        parameters in parameters(MotionModel::ConstantAcceleration),
+    fn ten_and_eight_dimensions_equal_the_textbook_filters(
+        ten in parameters(),
         size in sizes(), first in boxes(), life in lives(60),
     ) {
-        let model = FilterModel::new(&parameters, size);
+        let model = FilterModel::new(&ten, size);
         let dense = DenseFilter::constant_acceleration(&model, first);
         compare(dense, Filter::new(&model, first), &model, &life)?;
-    }
-
-    #[test]
-    fn eight_dimensions_equal_the_textbook_filter(
-        parameters in parameters(MotionModel::ConstantSize),
-        size in sizes(), first in boxes(), life in lives(60),
-    ) {
-        let model = FilterModel::new(&parameters, size);
+        let model = FilterModel::new(&FilterParameters { motion: MotionModel::ConstantSize, ..ten }, size);
         let dense = DenseFilter::constant_size(&model, first);
         compare(dense, Filter::new(&model, first), &model, &life)?;
     }
 
     #[test]
     fn no_box_within_the_gate_lies_beyond_its_reach_which_has_no_room_to_spare(
-        parameters in parameters(MotionModel::ConstantAcceleration),
+        parameters in parameters(),
         size in sizes(), first in boxes(), exponent in -12.0f64..2.0,
     ) {
         let model = FilterModel::new(&parameters, size);
@@ -141,7 +131,7 @@ proptest! {
     /// 256 cases of 400 cycles: 10^5 cycles in all.
     #[test]
     fn the_covariance_stays_symmetric_and_positive_definite(
-        parameters in parameters(MotionModel::ConstantAcceleration),
+        parameters in parameters(),
         size in sizes(), first in boxes(),
         life in prop::collection::vec(prop::option::weighted(0.6, boxes()), 400),
     ) {

@@ -63,13 +63,12 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
         pass(Duration::from_millis(pause)).await;
         stage.until_rebuilds_failed(failed).await;
         let reason = stage.until_lost().await;
-        for part in [
+        let parts = [
             "scripted.onnx",
             "CUDA failure 719",
             "a new start of the program",
-        ] {
-            assert!(reason.contains(part), "{part} is not in: {reason}");
-        }
+        ];
+        assert!(parts.iter().all(|part| reason.contains(part)), "{reason}");
         let refused = stage.ask(1).await.unwrap().unwrap_err();
         assert!(
             matches!(refused, InferenceError::Unavailable(_)),
