@@ -22,7 +22,7 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
 }
 
 /// That what is written is read back to the last bit.
-fn assert_written_back(clips: &Clips) {
+fn assert_written_back(clips: &DataSet) {
     let copy = tempfile::tempdir().unwrap();
     recorded::write(copy.path(), &clips.clips).unwrap();
     let again = recorded::read(copy.path()).unwrap();
