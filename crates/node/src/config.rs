@@ -177,66 +177,60 @@ impl Default for NodeSection {
 
 /// One camera: a `[[camera]]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct CameraConfig {
-    /// Its name, one part of its keys: letters, digits, `-`, `_`, `.`.
+    /// Its name, one part of its keys: letters, digits, `-`, `_`, `.`. Empty by default, which no camera may be.
     pub name: String,
     /// Zenoh key its frames come on; by default `{prefix}/{node}/{camera}/frame`.
-    #[serde(default)]
     pub key: Option<String>,
     /// A source that the node itself opens, in place of the key.
-    #[serde(default)]
     pub source: Option<SourceAddress>,
     /// The source's frames per second, at most.
-    #[serde(default)]
     pub max_rate: Option<f64>,
     /// How an RTSP source sends its packets.
-    #[serde(default)]
     pub rtsp_transport: RtspTransport,
     /// What decodes the source instead of the processor: an acceleration or a decoder of ffmpeg.
-    #[serde(default)]
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
-    #[serde(default)]
     pub source_options: SourceOptions,
     /// A source without a picture for this long is opened again, seconds. No setting: a camera that records only motion
     /// needs a program that publishes it.
-    #[serde(
-        skip_serializing,
-        skip_deserializing,
-        default = "default_source_timeout"
-    )]
+    #[serde(skip)]
     pub source_timeout_s: f64,
     /// How its payload is to be read.
-    #[serde(default)]
     pub format: PayloadFormat,
     /// Which frames are processed when they come faster than the node works.
-    #[serde(default)]
     pub delivery: Delivery,
     /// Frames that may wait. No setting: a third one would only make answers later.
-    #[serde(skip_serializing, skip_deserializing, default = "default_ring")]
+    #[serde(skip)]
     pub ring: usize,
     /// When its frames are answered, if not as `node.answer` says.
-    #[serde(default)]
     pub answer: Option<AnswerTime>,
     /// Threshold of this camera in place of the policy's.
-    #[serde(default)]
     pub threshold: Option<f64>,
     /// Whether a new clip id from the camera makes the policy forget its objects.
-    #[serde(default = "default_reset_at_clip")]
     pub reset_at_clip: bool,
 }
 
-const fn default_reset_at_clip() -> bool {
-    true
-}
-
-const fn default_ring() -> usize {
-    2
-}
-
-const fn default_source_timeout() -> f64 {
-    15.0
+impl Default for CameraConfig {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            key: None,
+            source: None,
+            max_rate: None,
+            rtsp_transport: RtspTransport::default(),
+            hardware: None,
+            source_options: SourceOptions::default(),
+            source_timeout_s: 15.0,
+            format: PayloadFormat::default(),
+            delivery: Delivery::default(),
+            ring: 2,
+            answer: None,
+            threshold: None,
+            reset_at_clip: true,
+        }
+    }
 }
 
 impl CameraConfig {
@@ -244,19 +238,7 @@ impl CameraConfig {
     pub fn named(name: impl Into<String>) -> Self {
         Self {
             name: name.into(),
-            key: None,
-            source: None,
-            max_rate: None,
-            rtsp_transport: RtspTransport::default(),
-            hardware: None,
-            source_options: SourceOptions::default(),
-            source_timeout_s: default_source_timeout(),
-            format: PayloadFormat::default(),
-            delivery: Delivery::default(),
-            ring: default_ring(),
-            answer: None,
-            threshold: None,
-            reset_at_clip: default_reset_at_clip(),
+            ..Self::default()
         }
     }
 

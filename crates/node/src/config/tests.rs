@@ -269,7 +269,7 @@ policy.u: policy.u = "small"
 policy.profile: policy.profile = "mine"
 log.format: log.format = "xml"
 camera: camera = []
-camera[0]: camera = [{ key = "a" }]
+camera[0].name: camera = [{ key = "a" }]
 camera.a b.name: camera = [{ name = "a b" }]
 camera....name: camera = [{ name = ".." }]
 camera.a.name: camera = [{ name = "a" }, { name = "a" }]

@@ -104,7 +104,7 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
                 path.push(name.clone());
             }
             findings.push(finding(&error.kind, &path, C::REMOVED));
-            if !mend(&mut values, &path, &error.kind) || findings.len() >= MOST_FINDINGS {
+            if !take_out(&mut values, &path) || findings.len() >= MOST_FINDINGS {
                 return (None, findings);
             }
         }
@@ -112,16 +112,8 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     }
 }
 
-/// Takes the value at `path` out, or gives the table there a name where one is missing, so that the rest can be read; false
-/// when that cannot be done.
-fn mend(values: &mut Value, path: &[String], error: &Kind) -> bool {
-    if let Kind::MissingField(name) = error {
-        let table = values.pointer_mut(&pointer(path));
-        return table.and_then(Value::as_object_mut).is_some_and(|table| {
-            let unnamed = format!("unnamed-{}", path.join("-"));
-            table.insert(name.to_string(), unnamed.into()).is_none()
-        });
-    }
+/// Takes the value at `path` out, so that the rest can be read; false when that cannot be done.
+fn take_out(values: &mut Value, path: &[String]) -> bool {
     let Some((last, parent)) = path.split_last() else {
         return false;
     };
@@ -236,7 +228,6 @@ fn reason(kind: &Kind) -> String {
             None => format!("unknown key `{name}`; known are {}", OneOf(known)),
         },
         Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
-        Kind::MissingField(name) => format!("`{name}` is missing"),
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
             format!("must be {}, not {found}", in_words(expected))
         }
@@ -270,11 +261,10 @@ mod tests {
         Fast,
     }
 
-    #[derive(serde::Deserialize)]
-    #[serde(deny_unknown_fields)]
+    #[derive(serde::Deserialize, Default)]
+    #[serde(deny_unknown_fields, default)]
     struct SmallCamera {
         name: String,
-        #[serde(default)]
         ring: usize,
     }
 
@@ -290,7 +280,7 @@ mode = slow: there is one mode";
                 findings.push(Finding::new("http.port", "must not be 0"));
             }
             for (index, camera) in self.camera.iter().enumerate() {
-                if camera.name.contains(' ') || camera.ring > 9 {
+                if camera.name.is_empty() || camera.name.contains(' ') || camera.ring > 9 {
                     findings.push(Finding::new(
                         format!("camera[{index}].name"),
                         "no such name",
@@ -318,8 +308,8 @@ mode = slow: there is one mode";
             [
                 "camera.a b.name: no such name",
                 "camera.a b.rung: unknown key `rung`; did you mean `ring`?",
+                "camera[0].name: no such name",
                 "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
-                "camera[0]: `name` is missing",
                 "http.loud: unknown key `loud`; known are `timeout` or `port`",
                 "http.port: must not be 0",
                 "http.prot: unknown key `prot`; did you mean `port`?",

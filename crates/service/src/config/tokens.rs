@@ -16,19 +16,16 @@ pub enum Role {
 }
 
 /// A named token: one `[[token]]` section.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct NamedToken {
     /// Who holds it: the name in the history of changes.
     pub name: String,
     /// What it allows.
-    #[serde(default)]
     pub role: Role,
     /// The secret.
-    #[serde(default)]
     pub token: Option<Token>,
     /// File whose first line is the secret.
-    #[serde(default)]
     pub token_file: Option<PathBuf>,
 }
 
