@@ -13,7 +13,7 @@ use std::error::Error;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Sender, channel};
 use tokio_util::sync::CancellationToken;
-use zenoh::{Session, Wait};
+use zenoh::Session;
 
 /// Pictures the detector is timed on, after its warm-up.
 const PICTURES: usize = 9;
@@ -24,8 +24,8 @@ const ANSWER: Duration = Duration::from_secs(10);
 /// Why something does not work, for people.
 type Failure = Box<dyn Error + Send + Sync>;
 
-/// Tries everything the configuration names, and gives `each` key with what was found, or why it does not work. Nothing is published, and a node that runs
-/// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
+/// Tries everything the configuration names, and gives `each` key with what was found, or why it does not work. It publishes
+/// nothing and does not disturb a node that runs beside, but a camera that serves one client at a time refuses the second.
 pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<String, String>)) {
     let mut report = |key: &str, outcome: Result<String, Failure>| {
         each(key, outcome.map_err(|error| error.to_string()));
@@ -174,29 +174,21 @@ async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     }
 }
 
+/// Whether somebody answers queries on `key`: Zenoh hears of that a moment after the session is open.
 async fn hub_behind(session: &Session, key: String) -> zenoh::Result<bool> {
     let querier = session.declare_querier(key).await?;
-    let (sender, mut matches) = channel(1);
-    let _listener = querier
-        .matching_listener()
-        .callback(move |status| {
-            if status.matching() {
-                let _ = sender.try_send(());
-            }
-        })
-        .await?;
-    if querier.matching_status().await?.matching() {
-        return Ok(true);
+    let until = Instant::now() + ANSWER;
+    loop {
+        let is_there = querier.matching_status().await?.matching();
+        if is_there || Instant::now() > until {
+            return Ok(is_there);
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    Ok(matches!(
-        tokio::time::timeout(ANSWER, matches.recv()).await,
-        Ok(Some(()))
-    ))
 }
 
 async fn close(session: Session) {
-    let closed = tokio::task::spawn_blocking(move || session.close().wait()).await;
-    if let Ok(Err(error)) = closed {
+    if let Err(error) = session.close().await {
         tracing::debug!(%error, "session not closed cleanly");
     }
 }
