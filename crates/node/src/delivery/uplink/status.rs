@@ -24,7 +24,7 @@ pub(in crate::delivery) struct StatusSender {
     run: u32,
     started_ns: u64,
     seq: u64,
-    /// The full status sent last; none where the next is to be a full one.
+    /// The full status sent last, without figures; none where the next is to be a full one.
     last: Option<NodeStatus>,
     /// The revision that was reported last: a heartbeat says that it is in force.
     sent_revision: Option<u64>,
@@ -63,7 +63,8 @@ impl StatusSender {
             return None;
         }
         let status = self.status(board, desired);
-        let changed = !self.last.as_ref().is_some_and(|last| same(last, &status));
+        let lasting = without_figures(status.clone());
+        let changed = self.last.as_ref() != Some(&lasting);
         if !changed && since.is_some_and(|since| since < EVERY) {
             return None;
         }
@@ -86,9 +87,9 @@ impl StatusSender {
             health: status.health.state,
             waiting,
             revision,
-            full: changed.then(|| Box::new(status.clone())),
+            full: changed.then(|| Box::new(status)),
         };
-        self.last = Some(status);
+        self.last = Some(lasting);
         // A status can always be written.
         serde_json::to_vec(&message).ok()
     }
@@ -132,22 +133,18 @@ fn nanoseconds(now: Now) -> u64 {
     now.unix_ms.unsigned_abs() * 1_000_000
 }
 
-/// Whether a full status would say nothing new: figures that change all the time do not count.
-fn same(last: &NodeStatus, now: &NodeStatus) -> bool {
-    let mut now = now.clone();
-    now.outbox.waiting = last.outbox.waiting;
-    if let (Some(now_target), Some(last_target)) = (&mut now.target, &last.target)
-        && now_target.target == last_target.target
-    {
-        now_target.actual = last_target.actual;
+/// A status without the figures that change all the time: they alone are no reason to send it.
+fn without_figures(mut status: NodeStatus) -> NodeStatus {
+    status.outbox.waiting = 0;
+    if let Some(target) = &mut status.target {
+        target.actual = None;
         // The status alternates between these.
-        let underway = [TargetStatus::Moving, TargetStatus::Held].map(Some);
-        if underway.contains(&now_target.status) && underway.contains(&last_target.status) {
-            now_target.status = last_target.status;
+        if target.status == Some(TargetStatus::Moving) {
+            target.status = Some(TargetStatus::Held);
         }
-        for (now, last) in now.cameras.iter_mut().zip(&last.cameras) {
-            now.threshold = last.threshold;
+        for camera in &mut status.cameras {
+            camera.threshold = None;
         }
     }
-    *last == now
+    status
 }
