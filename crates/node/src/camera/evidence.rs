@@ -45,18 +45,24 @@ pub struct LiveEvidence {
     screen: CameraScreen,
     slot: CameraSlot,
     pixels: PixelWork,
-    /// What was prepared from the current frame's picture.
+    /// What is known of the current frame.
+    current: Current,
+    /// Once cancelled neither detector nor screen is waited for.
+    give_up: CancellationToken,
+}
+
+/// What is known of the current frame.
+#[derive(Default)]
+struct Current {
+    /// What was prepared from its picture.
     frame: PreparedFrame,
-    /// The screen's verdict on the current frame.
+    /// The screen's verdict on it.
     empty: Option<bool>,
     /// What the detector found in it.
     detected: Option<Detected>,
-    /// Times of the current frame.
     times: Times,
     /// How long it waited until its picture might be decoded: all cameras share as many places as keep the detector busy.
     place: Duration,
-    /// Once cancelled neither detector nor screen is waited for.
-    give_up: CancellationToken,
 }
 
 impl LiveEvidence {
@@ -75,34 +81,26 @@ impl LiveEvidence {
             screen,
             slot,
             give_up,
-            frame: PreparedFrame::default(),
-            empty: None,
-            detected: None,
-            times: Times::default(),
-            place: Duration::ZERO,
+            current: Current::default(),
         }
     }
 
-    /// Forgets the last frame's times, and its picture if that has not been done.
+    /// Forgets the last frame.
     pub fn next_frame(&mut self) {
-        self.end_frame();
         self.screen.next_frame();
-        self.empty = None;
-        self.detected = None;
-        self.times = Times::default();
-        self.place = Duration::ZERO;
+        self.current = Current::default();
     }
 
     /// Drops what was prepared from the current frame's picture: others wait for its place.
     pub(crate) fn end_frame(&mut self) {
-        self.frame = PreparedFrame::default();
+        self.current.frame = PreparedFrame::default();
     }
 
     /// Where the time of the current frame went so far.
     pub(crate) fn times(&self) -> Times {
         Times {
             overruled: self.screen.is_overruled(),
-            ..self.times
+            ..self.current.times
         }
     }
 
@@ -113,13 +111,13 @@ impl LiveEvidence {
     pub async fn fetch(&mut self, need: Need, encoded: &EncodedPicture) -> Result<(), FrameFault> {
         match need {
             Need::Nothing => {}
-            Need::Screen => self.empty = self.screen(encoded).await?,
+            Need::Screen => self.current.empty = self.screen(encoded).await?,
             Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
             Need::SmallGreyPicture { width } => {
                 self.look(encoded, Stage::SmallGrey(width)).await?;
-                self.times.examined = true;
+                self.current.times.examined = true;
             }
-            Need::Detections => self.detected = self.detect(encoded).await?,
+            Need::Detections => self.current.detected = self.detect(encoded).await?,
         }
         Ok(())
     }
@@ -128,15 +126,17 @@ impl LiveEvidence {
     pub fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
-            Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture | Need::SmallGreyPicture { .. } => self.frame.grey().map(|grey| {
-                Evidence::GreyPicture(GreyPicture {
-                    size: grey.size,
-                    pixels: &grey.pixels,
+            Need::Screen => self.current.empty.map(|empty| Evidence::Screen { empty }),
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
+                self.current.frame.grey().map(|grey| {
+                    Evidence::GreyPicture(GreyPicture {
+                        size: grey.size,
+                        pixels: &grey.pixels,
+                    })
                 })
-            }),
+            }
             Need::Detections => {
-                let detected = self.detected.as_ref();
+                let detected = self.current.detected.as_ref();
                 detected.map(|detected| Evidence::Detections(&detected.detections))
             }
         };
@@ -153,7 +153,7 @@ impl LiveEvidence {
             return Ok(None);
         }
         self.look(encoded, Stage::Picture).await?;
-        let Some(picture) = &self.frame.picture else {
+        let Some(picture) = &self.current.frame.picture else {
             return Ok(None);
         };
         let start = Instant::now();
@@ -162,7 +162,7 @@ impl LiveEvidence {
             empty = self.screen.ask(self.slot, picture.shared()) => empty,
             () = self.give_up.cancelled() => None,
         };
-        self.times.latency.screen = Some(milliseconds(start.elapsed()));
+        self.current.times.latency.screen = Some(milliseconds(start.elapsed()));
         Ok(empty)
     }
 
@@ -176,10 +176,10 @@ impl LiveEvidence {
             return Ok(None);
         }
         self.look(encoded, Stage::Prepared).await?;
-        let Some(prepared) = self.frame.prepared.take() else {
+        let Some(prepared) = self.current.frame.prepared.take() else {
             return Ok(None);
         };
-        let preparing = self.place + prepared.took();
+        let preparing = self.current.place + prepared.took();
         let start = Instant::now();
         let answer = tokio::select! {
             biased;
@@ -188,9 +188,9 @@ impl LiveEvidence {
             () = self.give_up.cancelled() => None,
         };
         let end = Instant::now();
-        self.times.latency.detector = Some(milliseconds(preparing + (end - start)));
+        self.current.times.latency.detector = Some(milliseconds(preparing + (end - start)));
         if let Some(detected) = &answer {
-            self.times.detector_run = Some(DetectorRun {
+            self.current.times.detector_run = Some(DetectorRun {
                 end,
                 used: detected.took / detected.pictures.max(1),
             });
@@ -207,25 +207,25 @@ impl LiveEvidence {
     /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
     /// share the pixels.
     async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
-        if !self.frame.has(stage) {
-            if stage.needs_place() && self.frame.place.is_none() {
+        if !self.current.frame.has(stage) {
+            if stage.needs_place() && self.current.frame.place.is_none() {
                 let start = Instant::now();
-                self.frame.place = tokio::select! {
+                self.current.frame.place = tokio::select! {
                     biased;
                     place = self.pixels.place() => place,
                     () = self.give_up.cancelled() => return Ok(()),
                 };
-                self.place += start.elapsed();
+                self.current.place += start.elapsed();
             }
             let input = self.detector.preparation().format();
             let source = Source {
                 target: self.screen.decoding_target(input, encoded.size),
                 encoded: encoded.clone(),
             };
-            let frame = std::mem::take(&mut self.frame);
-            self.frame = self.pixels.look(frame, source, stage).await?;
+            let frame = std::mem::take(&mut self.current.frame);
+            self.current.frame = self.pixels.look(frame, source, stage).await?;
         }
-        self.times.latency.decode = self.frame.decode.map(milliseconds);
+        self.current.times.latency.decode = self.current.frame.decode.map(milliseconds);
         Ok(())
     }
 }

@@ -57,7 +57,7 @@ async fn a_broken_picture_is_the_fault_of_its_own_frame() {
     assert!(evidence.detect(&broken).await.is_err());
     evidence.next_frame();
     assert!(evidence.detect(&first).await.unwrap().is_some());
-    assert!(evidence.times.latency.decode.unwrap() > 0.0);
+    assert!(evidence.times().latency.decode.unwrap() > 0.0);
 }
 
 #[tokio::test]
@@ -109,8 +109,8 @@ async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
     assert_eq!(detected.unwrap(), None);
     assert_eq!(
         (
-            evidence.times.latency.decode,
-            evidence.times.latency.detector
+            evidence.times().latency.decode,
+            evidence.times().latency.detector
         ),
         (None, None)
     );
@@ -123,9 +123,9 @@ async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
     let mut evidence = evidence().await;
     let detected = evidence.detect(&first).await;
     let took = detected.unwrap().unwrap().took;
-    let run = evidence.times.detector_run.unwrap();
+    let run = evidence.times().detector_run.unwrap();
     assert_eq!(run.used, took);
-    assert!(evidence.times.latency.detector.unwrap() >= milliseconds(took));
+    assert!(evidence.times().latency.detector.unwrap() >= milliseconds(took));
     evidence.next_frame();
-    assert_eq!(evidence.times.detector_run, None);
+    assert_eq!(evidence.times().detector_run, None);
 }
