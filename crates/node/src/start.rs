@@ -44,7 +44,8 @@ pub struct Node {
     stop_timeout: Duration,
     /// Power sampler: stopped when the last report is out.
     sampling: CancellationToken,
-    alive: NodeName,
+    /// Keeps the name until the session is closed.
+    _name: NodeName,
     uplink: Uplink,
     subscriptions: Subscriptions,
     shutdown: CancellationToken,
@@ -204,8 +205,8 @@ impl PreparedNode {
         tasks.essential("requests", values.run(shutdown.clone()));
         let disk = retry_disk(board.outbox.clone(), board.settings.clone());
         tasks.until_shutdown("disk", disk);
-        let alive = NodeName::default();
-        let holding = alive.clone().hold(
+        let name = NodeName::default();
+        let holding = name.clone().hold(
             session.clone(),
             keys.alive(),
             board.readiness.part_of(readiness::ZENOH, "name"),
@@ -228,7 +229,7 @@ impl PreparedNode {
             give_up,
             stop_timeout: config.node.stop_timeout,
             sampling: unless_started.disarm(),
-            alive,
+            _name: name,
             uplink,
             subscriptions,
             shutdown,
@@ -289,13 +290,9 @@ impl Node {
         }
         // The sampler is the last of the tasks: the clips' energy comes from it.
         self.sampling.cancel();
-        let (alive, session) = (self.alive.take().await, self.session);
-        let uplink = self.uplink;
+        let (uplink, session) = (self.uplink, self.session);
         let closed = async move {
             uplink.stop().await;
-            for token in alive {
-                let _ = token.undeclare().await;
-            }
             session.close().await
         };
         let closing = async {

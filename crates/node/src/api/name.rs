@@ -5,10 +5,10 @@
 //! the name. Otherwise both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
+use parking_lot::Mutex;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Mutex;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
@@ -26,7 +26,7 @@ const LOOK_AGAIN_EVERY: Duration = Duration::from_secs(60);
 
 const TAKEN: &str = "another node of this name is on the network: both answer its frames";
 
-/// The tokens of a name, once it is taken.
+/// The tokens of a name, once it is taken: they are there until the session is closed, or the last clone is dropped.
 #[derive(Clone, Default)]
 pub(crate) struct NodeName(Arc<Mutex<Vec<LivelinessToken>>>);
 
@@ -44,7 +44,7 @@ impl NodeName {
         let own = format!("{key}/{}", session.zid());
         let mut warned = false;
         loop {
-            let is_held = self.is_held().await;
+            let is_held = self.is_held();
             let is_free = other_claims(session, key, &own).await?.is_empty()
                 && (is_held || self.claim(session, key, &own).await?);
             if is_free {
@@ -80,17 +80,12 @@ impl NodeName {
             return Ok(false);
         }
         let token = session.liveliness().declare_token(key).await?;
-        self.0.lock().await.extend([claim, token]);
+        self.0.lock().extend([claim, token]);
         Ok(true)
     }
 
-    async fn is_held(&self) -> bool {
-        !self.0.lock().await.is_empty()
-    }
-
-    /// The tokens, to be given back.
-    pub(crate) async fn take(&self) -> Vec<LivelinessToken> {
-        std::mem::take(&mut *self.0.lock().await)
+    fn is_held(&self) -> bool {
+        !self.0.lock().is_empty()
     }
 }
 
@@ -160,7 +155,7 @@ mod tests {
                 let mut holding = Vec::new();
                 for (name, readiness, _) in &nodes {
                     let works = readiness.health().faults.is_empty();
-                    holding.push((name.is_held().await, works));
+                    holding.push((name.is_held(), works));
                 }
                 holding.sort_unstable();
                 if holding == [(false, false), (true, true)] {

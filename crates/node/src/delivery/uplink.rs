@@ -34,7 +34,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
-use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
@@ -72,7 +72,7 @@ pub(crate) struct UplinkSetup {
 /// The running uplink.
 pub(crate) struct Uplink {
     stop: CancellationToken,
-    task: JoinHandle<()>,
+    ended: CancellationToken,
 }
 
 impl Uplink {
@@ -86,16 +86,15 @@ impl Uplink {
             let _running = running;
             worker.run().await;
         };
-        let task = tokio::spawn(run.instrument(tracing::info_span!("uplink")));
-        (Self { stop, task }, ended.cancelled_owned())
+        tokio::spawn(run.instrument(tracing::info_span!("uplink")));
+        let waiting = ended.clone().cancelled_owned();
+        (Self { stop, ended }, waiting)
     }
 
     /// Lets the task try once more, and waits until it has ended.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
-        if let Err(error) = self.task.await {
-            tracing::error!(%error, "the uplink failed");
-        }
+        self.ended.cancelled().await;
     }
 }
 
