@@ -84,7 +84,7 @@ async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationTok
 
 /// The node's energy between two moments.
 pub(crate) async fn energy(power: &PowerHandle, start: Instant, end: Instant) -> Energy {
-    let measured = power.camera("front").measure(start);
+    let measured = power.camera().measure(start);
     measured.finish(end, Duration::MAX).await.unwrap().node
 }
 

@@ -25,6 +25,7 @@ use crate::camera::publishing::Outlet;
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{CallCause, FrameHead, MinConfidence, Need, Outcome};
+use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
 use albireo_wire::{DetectionsMessage, Latency, Threshold};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -55,6 +56,8 @@ pub(crate) struct CameraParts {
     pub closed: mpsc::UnboundedSender<Clip>,
     /// Where frames are left that the detector is to examine afterwards.
     pub audit: Arc<CameraAudit>,
+    /// The camera's part of the node's energy.
+    pub energy: CameraEnergy,
     /// Whether a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
 }

@@ -30,8 +30,6 @@ const LONGEST_IDLE_S: f64 = 1.0;
 
 #[derive(Debug, Default)]
 struct Camera {
-    name: String,
-    handles: usize,
     weight: f64,
     /// Detector time of the calls avoided since the last sample.
     avoided_s: f64,
@@ -52,25 +50,17 @@ pub(crate) struct Attribution {
 }
 
 impl Attribution {
-    /// One more handle to the camera `name`; its number.
-    pub(crate) fn register(&mut self, name: &str) -> u64 {
-        let known = self.cameras.iter().find(|(_, camera)| camera.name == name);
-        let number = known.map_or(self.next_number, |(number, _)| *number);
-        self.next_number = self.next_number.max(number + 1);
-        let camera = self.cameras.entry(number).or_default();
-        name.clone_into(&mut camera.name);
-        camera.handles += 1;
+    /// Takes a camera in; its number.
+    pub(crate) fn add(&mut self) -> u64 {
+        let number = self.next_number;
+        self.next_number += 1;
+        self.cameras.insert(number, Camera::default());
         number
     }
 
-    /// One handle less; with the last one the camera is forgotten.
-    pub(crate) fn release(&mut self, number: u64) {
-        if let Some(camera) = self.cameras.get_mut(&number) {
-            camera.handles -= 1;
-            if camera.handles == 0 {
-                self.cameras.remove(&number);
-            }
-        }
+    /// Forgets a camera.
+    pub(crate) fn remove(&mut self, number: u64) {
+        self.cameras.remove(&number);
     }
 
     /// Counts a frame.

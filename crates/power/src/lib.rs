@@ -22,7 +22,7 @@
 //! let stop = tokio_util::sync::CancellationToken::new();
 //! let (power, sampler) = start(&config, stop.clone()).await?;
 //!
-//! let camera = power.camera("front");
+//! let camera = power.camera();
 //! let clip = camera.measure(Instant::now());
 //! tokio::time::sleep(Duration::from_millis(500)).await;
 //! camera.frame();

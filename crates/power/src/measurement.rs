@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// One of the cameras between which the node's energy is divided. Cheap to clone; forgotten with its last handle.
+/// One of the cameras between which the node's energy is divided. It is cheap to clone, and forgotten with its last clone.
 #[derive(Clone, Debug)]
 pub struct CameraEnergy(Arc<Registered>);
 
@@ -18,13 +18,13 @@ struct Registered {
 
 impl Drop for Registered {
     fn drop(&mut self) {
-        self.power.account().cameras.release(self.number);
+        self.power.account().cameras.remove(self.number);
     }
 }
 
 impl CameraEnergy {
-    pub(crate) fn new(name: &str, power: PowerHandle) -> Self {
-        let number = power.account().cameras.register(name);
+    pub(crate) fn new(power: PowerHandle) -> Self {
+        let number = power.account().cameras.add();
         Self(Arc::new(Registered { number, power }))
     }
 

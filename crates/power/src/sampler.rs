@@ -139,9 +139,9 @@ impl PowerHandle {
         (Self { shared, newest }, announce)
     }
 
-    /// The camera of that name; asked for twice, it is the same one.
-    pub fn camera(&self, name: &str) -> CameraEnergy {
-        CameraEnergy::new(name, self.clone())
+    /// One more camera to divide the node's energy with.
+    pub fn camera(&self) -> CameraEnergy {
+        CameraEnergy::new(self.clone())
     }
 
     pub(crate) fn account(&self) -> MutexGuard<'_, Account> {

@@ -64,10 +64,10 @@ impl Bench {
         .await
         .unwrap();
         let slot = CameraSlot(0);
-        let power = PowerHandle::none();
+        let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let audit = Arc::new(CameraAudit::new(audit, Arc::clone(&camera)));
-        let tracker = ClipTracker::new(clip, power.camera("front"), audit.share());
+        let tracker = ClipTracker::new(clip, energy.clone(), audit.share());
         let size = PictureSize::new(640, 360);
         let scene = BoxScene::new(5, size);
         let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
@@ -76,7 +76,7 @@ impl Bench {
             detector: detector.clone(),
             screen: None,
             pixels: pixels.clone(),
-            energy: power.camera("front"),
+            energy: energy.clone(),
         };
         let camera = Camera::new(
             Arc::new(CameraParts {
@@ -88,6 +88,7 @@ impl Bench {
                 min_confidence: MinConfidence::new(None, 0.5),
                 class_names: detector.class_names().into(),
                 closed,
+                energy,
                 audit,
                 reset_at_clip: false,
             }),

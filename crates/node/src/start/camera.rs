@@ -92,6 +92,7 @@ impl Cameras {
             .await
             .map_err(NodeError::refused("clip reports cannot be published"))?;
 
+        let energy = self.power.camera();
         let audit = Arc::new(CameraAudit::new(self.config.audit, Arc::clone(board)));
         if audit.share().is_some() {
             let auditor = Auditor {
@@ -99,7 +100,7 @@ impl Cameras {
                 detector: self.detector.clone(),
                 screen: self.screen.as_ref().map(ScreenHandle::input_format),
                 pixels: self.pixels.clone(),
-                energy: self.power.camera(name),
+                energy: energy.clone(),
             };
             tasks.until_shutdown(format!("audit {name}"), auditor.run());
         }
@@ -114,6 +115,7 @@ impl Cameras {
             class_names: self.detector.class_names().into(),
             closed,
             audit,
+            energy,
             reset_at_clip: config.reset_at_clip,
         });
         let cameras = Arc::clone(self);
@@ -224,7 +226,7 @@ impl Cameras {
                 Arc::clone(&parts.class_names),
             )
         });
-        let energy = self.power.camera(name);
+        let energy = parts.energy.clone();
         let clip = ClipTracker::new(config.clip, energy, parts.audit.share());
         parts.receiver.ring.open();
         Ok(Camera::new(parts, decider, settled, clip))

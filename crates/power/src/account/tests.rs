@@ -34,7 +34,7 @@ impl Bench {
     fn new() -> Self {
         let mut account = account(100);
         Self {
-            camera: account.cameras.register("front"),
+            camera: account.cameras.add(),
             account,
             start: Instant::now(),
             now: 0,
@@ -290,7 +290,7 @@ proptest! {
         // Long enough to be bridged whatever comes between two samples.
         bench.account = account(100_000);
         let users: Vec<u64> = (0..USERS)
-            .map(|user| bench.account.cameras.register(&user.to_string()))
+            .map(|_| bench.account.cameras.add())
             .collect();
         let mut joules = 0.0;
         let mut sample = |bench: &mut Bench, watts: f64, seconds: f64| {

@@ -8,10 +8,7 @@ const REAR: u64 = 1;
 
 fn two_cameras() -> Attribution {
     let mut cameras = Attribution::default();
-    assert_eq!(
-        (cameras.register("front"), cameras.register("rear")),
-        (FRONT, REAR)
-    );
+    assert_eq!((cameras.add(), cameras.add()), (FRONT, REAR));
     cameras
 }
 
@@ -81,18 +78,16 @@ fn cameras_that_did_nothing_share_equally() {
 #[test]
 fn a_camera_that_comes_has_its_part_from_then_on_and_one_that_goes_takes_none() {
     let mut cameras = Attribution::default();
-    assert_eq!(cameras.register("front"), FRONT);
+    assert_eq!(cameras.add(), FRONT);
     pass(&mut cameras, 10, |cameras, _| cameras.called(FRONT, ms(10)));
-    assert_eq!(cameras.register("rear"), REAR);
-    assert_eq!(cameras.register("front"), FRONT, "the same camera");
+    assert_eq!(cameras.add(), REAR);
     let (joules, _) = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(10));
         cameras.called(REAR, ms(10));
     });
     assert_near(joules, [500.0, 500.0], 6.0);
-    cameras.release(FRONT);
-    assert_eq!(cameras.divide(1.0, 0.1).len(), 2, "one handle is left");
-    cameras.release(FRONT);
+    assert_eq!(cameras.divide(1.0, 0.1).len(), 2);
+    cameras.remove(FRONT);
     let (joules, _) = pass(&mut cameras, 10, |_, _| {});
     assert!((joules[1] - 10.0).abs() < 1e-9, "{joules:?}");
 }

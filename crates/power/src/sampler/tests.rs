@@ -50,7 +50,7 @@ fn total(energy: &Energy) -> f64 {
 
 /// The node's energy over a span that has begun already.
 async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> Energy {
-    let measured: Measured = (handle.camera("front").measure(start))
+    let measured: Measured = (handle.camera().measure(start))
         .finish(end, Duration::MAX)
         .await
         .unwrap();
@@ -104,7 +104,7 @@ async fn without_a_meter_energy_is_unavailable_and_nobody_waits() {
 async fn energy_is_right_at_every_interval_the_configuration_accepts() {
     for interval in [10, 100, 999, 1000, 1500, 2000, 5000, 10_000] {
         let (handle, start, stop, _task) = sampled_every(interval, |_| Some(10.0));
-        let span = handle.camera("front").measure(start);
+        let span = handle.camera().measure(start);
         let mut counted = 0.0;
         for second in 1..=40 {
             tokio::time::sleep_until(start + Duration::from_secs(second)).await;
@@ -141,7 +141,7 @@ async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
     for interval in [100, 1000, 10_000] {
         let (handle, start, stop, _task) =
             sampled_every(interval, |t| (!(35.0..95.0).contains(&t)).then_some(10.0));
-        let span = handle.camera("front").measure(start);
+        let span = handle.camera().measure(start);
         let end = start + Duration::from_secs(200);
         tokio::time::sleep_until(end).await;
         let spent = span.finish(end, Duration::MAX).await.unwrap().node;
@@ -160,7 +160,7 @@ async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
 #[tokio::test(start_paused = true)]
 async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
     let (handle, start, stop, _task) = sampled_every(10_000, Some);
-    let span = handle.camera("front").measure(start);
+    let span = handle.camera().measure(start);
     let end = start + Duration::from_millis(13_000);
     tokio::time::sleep_until(end).await;
     let spent = span.finish(end, Duration::MAX).await.unwrap().node;
@@ -177,7 +177,7 @@ async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
 #[tokio::test(start_paused = true)]
 async fn a_meter_that_fails_lets_nobody_wait_for_long_and_what_it_missed_is_not_covered() {
     let (handle, start, stop, _task) = sampled_every(1_000, |t| (t < 5.5).then_some(10.0));
-    let camera = handle.camera("front");
+    let camera = handle.camera();
     let spans: Vec<_> = (0..100).map(|_| camera.measure(start)).collect();
     let end = start + Duration::from_secs(10);
     tokio::time::sleep_until(end).await;
@@ -195,7 +195,7 @@ async fn a_meter_that_fails_lets_nobody_wait_for_long_and_what_it_missed_is_not_
 #[tokio::test(start_paused = true)]
 async fn a_clip_that_ends_with_the_node_waits_no_longer_than_it_may() {
     let (handle, start, stop, _task) = sampled_every(10_000, |_| Some(10.0));
-    let span = handle.camera("front").measure(start);
+    let span = handle.camera().measure(start);
     let end = start + Duration::from_secs(15);
     tokio::time::sleep_until(end).await;
     let spent = span

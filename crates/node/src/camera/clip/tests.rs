@@ -35,7 +35,7 @@ impl Camera {
 
     fn with(config: ClipConfig) -> Self {
         Self {
-            tracker: ClipTracker::new(config, PowerHandle::none().camera("front"), None),
+            tracker: ClipTracker::new(config, PowerHandle::none().camera(), None),
             start: Instant::now(),
             seq: 0,
         }

@@ -108,8 +108,8 @@ impl Meter for Steady {
     }
 }
 
-fn tracker(power: &PowerHandle, camera: &str) -> ClipTracker {
-    ClipTracker::new(ClipConfig::default(), power.camera(camera), None)
+fn tracker(power: &PowerHandle) -> ClipTracker {
+    ClipTracker::new(ClipConfig::default(), power.camera(), None)
 }
 
 impl ClipTracker {
@@ -124,7 +124,7 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     let (watts, until) = (Some(10.0), None);
     let (power, stop) = Steady { watts, until }.start(100);
     let start = Instant::now();
-    let mut cameras = ["front", "rear"].map(|name| tracker(&power, name));
+    let mut cameras = [(); 2].map(|()| tracker(&power));
     for second in 0..60_u32 {
         for (i, tracker) in cameras.iter_mut().enumerate() {
             tracker.frame("drive");
@@ -165,7 +165,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
         let until = fails.then(|| Instant::now() + ms(15_000));
         let watts = Some(10.0);
         let (power, stop) = Steady { watts, until }.start(interval);
-        let mut tracker = tracker(&power, "front");
+        let mut tracker = tracker(&power);
         // Past an interval, so that the next is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
@@ -192,7 +192,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
 
 #[tokio::test(start_paused = true)]
 async fn without_a_meter_no_report_waits() {
-    let mut tracker = tracker(&PowerHandle::none(), "front");
+    let mut tracker = tracker(&PowerHandle::none());
     let start = Instant::now();
     for clip in 0..1000 {
         if let Some(closed) = tracker.frame(&clip.to_string()) {
@@ -208,7 +208,7 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     // As tegrastats does between its lines.
     let (watts, until) = (None, None);
     let (power, stop) = Steady { watts, until }.start(10_000);
-    let mut tracker = tracker(&power, "front");
+    let mut tracker = tracker(&power);
     tracker.frame("last");
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();

@@ -103,11 +103,7 @@ async fn play(
     detector: Arc<Detector>,
     power: PowerHandle,
 ) -> ClipReport {
-    let mut tracker = ClipTracker::new(
-        ClipConfig::default(),
-        power.camera(&camera.to_string()),
-        None,
-    );
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None);
     let mut outcome = Outcome::default();
     let start = Instant::now();
     let mut last: Option<u64> = None;
