@@ -2,10 +2,9 @@
 //! publishes it for subscribers.
 
 use crate::camera::clip::Clip;
-use crate::state::board::Board;
+use crate::state::board::{Board, CameraBoard, provider};
 use albireo_power::Measured;
 use albireo_service::clock::Now;
-use albireo_vision::detector::DetectorHandle;
 use albireo_wire::ClipReport;
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -17,10 +16,8 @@ use zenoh_ext::AdvancedPublisher;
 pub(crate) struct Reporter {
     /// Where reports are shown, and kept until a hub has them.
     pub board: Arc<Board>,
-    /// The camera's name.
-    pub camera: String,
-    /// What ran the detector.
-    pub detector: DetectorHandle,
+    /// The camera.
+    pub camera: Arc<CameraBoard>,
     /// For subscribers; the hub gets it from the outbox.
     pub listeners: AdvancedPublisher<'static>,
 }
@@ -44,18 +41,16 @@ impl Reporter {
             let energy = clip.energy().await;
             measured.push((clip, energy));
         }
-        let board = Arc::clone(&self.board);
-        let camera = self.camera.clone();
-        let model = self.detector.model_name().to_owned();
-        let provider = self.detector.provider().as_str().to_owned();
+        let (board, camera) = (Arc::clone(&self.board), Arc::clone(&self.camera));
         let kept = tokio::task::spawn_blocking(move || {
+            let provider = provider(&board.detector_status()).unwrap_or("none");
             let report = |(clip, energy): (Clip, Measured)| {
                 let mut report = ClipReport {
                     node: board.node.clone(),
-                    camera: camera.clone(),
+                    camera: camera.name().to_owned(),
                     policy: board.policy.to_owned(),
-                    model: model.clone(),
-                    provider: provider.clone(),
+                    model: board.model.clone(),
+                    provider: provider.to_owned(),
                     ..clip.into_report(energy)
                 };
                 report.round();
@@ -65,13 +60,14 @@ impl Reporter {
             board.outbox.insert(&mut reports, Now::system());
             reports
         });
+        let camera = self.camera.name();
         let kept = kept.await.unwrap_or_else(|error| {
-            tracing::error!(camera = self.camera, %error, "clip reports lost");
+            tracing::error!(camera, %error, "clip reports lost");
             Vec::new()
         });
         for report in kept {
             tracing::info!(
-                camera = self.camera,
+                camera,
                 clip = report.clip,
                 part = report.part,
                 frames = report.frames,
@@ -80,20 +76,56 @@ impl Reporter {
                 quality = ?report.energy.quality,
                 "clip ended"
             );
-            match serde_json::to_vec(&report) {
-                Ok(json) => self.publish(json),
-                Err(error) => {
-                    tracing::error!(camera = self.camera, %error, "clip report not written");
-                }
+            if let Err(error) = self.publish(&report) {
+                self.camera.count_unpublished();
+                tracing::debug!(camera, %error, "a clip report was not published");
             }
             self.board.record_clip(report);
         }
     }
 
-    fn publish(&self, json: Vec<u8>) {
-        let put = self.listeners.put(json);
-        if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
-            tracing::debug!(camera = self.camera, %error, "a clip report was not published");
+    fn publish(&self, report: &ClipReport) -> zenoh::Result<()> {
+        let put = self.listeners.put(serde_json::to_vec(report)?);
+        put.encoding(Encoding::APPLICATION_JSON).wait()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::clip::{ClipConfig, ClipTracker};
+    use crate::config::NodeConfig;
+    use albireo_power::PowerHandle;
+    use tokio::time::Instant;
+    use zenoh_ext::AdvancedPublisherBuilderExt;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_report_that_is_not_published_is_counted_and_kept_for_the_hub() {
+        let board = Board::open(&NodeConfig::default()).unwrap();
+        let camera = Arc::clone(&board.cameras[0]);
+        let mut config = zenoh::Config::default();
+        for key in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
+            config.insert_json5(key, "false").unwrap();
         }
+        config.insert_json5("listen/endpoints", "[]").unwrap();
+        let session = zenoh::open(config).await.unwrap();
+        let publisher = session.declare_publisher("clip").advanced();
+        let reporter = Reporter {
+            board: Arc::clone(&board),
+            camera: Arc::clone(&camera),
+            listeners: publisher.await.unwrap(),
+        };
+        let energy = PowerHandle::none().camera();
+        let mut tracker = ClipTracker::new(ClipConfig::default(), energy, None);
+        let mut clip = || {
+            tracker.arrive(0, Some("drive"), Instant::now());
+            tracker.shutdown(Instant::now()).into_iter().collect()
+        };
+        reporter.report(clip()).await;
+        assert_eq!(camera.snapshot().unpublished, 0);
+        session.close().await.unwrap();
+        reporter.report(clip()).await;
+        assert_eq!(camera.snapshot().unpublished, 1);
+        assert_eq!(board.outbox.counts().kept, 2);
     }
 }

@@ -129,8 +129,7 @@ impl Cameras {
         });
         let reporter = Reporter {
             board: Arc::clone(&self.board),
-            camera: config.name.clone(),
-            detector: self.detector.clone(),
+            camera: Arc::clone(board),
             listeners: reports,
         };
         tasks.essential(format!("reporter {name}"), reporter.run(clips));
