@@ -29,29 +29,21 @@ pub(super) async fn jpeg(
     Path(camera): Path<String>,
 ) -> Result<Response, Problem> {
     let board = shared.camera(&camera)?;
-    let missing = || {
+    // One picture is decoded at a time. One that nobody waits for any more is finished all the same, for the next request.
+    let turn = Arc::clone(&shared.decoding).lock_owned().await;
+    let frame = board.latest_frame().ok_or_else(|| {
         let detail = format!("no picture came from camera `{camera}` yet");
         Problem::new(StatusCode::NOT_FOUND, detail)
-    };
-    let limits = shared.limits;
-    let mut frame = board.latest_frame().ok_or_else(missing)?;
-    let file = if frame.is_made() {
-        frame.jpeg(&limits)
-    } else {
-        let turn = Arc::clone(&shared.decoding).lock_owned().await;
-        // Made while this waited, or another has come. A picture that nobody waits for any more is
-        // finished all the same, for the next request.
-        frame = board.latest_frame().ok_or_else(missing)?;
-        let (picture, decoded) = (Arc::clone(&frame), shared.decoded.clone());
-        let making = tokio::task::spawn_blocking(move || {
-            let _turn = turn;
-            if !picture.is_made() {
-                decoded.inc();
-            }
-            picture.jpeg(&limits)
-        });
-        making.await.unwrap_or_else(|error| Err(error.to_string()))
-    };
+    })?;
+    let (picture, decoded, limits) = (Arc::clone(&frame), shared.decoded.clone(), shared.limits);
+    let making = tokio::task::spawn_blocking(move || {
+        let _turn = turn;
+        if !picture.is_made() {
+            decoded.inc();
+        }
+        picture.jpeg(&limits)
+    });
+    let file = making.await.unwrap_or_else(|error| Err(error.to_string()));
     let bytes = file.map_err(|reason| {
         let detail = format!("the latest picture of camera `{camera}` cannot be shown: {reason}");
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
