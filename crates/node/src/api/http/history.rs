@@ -158,7 +158,11 @@ const MOST_VALUES: usize = 64;
 fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
     match values {
-        Ok(values) if values.len() <= MOST_VALUES && values.iter().all(|v| *v > 0.0) => Ok(values),
+        Ok(values)
+            if values.len() <= MOST_VALUES && values.iter().all(|v| *v > 0.0 && v.is_finite()) =>
+        {
+            Ok(values)
+        }
         _ => {
             let detail = format!(
                 "`values` must be at most {MOST_VALUES} numbers above 0, separated by commas"
@@ -216,4 +220,17 @@ pub(super) async fn skip_estimate(
         estimate,
         threshold,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_numbers_that_an_answer_can_show_are_taken() {
+        assert_eq!(thresholds("1e-4, 3e-4").unwrap(), [1e-4, 3e-4]);
+        for text in ["", "0", "-1", "NaN", "inf", "1e999", "1,,2"] {
+            assert!(thresholds(text).is_err(), "{text}");
+        }
+    }
 }
