@@ -95,10 +95,10 @@ impl Watched {
                     .await?;
                 self.pictures.push(queryable);
             }
-            let message = setup.board.counters(camera, unix_nanoseconds());
-            if counts && let Ok(json) = serde_json::to_vec(&message) {
+            if counts {
+                let message = setup.board.counters(camera, unix_nanoseconds());
                 session
-                    .put(keys.counters(), json)
+                    .put(keys.counters(), serde_json::to_vec(&message)?)
                     .congestion_control(CongestionControl::Drop)
                     .priority(crate::camera::publishing::COUNTERS)
                     .await?;
