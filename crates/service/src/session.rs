@@ -130,7 +130,7 @@ fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
 }
 
 /// Between half and one and a half of a pause, so that many nodes do not come together.
-fn jittered(pause: Duration) -> Duration {
+pub fn jittered(pause: Duration) -> Duration {
     let random = RandomState::new().hash_one(pause) % 1000;
     pause.mul_f64(0.5 + random as f64 / 1000.0)
 }

@@ -5,8 +5,8 @@
 //! the name. Otherwise both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
+use albireo_service::session::jittered;
 use parking_lot::Mutex;
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use zenoh::Session;
@@ -65,8 +65,7 @@ impl NodeName {
             } else {
                 LOOK_EVERY
             };
-            let random = RandomState::new().hash_one(&own) % 1000;
-            tokio::time::sleep(pause.mul_f64(0.5 + random as f64 / 1000.0)).await;
+            tokio::time::sleep(jittered(pause)).await;
         }
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 
 /// Seconds of a day: longer timeouts and windows are slips of the pen.
 pub const DAY_S: f64 = 86_400.0;
+
 /// Collects what is wrong.
 #[derive(Debug, Default)]
 pub struct Findings(Vec<Finding>);
@@ -50,16 +51,6 @@ impl Findings {
         if path.is_some_and(|path| path.as_os_str().is_empty()) {
             self.add(key, "is empty; leave the key out instead");
         }
-    }
-
-    /// How many there are.
-    pub fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Whether nothing is wrong.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
     }
 
     /// All of them, in the order they were noted.

@@ -135,6 +135,6 @@ mod tests {
         uplink.to_zenoh(Duration::from_millis(700)).unwrap();
         let mut findings = Findings::default();
         uplink.check(&mut findings);
-        assert!(findings.is_empty());
+        assert!(findings.into_vec().is_empty());
     }
 }

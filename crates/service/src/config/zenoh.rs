@@ -82,16 +82,13 @@ impl ZenohConfig {
 
     /// Notes what is wrong with the section.
     pub fn check(&self, max_payload_bytes: usize, findings: &mut Findings) {
-        let before = findings.len();
-        check_endpoints("zenoh.connect", &self.connect, findings);
-        check_endpoints("zenoh.listen", &self.listen, findings);
+        let are_right = check_endpoints("zenoh.connect", &self.connect, findings)
+            & check_endpoints("zenoh.listen", &self.listen, findings);
         findings.path("zenoh.config_file", self.config_file.as_deref());
         if self.config_file.is_some() {
             return;
         }
-        if findings.len() == before
-            && let Err(error) = self.to_zenoh(max_payload_bytes)
-        {
+        if are_right && let Err(error) = self.to_zenoh(max_payload_bytes) {
             findings.add("zenoh", error);
         }
         if self.mode == ZenohMode::Client && self.connect.is_empty() && !self.multicast_scouting {
@@ -106,8 +103,9 @@ impl ZenohConfig {
 /// Transports that are compiled in.
 const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
 
-/// Notes endpoints that Zenoh cannot read or this program cannot open.
-pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) {
+/// Notes endpoints that Zenoh cannot read or this program cannot open; whether there is none.
+pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) -> bool {
+    let mut are_right = true;
     for endpoint in endpoints {
         let fault = match endpoint.parse::<EndPoint>() {
             Err(error) => format!("is no endpoint such as `tcp/127.0.0.1:7447`: {error}"),
@@ -119,7 +117,9 @@ pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Fi
             ),
         };
         findings.add(key, format!("`{endpoint}` {fault}"));
+        are_right = false;
     }
+    are_right
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Keeps the last lines of the log in memory, for the page and for diagnostics, without the secrets given to [`conceal`].
 
+use crate::config::MASK;
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -16,8 +17,6 @@ use utoipa::ToSchema;
 /// Lines that are kept, and the most bytes of one.
 const KEPT: usize = 1000;
 const LONGEST: usize = 4096;
-/// Shown instead of a secret.
-const MASK: &str = "(secret)";
 /// Shorter ones would be found in ordinary words.
 const SHORTEST_SECRET: usize = 4;
 
