@@ -35,30 +35,30 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// What stays of a camera when its loop is started again.
+/// These parts of a camera stay when its loop is started again.
 pub(crate) struct CameraParts {
-    /// What HTTP and metrics see of it.
+    /// It shows the camera to HTTP and metrics.
     pub board: Arc<CameraBoard>,
-    /// Where its frames come from.
+    /// Its frames come from there.
     pub receiver: Arc<FrameReceiver>,
-    /// Where answers go.
+    /// Answers go there.
     pub detections: Outlet,
-    /// Where the final answers of pending frames go, if frames are answered at once.
+    /// The final answers of pending frames go there, if frames are answered at once.
     pub late: Option<Outlet>,
-    /// Where every frame goes once more when its boxes are settled.
+    /// Every frame goes there once more when its boxes are settled.
     pub settled: Option<Arc<Outlet>>,
-    /// Which boxes are published.
+    /// It selects the boxes that are published.
     pub min_confidence: MinConfidence,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
-    /// Where clips go that have ended. Unbounded, because a clip is some kilobytes every some seconds and must not be lost;
-    /// their reporter's own waiting is bounded.
+    /// Clips that have ended go there. It is unbounded, because a clip is some kilobytes every some seconds and must not be
+    /// lost. Their reporter's own waiting is bounded.
     pub closed: mpsc::UnboundedSender<Clip>,
-    /// Where frames are left that the detector is to examine afterwards.
+    /// Frames that the detector is to examine afterwards are left there.
     pub audit: Arc<CameraAudit>,
     /// The camera's part of the node's energy.
     pub energy: CameraEnergy,
-    /// Whether a new clip id of the camera makes the policy forget its objects.
+    /// It is true if a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
 }
 
@@ -75,7 +75,7 @@ impl CameraParts {
 /// One camera's loop.
 pub(crate) struct Camera {
     parts: Arc<CameraParts>,
-    /// What decides frames.
+    /// It decides frames.
     decider: Decider,
     /// The frames that are held back until their boxes are settled.
     settled: Option<SettledStream>,
@@ -86,7 +86,7 @@ pub(crate) struct Camera {
     newest: Option<(u64, u64)>,
     /// Index of the first frame that the policy knows of, and counts from.
     first_index: Option<u64>,
-    /// What the camera called the clip of the frame before.
+    /// The camera's name for the clip of the frame before.
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
@@ -97,11 +97,11 @@ struct BegunFrame {
     head: FrameHead,
     clip: Arc<str>,
     threshold: Option<Threshold>,
-    /// When it was taken from the ring.
+    /// It was taken from the ring at this time.
     taken: Instant,
     /// From its reception to its prediction, if that has been published before the final answer.
     first_answer: Option<Duration>,
-    /// What its answer has taken so far.
+    /// The time that its answer has taken so far.
     times: Times,
 }
 
@@ -110,11 +110,11 @@ struct BegunFrame {
 pub struct FrameRecord {
     /// The final answer, as published.
     pub detections: Arc<DetectionsMessage>,
-    /// When it was published.
+    /// It was published at this time.
     pub answered: Instant,
     /// From reception to the first answer, which may have been pending.
     pub first_answer: Duration,
-    /// What the final answer took.
+    /// The time that the final answer took.
     pub(crate) times: Times,
 }
 

@@ -1,9 +1,9 @@
-//! Why a node cannot start, or had to end.
+//! The error of a node that cannot start, or had to end.
 
 use std::error::Error;
 use std::fmt::Display;
 
-/// Why a node cannot start, or had to end: which part, and what is wrong with it.
+/// A node cannot start, or had to end: it names the part, and what is wrong with it.
 #[derive(Debug, thiserror::Error)]
 #[error("{part}{source}")]
 pub struct NodeError {

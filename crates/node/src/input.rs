@@ -1,4 +1,4 @@
-//! What a camera sends: how its frames are read and numbered, the ring they wait in, and cameras that the node opens.
+//! Takes in what cameras send: it reads and numbers frames, keeps them in a ring, and opens cameras.
 
 mod attachment;
 mod read;
@@ -14,7 +14,7 @@ pub use sequence::FrameNumber;
 
 use serde::{Deserialize, Serialize};
 
-/// How the payload of a camera's samples is to be read.
+/// The way in which the payload of a camera's samples is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PayloadFormat {
@@ -28,7 +28,7 @@ pub enum PayloadFormat {
     Ros2Image,
 }
 
-/// Which frames a camera's loop gets to see when they come faster than it works.
+/// The choice of frames that a camera's loop sees when they come faster than it works.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Delivery {

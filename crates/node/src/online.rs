@@ -18,10 +18,10 @@ use zenoh::Session;
 /// Pictures the detector is timed on, after its warm-up.
 const PICTURES: usize = 9;
 
-/// How long a router and a hub are waited for.
+/// A router and a hub are waited for this long.
 const ANSWER: Duration = Duration::from_secs(10);
 
-/// Why something does not work, for people.
+/// Says to people why something does not work.
 type Failure = Box<dyn Error + Send + Sync>;
 
 /// Tries everything the configuration names, and gives `each` key with what was found, or why it does not work. It publishes
@@ -52,7 +52,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     }
 }
 
-/// What `opening` gives if that comes in time.
+/// Returns what `opening` gives if that comes in time.
 async fn in_time(
     endpoints: &[String],
     opening: impl Future<Output = Result<Session, Failure>>,
@@ -64,7 +64,7 @@ async fn in_time(
     })
 }
 
-/// Which provider runs the model, and how long a run takes.
+/// Finds out which provider runs the model, and how long a run takes.
 fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
@@ -140,7 +140,7 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     found
 }
 
-/// Whether the router can be reached, as a client that listens nowhere: the ports are the running node's.
+/// Finds out whether the router can be reached, as a client that listens nowhere: the ports are the running node's.
 async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
     let client = ZenohConfig {
         mode: ZenohMode::Client,
@@ -153,7 +153,7 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
     Ok(format!("{} answers", endpoints.join(", ")))
 }
 
-/// Whether somebody takes reports behind the hub's router.
+/// Finds out whether somebody takes reports behind the hub's router.
 async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     let uplink = config.uplink.clone();
     let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
@@ -174,7 +174,7 @@ async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     }
 }
 
-/// Whether somebody answers queries on `key`: Zenoh hears of that a moment after the session is open.
+/// Says whether somebody answers queries on `key`. Zenoh hears of that a moment after the session is open.
 async fn hub_behind(session: &Session, key: String) -> zenoh::Result<bool> {
     let querier = session.declare_querier(key).await?;
     let until = Instant::now() + ANSWER;

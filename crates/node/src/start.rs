@@ -81,7 +81,7 @@ impl PreparedNode {
         self
     }
 
-    /// What the node shows of itself.
+    /// Returns the board, which shows the node.
     pub fn board(&self) -> &Arc<Board> {
         &self.board
     }
@@ -238,8 +238,8 @@ impl PreparedNode {
 }
 
 impl Node {
-    /// Where the node's Zenoh session really listens: the ports of endpoints that were configured with
-    /// port 0 are known only now.
+    /// Returns the addresses on which the node's Zenoh session really listens. The ports of endpoints that were configured
+    /// with port 0 are known only now.
     pub async fn endpoints(&self) -> Vec<String> {
         let locators = self.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
@@ -250,10 +250,9 @@ impl Node {
         provider(&self.detector.status().borrow())
     }
 
-    /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
-    /// current frames and open clips out, and closes. Takes at most 5 s,
-    /// whatever hangs: after a quarter of it no detector is waited for, and what has not ended in time is named in
-    /// the log and given up.
+    /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then it lets the current
+    /// frames and open clips out, and closes. It takes at most 5 s, whatever hangs: after a quarter of that it waits for no
+    /// detector, and what has not ended in time it names in the log and gives up.
     ///
     /// # Errors
     /// When it ended because of a task.

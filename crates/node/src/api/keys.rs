@@ -20,7 +20,7 @@ const MAX_MESSAGE_BYTES: usize = 4096;
 /// Requests that may wait for the file to be written; a person or a hub sends a few a second at most.
 const WAITING: usize = 64;
 
-/// What a key holds.
+/// The value that a key holds.
 pub(crate) enum KeyValue {
     /// The threshold of a camera.
     Threshold(Arc<CameraBoard>),
@@ -49,7 +49,7 @@ impl KeyValue {
         }
     }
 
-    /// What is in force, as JSON.
+    /// Returns what is in force, as JSON.
     fn in_force(&self) -> Result<Vec<u8>, String> {
         let json = match self {
             Self::Threshold(camera) => serde_json::to_vec(&ThresholdMessage {
@@ -63,7 +63,7 @@ impl KeyValue {
     }
 }
 
-/// What came over Zenoh: a put, or a query.
+/// A put or a query that came over Zenoh.
 struct Request {
     key: Arc<str>,
     value: Arc<KeyValue>,

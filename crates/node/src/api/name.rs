@@ -12,10 +12,10 @@ use std::time::Duration;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
-/// How long a claim may take to get around: a peer answers by what it has heard itself.
+/// A claim may take this long to get around, for a peer answers by what it has heard itself.
 const GETTING_AROUND: Duration = Duration::from_secs(1);
 
-/// How long others may take to say that they have the name.
+/// Others may take this long to say that they have the name.
 const ASKING: Duration = Duration::from_secs(2);
 
 /// Interval at which a waiting node checks the name, between half and one and a half of that.

@@ -1,4 +1,4 @@
-//! What is counted of a clip: when it begins and ends, its counters, energy and energy-delay product.
+//! Begins, counts and reports clips, with their energy and energy-delay product.
 
 mod latencies;
 mod report;
@@ -13,7 +13,7 @@ pub(crate) use tracker::ClipTracker;
 
 use serde::{Deserialize, Serialize};
 
-/// When a clip ends, where the camera does not say: the `[clip]` section of the configuration.
+/// The `[clip]` section of the configuration: it says when a clip ends, where the camera does not.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClipConfig {

@@ -17,7 +17,7 @@ pub(crate) struct Decider {
     pub policy: LatePolicy,
     /// The frame that waits for evidence, and what it needs.
     pending: Option<(BegunFrame, Need)>,
-    /// Where evidence comes from; not here while some is being fetched.
+    /// Evidence comes from there. It is away while some is being fetched.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
 }
@@ -25,7 +25,7 @@ pub(crate) struct Decider {
 /// A frame that waits no longer: its final answer is known, unless its picture is broken and it gets none.
 pub(super) type Decided = Result<BegunFrame, FrameFault>;
 
-/// What was fetched of frame `index` of the camera.
+/// The evidence that was fetched of frame `index` of the camera.
 pub(super) struct Fetched {
     index: u64,
     need: Need,
@@ -44,12 +44,12 @@ impl Decider {
         }
     }
 
-    /// Whether a frame waits for evidence.
+    /// Says whether a frame waits for evidence.
     pub(super) fn is_pending(&self) -> bool {
         self.pending.is_some()
     }
 
-    /// Whether frames that need evidence are answered by prediction first.
+    /// Says whether frames that need evidence are answered by prediction first.
     pub(super) fn answers_at_once(&self) -> bool {
         !self.policy.waits()
     }
@@ -84,7 +84,7 @@ impl Decider {
         }));
     }
 
-    /// What was fetched last, when it comes; forever when nothing is being fetched.
+    /// Waits for what is being fetched; forever when that is nothing.
     pub(super) async fn fetched(&mut self) -> Fetched {
         let Some(fetching) = &mut self.fetching else {
             return std::future::pending().await;

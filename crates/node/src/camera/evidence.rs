@@ -15,25 +15,24 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// Where the time of one frame went.
+/// The times of the steps of one frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Times {
-    /// Each step's. The detector's is with resizing the picture and waiting for a place to decode it in and for other
-    /// cameras; `total` and `waiting` are not known here.
+    /// The time of each step. That of the detector includes resizing the picture, waiting for a place to decode it in and
+    /// waiting for other cameras. `total` and `waiting` are not known here.
     pub latency: Latency,
     /// The run that answered, and this frame's part in it.
     pub detector_run: Option<DetectorRun>,
-    /// Whether a grey picture was looked at.
+    /// It is true if a grey picture was looked at.
     pub examined: bool,
     /// The detector was asked although the screen said "empty", too often in a row.
     pub overruled: bool,
 }
 
-/// The detector's run for a frame: what the frame's camera used of it. A run that failed or took too long is
-/// nobody's.
+/// The part of a detector's run that a frame's camera used. A run that failed or took too long is nobody's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DetectorRun {
-    /// When it ended.
+    /// It ended at this time.
     pub end: Instant,
     /// The frame's part of its time: an even part for each of the pictures it looked at.
     pub used: Duration,
@@ -45,23 +44,23 @@ pub struct LiveEvidence {
     screen: CameraScreen,
     slot: CameraSlot,
     pixels: PixelWork,
-    /// What is known of the current frame.
+    /// The current frame.
     current: Current,
     /// Once cancelled neither detector nor screen is waited for.
     give_up: CancellationToken,
 }
 
-/// What is known of the current frame.
+/// All that is known of the current frame.
 #[derive(Default)]
 struct Current {
-    /// What was prepared from its picture.
+    /// The pixels that were prepared from its picture.
     frame: PreparedFrame,
     /// The screen's verdict on it.
     empty: Option<bool>,
-    /// What the detector found in it.
+    /// The boxes that the detector found in it.
     detected: Option<Detected>,
     times: Times,
-    /// How long it waited until its picture might be decoded: all cameras share as many places as keep the detector busy.
+    /// It waited this long until its picture might be decoded: all cameras share as many places as keep the detector busy.
     place: Duration,
 }
 
@@ -96,7 +95,7 @@ impl LiveEvidence {
         self.current.frame = PreparedFrame::default();
     }
 
-    /// Where the time of the current frame went so far.
+    /// Returns the times of the current frame so far.
     pub(crate) fn times(&self) -> Times {
         Times {
             overruled: self.screen.is_overruled(),
@@ -122,7 +121,7 @@ impl LiveEvidence {
         Ok(())
     }
 
-    /// What was fetched from the current frame for `need`.
+    /// Returns what was fetched from the current frame for `need`.
     pub fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
@@ -143,8 +142,7 @@ impl LiveEvidence {
         known.unwrap_or(Evidence::Unavailable)
     }
 
-    /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say, or when
-    /// there is no screen.
+    /// Asks the screen whether nothing is in view. `None` when it cannot say, or when there is no screen.
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
@@ -166,7 +164,7 @@ impl LiveEvidence {
         Ok(empty)
     }
 
-    /// What the detector finds; `None` when it is not available for this frame.
+    /// Returns what the detector finds; `None` when it is not available for this frame.
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
@@ -199,7 +197,7 @@ impl LiveEvidence {
         Ok(answer)
     }
 
-    /// Whether the detector is asked about this frame although the screen said "empty", too often in a row.
+    /// Says whether the detector is asked about this frame although the screen said "empty", too often in a row.
     pub fn screen_is_overruled(&self) -> bool {
         self.screen.is_overruled()
     }

@@ -84,7 +84,7 @@ impl SettledStream {
         (self.settler).late(index, outcome, |frame| messages.put(&frame));
     }
 
-    /// When [`tick`](Self::tick) should be called, should no frame come before.
+    /// Returns when [`tick`](Self::tick) should be called, should no frame come before.
     pub(super) fn deadline(&self) -> Option<Instant> {
         Some(self.start + self.settler.deadline()?)
     }

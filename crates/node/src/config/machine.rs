@@ -11,7 +11,7 @@ use std::net::TcpListener;
 use std::path::Path;
 
 impl NodeConfig {
-    /// What is missing on this machine: a node would not start. Everything at once.
+    /// Finds everything that is missing on this machine, without which a node would not start.
     pub fn missing_here(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         for (key, path) in self.model_files() {
@@ -37,7 +37,7 @@ impl NodeConfig {
         findings.into_vec()
     }
 
-    /// What is in the way now and may not be later: ports in use, perhaps by this very node.
+    /// Finds what is in the way now and may not be later: ports in use, perhaps by this very node.
     pub fn in_the_way(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         let port = self.http.listen;
@@ -90,7 +90,7 @@ impl NodeConfig {
     }
 }
 
-/// Wants a file that can be read, where one is named.
+/// Notes a named file that cannot be read.
 fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     let Some(path) = path else { return };
     // In full: a relative path starts in a folder that the reader may not have in mind.
@@ -103,7 +103,7 @@ fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     }
 }
 
-/// Wants a folder that can be written to, or a place where one can be made.
+/// Notes a folder that cannot be written to, or made.
 fn state_dir(folder: &Path, findings: &mut Findings) {
     // The nearest that is there: the rest is made at the start.
     let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {

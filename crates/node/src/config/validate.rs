@@ -1,4 +1,4 @@
-//! What a configuration's values must keep to beyond their types.
+//! Checks a configuration's values beyond their types.
 
 use super::{CameraConfig, NodeConfig};
 use crate::camera::AnswerTime;
@@ -75,7 +75,7 @@ power.sum: name one meter in power.source: `rapl` for the processor or `nvml` fo
 power.gpu_idle_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)
 power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
-    /// Whether files are there is not looked at: that is seen when they are opened.
+    /// It does not look whether files are there: that is seen when they are opened.
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         self.check_names(&mut findings);
@@ -157,7 +157,7 @@ impl NodeConfig {
         None
     }
 
-    /// Whether the policy can answer at once, and settled frames wait long enough for the detector.
+    /// Checks that the policy can answer at once, and that settled frames wait long enough for the detector.
     fn check_answers(&self, policy: Option<Box<dyn Policy>>, findings: &mut Findings) {
         let mut cameras = self.cameras.iter();
         let at_once = cameras.any(|camera| self.answer_time(camera) == AnswerTime::AtOnce);

@@ -27,7 +27,7 @@ pub(super) use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
 
-/// What the outbox has counted, and how it is.
+/// The counts and the state of the outbox.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OutboxCounts {
     /// Reports that no hub has, on disk and in memory.
@@ -38,17 +38,17 @@ pub struct OutboxCounts {
     pub lost: u64,
     /// Reports that a hub refused for good, or that could not be read.
     pub undeliverable: u64,
-    /// When reports were lost last, since the node started.
+    /// The last time since the start at which reports were lost.
     pub last_loss: Option<Instant>,
     /// Reports taken in since the node started.
     pub kept: u64,
     /// Reports acknowledged since the node started.
     pub acknowledged: u64,
-    /// How often the disk failed.
+    /// The number of times that the disk failed.
     pub disk_failures: u64,
-    /// Why nothing can be kept on disk now.
+    /// The reason for which nothing can be kept on disk now.
     pub failing: Option<String>,
-    /// Whether reports survive a power loss now.
+    /// It is true while reports survive a power loss.
     pub durable: bool,
 }
 
@@ -64,7 +64,7 @@ impl OutboxCounts {
     }
 }
 
-/// How often a disk that failed is tried again.
+/// A disk that failed is tried again at this interval.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
 /// The outbox; clones are the same one. Methods that may write and sync a file say so: to be called away from async
@@ -131,7 +131,7 @@ impl Outbox {
         }))
     }
 
-    /// How it is. Never waits for a disk.
+    /// Returns the counts as they are. It never waits for a disk.
     pub fn counts(&self) -> OutboxCounts {
         self.0.counts.lock().clone()
     }

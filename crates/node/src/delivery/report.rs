@@ -14,11 +14,11 @@ use zenoh_ext::AdvancedPublisher;
 
 /// Keeps and publishes one camera's clip reports.
 pub(crate) struct Reporter {
-    /// Where reports are shown, and kept until a hub has them.
+    /// It shows reports, and keeps them until a hub has them.
     pub board: Arc<Board>,
-    /// The camera.
+    /// It counts the reports that are not published.
     pub camera: Arc<CameraBoard>,
-    /// For subscribers; the hub gets it from the outbox.
+    /// It sends reports to subscribers. The hub gets them from the outbox.
     pub listeners: AdvancedPublisher<'static>,
 }
 

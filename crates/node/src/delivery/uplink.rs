@@ -43,27 +43,27 @@ use zenoh::Session;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
-/// How often the status is compared with the one sent last.
+/// The status is compared with the one sent last at this interval.
 const POLL_EVERY: Duration = Duration::from_secs(1);
 
 /// Reports that wait this long without any answer make the node open its uplink again.
 const STALE: Duration = Duration::from_secs(300);
 
-/// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
+/// The last reports may take this long to reach a hub when the node stops. The outbox keeps those that do not arrive.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
 /// After a session that served this long, pauses between attempts start short again.
 const MIN_UPTIME: Duration = Duration::from_secs(10);
 
-/// What the uplink works with.
+/// This is all that the uplink works with.
 pub(crate) struct UplinkSetup {
     /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// How they are delivered, and what the hub gets to know and to see.
+    /// It says how reports are delivered, and what the hub gets to know and to see.
     pub config: NodeConfig,
     /// Keys toward the hub.
     pub keys: NodeKeys,
-    /// What the hub desires, and what is in force.
+    /// It knows what the hub desires, and what is in force.
     pub desired: DesiredKeeper,
     /// The local session, if the hub is reached over it; otherwise a separate one is opened, and again when it is stale.
     pub local: Option<Session>,
@@ -108,19 +108,19 @@ struct Worker {
     reconnect: Backoff,
 }
 
-/// Why a session is served no longer.
+/// The reason for which a session is served no longer.
 enum Served {
     Stopped,
     Stale,
 }
 
-/// What a hub is asked: to take reports, or what is desired.
+/// A hub is asked to take reports, or what it desires.
 enum Asked {
     Batch,
     Pull,
 }
 
-/// What came of it: what the hub desires, if it said that.
+/// The outcome of a question, with what the hub desires, if it said that.
 type Ended = (Asked, Result<Option<Desired>, Failure>);
 
 impl Worker {

@@ -29,9 +29,9 @@ pub struct RawSample<'a> {
     pub attachment: Option<Cow<'a, [u8]>>,
     /// The sample's timestamp, nanoseconds since the Unix epoch.
     pub timestamp_ns: Option<u64>,
-    /// How many samples came on this key before: the sequence number of a camera that sends none.
+    /// This many samples came on the key before. It is the sequence number of a camera that sends none.
     pub arrival: u64,
-    /// When it was received.
+    /// It was received at this time.
     pub received: Instant,
 }
 
@@ -47,7 +47,7 @@ pub struct Frame {
     pub clip: Option<Arc<str>>,
     /// The picture, not decoded.
     pub picture: EncodedPicture,
-    /// When the sample was received.
+    /// The sample was received at this time.
     pub received: Instant,
     /// Size of the payload.
     pub payload_bytes: usize,
@@ -98,8 +98,8 @@ fn shared_bytes(payload: &ZBytes) -> Bytes {
     }
 }
 
-/// How the camera numbers a sample, as far as that can be read, and the sample as a frame, or the fault of one that is too
-/// large, of an unknown format, or not a picture. Nothing is decoded; all limits are checked here, before memory is taken.
+/// Reads the number that the camera gives to a sample, and the sample as a frame, or the fault of one that is too large, of
+/// an unknown format, or not a picture. It decodes nothing, and checks all limits before it takes memory.
 pub fn read_frame(
     raw: RawSample<'_>,
     format: PayloadFormat,

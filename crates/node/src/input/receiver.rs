@@ -40,8 +40,8 @@ pub(crate) struct SequencedFrame {
     pub frame: Frame,
     /// Its place in the stream, lost frames counted.
     pub index: u64,
-    /// Which stream it belongs to: grows each time a new stream begins, also when the frame that showed it could not
-    /// be used.
+    /// The number of its stream. It grows each time a new stream begins, also when the frame that showed it could not be
+    /// used.
     pub epoch: u64,
     /// The query it came as, which is answered when the frame is taken from the ring.
     pub query: Option<FrameQuery>,
@@ -61,7 +61,7 @@ impl SequencedFrame {
 #[derive(Debug)]
 pub(crate) struct FrameQuery {
     query: Query,
-    /// Where answers are sent: off the threads that must not wait for the network.
+    /// Answers are sent there, off the threads that must not wait for the network.
     runtime: Handle,
     /// One place for each answer that waits for the network.
     places: Arc<Semaphore>,
@@ -97,10 +97,10 @@ impl FrameQuery {
     }
 }
 
-/// Why a frame was not processed: the counter of its kind.
+/// Finds the counter of the kind of frames that were not processed.
 pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
 
-/// The counter of frames with that fault.
+/// Returns the counter of frames with that fault.
 pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
     match fault {
         FrameFault::Undecodable { .. } => |dropped| &mut dropped.undecodable,
@@ -124,7 +124,7 @@ pub(crate) struct FrameReceiver {
     answers: Arc<Semaphore>,
 }
 
-/// How a camera numbers what it sent, and the frame, if it can be used.
+/// The number that a camera gives to what it sent, and the frame, if it can be used.
 type Read = (FrameNumber, Result<Frame, FrameFault>);
 
 #[derive(Debug, Default)]
@@ -325,7 +325,7 @@ impl FrameReceiver {
     }
 }
 
-/// Where the pictures of a source go that the node keeps open.
+/// Takes the pictures of a source that the node keeps open.
 #[derive(Clone, Debug)]
 pub(crate) struct SourceFeed {
     pub receiver: Arc<FrameReceiver>,

@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 /// Frames that may wait where none is to be missed. A sender that heeds the answers has one here.
 const EVERY_FRAMES: usize = 64;
 
-/// What became of a pushed item.
+/// The ways in which a push may end.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Pushed<T> {
     /// It waits for its turn.
@@ -29,7 +29,7 @@ pub(crate) struct Ring<T> {
     most_items: usize,
     /// Bytes of all of them; a single one may have more.
     most_bytes: usize,
-    /// Whether a new item pushes out the oldest when there is no room.
+    /// It is true if a new item pushes out the oldest when there is no room.
     newest_wins: bool,
     state: Mutex<State<T>>,
     came: Notify,
@@ -83,7 +83,7 @@ impl<T> Ring<T> {
         pushed
     }
 
-    /// Whether an item of that size would be queued.
+    /// Says whether an item of that size would be queued.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let state = self.state.lock();
         state.closed || self.newest_wins || self.fits(&state, bytes)
@@ -96,7 +96,7 @@ impl<T> Ring<T> {
                 && waiting.saturating_add(bytes) <= self.most_bytes)
     }
 
-    /// The oldest item; waits for one. Cancelling the future loses nothing.
+    /// Waits for an item, and takes the oldest. Cancelling the future loses nothing.
     pub(crate) async fn next(&self) -> T {
         // A camera whose frames never run out leaves room for other tasks.
         tokio::task::consume_budget().await;

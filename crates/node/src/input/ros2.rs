@@ -12,7 +12,7 @@ pub(super) struct CompressedImage<'a> {
     pub time_ns: Option<u64>,
     /// Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
     pub format: &'a str,
-    /// Where the picture file lies in the payload.
+    /// The part of the payload that is the picture file.
     pub data: Range<usize>,
 }
 
@@ -23,11 +23,11 @@ pub(super) struct Image {
     pub time_ns: Option<u64>,
     /// Size of the picture.
     pub size: PictureSize,
-    /// What its bytes mean.
+    /// The meaning of its bytes.
     pub format: PictureFormat,
     /// Bytes from one row to the next.
     pub step: usize,
-    /// Where the rows lie in the payload.
+    /// The part of the payload that is the rows.
     pub data: Range<usize>,
 }
 

@@ -11,7 +11,7 @@
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How many numbers back it is remembered whether they came.
+/// The tracker remembers of this many numbers back whether they came.
 const WINDOW: u64 = 64;
 /// The most numbers ahead that are believed at once.
 const NEAR: u64 = 8;
@@ -20,16 +20,16 @@ const MAX_GAP: u64 = 108_000;
 /// A stream that brings nothing new for this long, and for five of its periods, may be replaced by another.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// How a camera numbers a frame.
+/// The number that a camera gives to a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameNumber {
     /// The sequence number, where the camera sends one.
     pub seq: Option<u64>,
-    /// Which numbering it belongs to, where the camera says so.
+    /// The numbering that it belongs to, where the camera says so.
     pub stream: Option<u64>,
 }
 
-/// What a frame is to its camera's stream.
+/// The ways in which a frame may belong to its camera's stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {
     /// A new frame.
@@ -65,7 +65,7 @@ struct Stream {
     highest: Option<u64>,
     /// Bit `k`: whether number `highest - k` came.
     came: u64,
-    /// How far ahead of the highest the last number was that was too far.
+    /// The last number that was too far ahead was ahead of the highest by this.
     ahead: Option<u64>,
     /// Samples since the highest number that came and could not be used: as many of the missing numbers are not lost.
     unusable: u64,
@@ -76,7 +76,7 @@ struct Stream {
     ended: bool,
 }
 
-/// Where a frame is in a stream.
+/// The place of a frame in a stream.
 enum Place {
     Next(u64),
     Ahead(u64),
@@ -104,13 +104,13 @@ impl Stream {
         self.ended || now.saturating_duration_since(self.newest) >= patience.max(SILENCE)
     }
 
-    /// Whether the number `step` ahead follows one that was too far ahead to be believed.
+    /// Says whether the number `step` ahead follows one that was too far ahead to be believed.
     fn goes_on(&self, step: u64) -> bool {
         (self.ahead.and_then(|ahead| step.checked_sub(ahead)))
             .is_some_and(|more| (1..=NEAR).contains(&more))
     }
 
-    /// Takes the frame `step` numbers ahead; how many are lost.
+    /// Takes the frame `step` numbers ahead, and returns how many are lost.
     fn advance(&mut self, step: u64, now: Instant) -> u64 {
         self.highest = self.highest.map(|highest| highest + step);
         self.came = match step {

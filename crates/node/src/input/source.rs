@@ -17,7 +17,7 @@ pub use address::{SourceAddress, SourceKind, SourceOptions};
 pub use live::{LiveSource, SourceSink};
 pub use templates::{Handover, RtspTransport, SourceSettings};
 
-/// Why a source cannot be opened: in words, without credentials.
+/// Says in words, without credentials, why a source cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct SourceError(String);

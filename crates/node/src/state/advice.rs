@@ -85,7 +85,7 @@ impl SkipWatch {
         !self.skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
     }
 
-    /// What to try, when it is clear that nothing is skipped and `knob` can change that.
+    /// Says what to try, when it is clear that nothing is skipped and `knob` can change that.
     pub(crate) fn advice(&self, knob: &Knob) -> Option<Advice> {
         self.is_clear().then(|| self.attempt(knob)).flatten()
     }

@@ -59,13 +59,13 @@ pub struct Board {
     pub(crate) providers: Vec<ExecutionProvider>,
     /// All cameras, in the order of the configuration.
     pub cameras: Vec<Arc<CameraBoard>>,
-    /// Whether the node works, part by part.
+    /// It says whether the node works, part by part.
     pub readiness: Readiness,
-    /// How often the node's tasks failed.
+    /// It counts the failures of the node's tasks.
     pub tasks: TaskTally,
-    /// Where reports wait for a hub.
+    /// Reports wait there for a hub.
     pub(crate) outbox: Outbox,
-    /// What is changed while the node runs and survives a restart.
+    /// It keeps what is changed while the node runs, over restarts.
     pub(crate) settings: Settings,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: Arc<NodeTarget>,
@@ -73,7 +73,7 @@ pub struct Board {
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
-    /// Where to read what the detector and the screen count, once they have started.
+    /// They read what the detector and the screen count, once these have started.
     pub(crate) meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
@@ -152,7 +152,7 @@ impl Board {
         }))
     }
 
-    /// What the detector and the screen have counted; all 0 before they have started, and where there is none.
+    /// Returns what the detector and the screen have counted: all 0 before they have started, and where there is none.
     pub(crate) fn worker_counts(&self) -> (DetectorCounts, WorkerCounts) {
         let meters = self.meters.get();
         let screen = meters.and_then(|(_, screen)| screen.as_ref());
@@ -172,7 +172,7 @@ impl Board {
         self.cameras.iter().find(|camera| camera.name() == name)
     }
 
-    /// What happens from now on. A reader that falls more than 1024 events behind gets
+    /// Returns what happens from now on. A reader that falls more than 1024 events behind gets
     /// `RecvError::Lagged` with the number it lost.
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Event>> {
         self.events.subscribe()
@@ -287,7 +287,7 @@ impl Board {
         Ok(())
     }
 
-    /// How the detector is doing now.
+    /// Returns how the detector is doing now.
     pub(crate) fn detector_status(&self) -> DetectorStatus {
         self.detector.lock().clone()
     }
@@ -310,7 +310,7 @@ impl Board {
         self.power.lock().slots(&now)
     }
 
-    /// What was counted since the start, with this power.
+    /// Returns what was counted since the start, with this power.
     pub(crate) fn totals(&self, power: PowerSnapshot) -> Totals {
         let mut totals = Totals {
             power,
@@ -331,7 +331,7 @@ impl Board {
         self.today.lock().turn(unix_milliseconds(), so_far);
     }
 
-    /// What was saved since the start, and today.
+    /// Returns what was saved since the start, and today.
     pub(crate) fn savings(&self) -> (Savings, Savings) {
         self.turn_day();
         let now = self.totals(self.power());

@@ -46,7 +46,7 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 /// A meter may take this long for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
-/// How long lost clip reports are reported.
+/// Lost clip reports are reported for this long.
 const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 /// All parts, as metrics list them.
@@ -54,8 +54,8 @@ pub(crate) const PARTS: [&str; 9] = [
     DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
 ];
 
-/// How the node is, for the service manager. What has been broken for `stuck_after` and is the node's own (not a
-/// router that is away) is left to a new start; a GPU that this process has lost, at once.
+/// Tells the service manager how the node is. What has been broken for `stuck_after` and is the node's own (not a router that
+/// is away) is left to a new start, and a GPU that this process has lost is so at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
@@ -89,7 +89,7 @@ pub(crate) fn service_state(
     }
 }
 
-/// What the status of the detector means for the node: without it there are only predictions.
+/// Returns what the status of the detector means for the node: without it there are only predictions.
 pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     match status {
         DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
@@ -97,12 +97,12 @@ pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     }
 }
 
-/// What the status of the screen means for the node: without it the detector is asked.
+/// Returns what the status of the screen means for the node: without it the detector is asked.
 pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
 }
 
-/// What the outbox's counts mean for the node. `has_directory`: reports are to survive a power loss.
+/// Returns what the outbox's counts mean for the node. With a directory (`has_directory`) reports are to survive a power loss.
 pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
     let lost = counts
         .last_loss

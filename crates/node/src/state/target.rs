@@ -40,7 +40,7 @@ struct Kept {
     source: SettingSource,
     /// The knob's value when it was kept; the name is the policy's word for it.
     knob: Option<(String, f64)>,
-    /// What the configuration said then: once that is edited it is the newer word, unless the hub's is there.
+    /// The target of the configuration then. Once that is edited it is the newer word, unless the hub's is there.
     configured: Option<Target>,
 }
 
@@ -196,12 +196,12 @@ impl NodeTarget {
         }
     }
 
-    /// Whether anything is held.
+    /// Says whether anything is held.
     pub(crate) fn is_on(&self) -> bool {
         self.state.lock().controller.is_some()
     }
 
-    /// Its state.
+    /// Returns its state.
     pub(crate) fn report(&self) -> TargetReport {
         let state = self.state.lock();
         let controller = state.controller.as_ref();

@@ -26,7 +26,7 @@ fn missed(shown: usize) -> AuditReport {
 pub(crate) struct DrawnFrame {
     /// The picture, still encoded.
     pub picture: EncodedPicture,
-    /// What was published for it.
+    /// The boxes that were published for it.
     pub shown: Vec<OutputBox>,
 }
 
@@ -43,7 +43,7 @@ pub(crate) struct CameraAudit {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<DrawnFrame>,
-    /// How many boxes were shown on the frame that is being compared.
+    /// The number of boxes that were shown on the frame that is being compared.
     comparing: Option<usize>,
 }
 
@@ -64,7 +64,7 @@ impl CameraAudit {
         (!self.draw.is_off()).then_some(self.share)
     }
 
-    /// Whether the frame with this number is drawn.
+    /// Says whether the frame with this number is drawn.
     pub(crate) const fn draws(&self, frame: u64) -> bool {
         self.draw.draw(frame)
     }

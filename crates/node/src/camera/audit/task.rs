@@ -17,13 +17,13 @@ const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 /// Looks at one camera's drawn frames.
 pub(crate) struct Auditor {
-    /// Where they wait.
+    /// They wait there.
     pub audit: Arc<CameraAudit>,
-    /// What runs on them.
+    /// It runs on them.
     pub detector: DetectorHandle,
     /// The input of the screen that the camera's frames are decoded for too, where that is a model.
     pub screen: Option<InputFormat>,
-    /// Where pictures are decoded.
+    /// It decodes pictures.
     pub pixels: PixelWork,
     /// The energy of the audit's camera.
     pub energy: CameraEnergy,
@@ -39,7 +39,7 @@ impl Auditor {
         }
     }
 
-    /// What comes of a frame; `None` when the detector has no time for it, or its picture is broken.
+    /// Compares a frame; `None` when the detector has no time for it, or its picture is broken.
     async fn look(&self, frame: &DrawnFrame) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;

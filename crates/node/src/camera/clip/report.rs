@@ -1,4 +1,4 @@
-//! What is counted of a clip, and its report.
+//! Counts the frames of a clip, and makes its report.
 
 use super::latencies::percentiles;
 use crate::camera::FrameRecord;
@@ -11,7 +11,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use uuid::{NoContext, Timestamp, Uuid};
 
-/// How long the last report may wait for its energy when the node stops: for two samples at usual intervals.
+/// The last report may wait this long for its energy when the node stops: for two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
 
 /// Most threshold values in one report; after that only the newest is kept up to date.
@@ -22,9 +22,9 @@ const MOST_CHANGES: usize = 256;
 pub(crate) struct Clip {
     /// Its report, as far as it is known: the counters while it is open, then why it ended.
     pub report: ClipReport,
-    /// When it began: the arrival of its first frame, or the end of the window before.
+    /// It began at this time: the arrival of its first frame, or the end of the window before.
     pub start: Instant,
-    /// When it ended; its start as long as it is open.
+    /// It ended at this time; its start as long as it is open.
     pub end: Instant,
     /// Latencies from reception to publication, milliseconds. A clip is reported in parts, which bounds their number.
     pub total: Vec<f32>,

@@ -1,4 +1,4 @@
-//! When a clip begins and ends, and what is counted in between.
+//! Begins and ends clips, and counts what comes in between.
 //!
 //! A clip that the camera names ends when the camera names another, and is reported in parts of at most `longest_s`.
 //! Otherwise clips are windows of `window_s`. While frames keep coming, a window or a part begins where the last one
@@ -160,13 +160,13 @@ impl ClipTracker {
         self.open.as_ref().map(|open| &open.name)
     }
 
-    /// When [`tick`](Self::tick) should be called, should no frame arrive before.
+    /// Returns when [`tick`](Self::tick) should be called, should no frame arrive before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
         Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open.windowed)))
     }
 
-    /// How long a window, or a part of another clip, may last.
+    /// Returns how long a window, or a part of another clip, may last.
     const fn limit(&self, windowed: bool) -> Duration {
         if windowed { self.window } else { self.longest }
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How reports wait for the hub, and how they are sent. What is no setting is a field for tests to change.
+/// It says how reports wait for the hub, and how they are sent. Fields that are no settings are there for tests.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutboxConfig {
@@ -12,7 +12,7 @@ pub struct OutboxConfig {
     /// The longest a report waits for others, seconds; 0 sends each at once. While somebody watches the node at the hub,
     /// and at the start, a report is sent at once in any case.
     pub gather_s: u64,
-    /// How long a hub may take to answer, milliseconds.
+    /// A hub may take this long to answer, milliseconds.
     #[serde(skip)]
     pub answer_timeout_ms: u64,
     /// First pause after a batch that was not acknowledged, milliseconds; it doubles, with jitter.

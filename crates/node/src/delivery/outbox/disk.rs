@@ -11,7 +11,7 @@ use std::time::Duration;
 /// The file in the state directory.
 pub(super) const FILE: &str = "node.db";
 
-/// Where the table of reports is kept.
+/// A place where the table of reports is kept.
 pub(crate) trait Disk: Debug + Send {
     /// Opens the file, or makes it.
     fn open(&mut self) -> Result<Connection, TableError>;
@@ -19,7 +19,7 @@ pub(crate) trait Disk: Debug + Send {
     /// Fails when the file that was opened is no longer the one at its place.
     fn check(&self) -> Result<(), TableError>;
 
-    /// Moves a damaged file out of the way; where it is then.
+    /// Moves a damaged file out of the way, and returns its new place.
     fn set_aside(&mut self) -> std::io::Result<PathBuf>;
 }
 

@@ -36,7 +36,7 @@ pub(super) const MEMORY_BYTES: u64 = 8 << 20;
 /// Databases of hubs that are remembered.
 const MOST_DATABASES: i64 = 16;
 
-/// Why a table cannot be used.
+/// The reason for which a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TableError {
     /// SQLite fails.
@@ -45,13 +45,13 @@ pub(crate) enum TableError {
     /// The file system fails.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// What waiting does not mend: another node's folder, another program's file, or one of another version.
+    /// Waiting does not mend it: the folder is another node's, or the file is of another program or version.
     #[error("{0}")]
     Unusable(String),
 }
 
 impl TableError {
-    /// Whether the contents are broken rather than the access to them.
+    /// Says whether the contents are broken rather than the access to them.
     pub(super) fn is_corruption(&self) -> bool {
         let Self::Sqlite(error) = self else {
             return false;
@@ -84,7 +84,7 @@ impl StoredReport {
     }
 }
 
-/// What is counted over restarts.
+/// These counts go on over restarts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counters {
     /// The running count of reports; `None` while it is not known how many there were before.
@@ -106,7 +106,7 @@ impl Counters {
     }
 }
 
-/// What a hub's answer changes.
+/// The changes that a hub's answer makes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Answered {
     /// Stored at the hub.

@@ -10,7 +10,7 @@ use albireo_wire::{
 use std::collections::BTreeSet;
 use uuid::Uuid;
 
-/// How long reports are kept for a hub that loses them, if there is room and a disk.
+/// Reports are kept this long for a hub that loses them, if there is room and a disk.
 const KEPT_MS: i64 = 7 * 86_400_000;
 
 /// Most reports that are taken to memory from a file that cannot be written.
@@ -30,7 +30,7 @@ pub(super) struct Waiting {
     most_bytes: u64,
     /// The open file, while it can be read and written.
     file: Option<Table>,
-    /// What takes its place while there is none; it goes to the file when that can be opened again.
+    /// It takes the place of the file while there is none. Its reports go to the file when that can be opened again.
     memory: Table,
     /// The file is set aside before it is opened again.
     damaged: bool,
@@ -148,7 +148,7 @@ impl Waiting {
         }
     }
 
-    /// What is counted, in the table that is in use.
+    /// Returns the counters of the table that is in use.
     fn counters(&mut self) -> &mut Counters {
         let table = self.file.as_mut().unwrap_or(&mut self.memory);
         &mut table.counters
@@ -235,7 +235,7 @@ impl Waiting {
         self.file.as_ref().unwrap()
     }
 
-    /// How it is.
+    /// Returns the counts, and the state of the disk.
     pub(super) fn counts(&self) -> OutboxCounts {
         let durable = self.file.is_some();
         let counters = self.file.as_ref().unwrap_or(&self.memory).counters;

@@ -34,12 +34,12 @@ impl DesiredKeeper {
         }
     }
 
-    /// What is known of it.
+    /// Returns what is known of it.
     pub(in crate::delivery) fn kept(&self) -> Kept {
         self.kept.lock().clone()
     }
 
-    /// Takes what is desired; whether anything changed. A lower revision never replaces a higher.
+    /// Takes what is desired, and says whether anything changed. A lower revision never replaces a higher.
     pub(in crate::delivery) fn take(&self, desired: &Desired, board: &Board) -> bool {
         let (mut kept, revision) = (self.kept.lock(), desired.revision);
         if revision < kept.revision {

@@ -10,7 +10,7 @@ const AGAIN_EVERY: Duration = Duration::from_secs(10);
 /// Reports that are gathered before a batch is sent.
 const GATHERED: u64 = 12;
 
-/// Why a query brought nothing.
+/// The reason for which a query brought nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Failure {
     /// The hub refused, perhaps with a time to come again.
@@ -60,14 +60,14 @@ impl Attempts {
 #[derive(Debug)]
 pub(crate) struct Schedule {
     gather: Duration,
-    /// When what waits is to be sent; unknown while nothing does.
+    /// The reports that wait are to be sent at this time. It is unknown while none waits.
     due_at: Option<Instant>,
     reports: Attempts,
     pulls: Attempts,
     pull_wanted: bool,
-    /// When reports that a hub has lost may go.
+    /// Reports that a hub has lost may go from this time on.
     again_at: Option<Instant>,
-    /// When a hub answered last, or there was nothing to be answered.
+    /// The last time at which a hub answered, or had nothing to answer.
     answered_at: Instant,
 }
 
@@ -100,12 +100,12 @@ impl Schedule {
         self.reports.not_before = None;
     }
 
-    /// What is desired is to be asked for.
+    /// Notes that the hub is to be asked what it desires.
     pub(crate) fn want_pull(&mut self) {
         self.pull_wanted = true;
     }
 
-    /// Whether reports wait that are worth a batch. `watched`: somebody watches the node.
+    /// Says whether the reports that wait are worth a batch. While somebody watches the node (`watched`) one report is.
     fn is_due(&mut self, waiting: u64, watched: bool, now: Instant) -> bool {
         if waiting == 0 {
             self.due_at.take_if(|at| *at > now);
@@ -115,7 +115,7 @@ impl Schedule {
         watched || waiting >= GATHERED || now >= due_at
     }
 
-    /// Whether a batch is to be sent now, and if, whether with reports that a hub has lost. It is then under way.
+    /// Says whether a batch is to be sent now, and if so, whether with reports that a hub has lost. It is then under way.
     pub(crate) fn next_batch(
         &mut self,
         counts: &OutboxCounts,
@@ -148,12 +148,12 @@ impl Schedule {
         }
     }
 
-    /// Whether a batch is under way.
+    /// Says whether a batch is under way.
     pub(crate) const fn sends(&self) -> bool {
         self.reports.under_way
     }
 
-    /// Whether to ask now what is desired. The question is then under way.
+    /// Says whether to ask now what is desired. The question is then under way.
     pub(crate) fn next_pull(&mut self, now: Instant) -> bool {
         let pull = self.pull_wanted && self.pulls.may_begin(now);
         if pull {
@@ -172,12 +172,12 @@ impl Schedule {
         }
     }
 
-    /// Whether batches have been sent for too long without an answer.
+    /// Says whether batches have been sent for too long without an answer.
     pub(crate) fn is_stale(&self, after: Duration, now: Instant) -> bool {
         now.saturating_duration_since(self.answered_at) > after
     }
 
-    /// When to look next, by `latest`: a pause that ends before is a reason to look then.
+    /// Returns when to look next, at the `latest` then. A pause that ends before is a reason to look at its end.
     pub(crate) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
         let times = [
             self.reports.not_before,

@@ -25,7 +25,7 @@ const REFUSED: &str = "the node sends no pictures: its configuration has uplink.
 /// A question for the picture of a camera.
 pub(super) type PictureQuery = (Arc<CameraBoard>, Query);
 
-/// Whether somebody watches, and what is sent then.
+/// Knows whether somebody watches, and sends counters and pictures then.
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
@@ -59,7 +59,7 @@ impl Watched {
         self.until = Some(until);
     }
 
-    /// Whether somebody watches.
+    /// Says whether somebody watches.
     pub(super) fn is_on(&self, now: Instant) -> bool {
         self.until.is_some_and(|until| now < until)
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
 use strsim::osa_distance;
 
-/// What is encoded between `://` and `@`: all but the unreserved characters of RFC 3986, section 2.3.
+/// The characters that are encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
 const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
     .remove(b'-')
     .remove(b'.')
@@ -19,7 +19,7 @@ const SCHEMES: [&str; 12] = [
     "rtsp", "rtsps", "http", "https", "rtmp", "rtmps", "rtp", "srt", "udp", "tcp", "tls", "ftp",
 ];
 
-/// What is shown in place of a secret.
+/// This is shown in place of a secret.
 const MASK: &str = "***";
 
 const CONTROL: &str = "has a control character in it";
@@ -36,7 +36,7 @@ fn no_control(text: &str) -> Result<(), String> {
 #[serde(transparent)]
 pub struct SourceAddress(String);
 
-/// What opens a source.
+/// The kinds of sources, each of which is opened in its own way.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceKind {
     /// A GStreamer pipeline: elements with `!` between them.
@@ -81,7 +81,7 @@ impl Secrets {
         self.0.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
     }
 
-    /// User and password of an address; a name of one or two letters would be hidden everywhere.
+    /// Adds user and password of an address. A name of one or two letters would be hidden everywhere.
     fn add_login(&mut self, login: Option<&str>) {
         let Some(login) = login else { return };
         let (user, password) = login.split_once(':').unwrap_or((login, ""));
@@ -92,7 +92,7 @@ impl Secrets {
         }
     }
 
-    /// What follows the `?` of an address.
+    /// Adds what follows the `?` of an address.
     fn add_query(&mut self, query: Option<&str>) {
         let Some(query) = query else { return };
         self.add(query);
@@ -106,7 +106,7 @@ impl Secrets {
         self.0.is_empty()
     }
 
-    /// `text` without them.
+    /// Returns `text` without them.
     pub(super) fn redact(&self, text: &str) -> String {
         let hidden = |text: String, secret: &String| text.replace(secret.as_str(), MASK);
         self.0.iter().fold(text.to_owned(), hidden)
@@ -119,7 +119,7 @@ impl SourceAddress {
         Self(text.into())
     }
 
-    /// What opens it.
+    /// Returns its kind.
     pub fn kind(&self) -> SourceKind {
         if self.0.contains(" ! ") {
             return SourceKind::Pipeline;
@@ -135,7 +135,7 @@ impl SourceAddress {
         }
     }
 
-    /// Whether the address itself, and not a variable, holds a password.
+    /// Says whether the address itself, and not a variable, holds a password.
     pub fn holds_password(&self) -> bool {
         self.userinfo()
             .and_then(|login| login.split_once(':'))
@@ -242,8 +242,8 @@ impl SourceAddress {
         })
     }
 
-    /// Where the part with user and password ends: behind the last `@` before the query, so that a password with a `/` in
-    /// it is hidden too.
+    /// Returns where the part with user and password ends. That is behind the last `@` before the query, so that a password
+    /// with a `/` in it is hidden too.
     fn login_end(&self) -> usize {
         let end = self.0.find('?').unwrap_or(self.0.len());
         let (Some(_), Some(at)) = (self.0.find("://"), self.0[..end].rfind('@')) else {
@@ -326,7 +326,7 @@ impl SourceOptions {
         Self(words)
     }
 
-    /// Whether there is none.
+    /// Says whether there is none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -362,7 +362,7 @@ impl SourceOptions {
     }
 }
 
-/// Whether an option of that name carries a secret.
+/// Says whether an option of that name carries a secret.
 fn is_secret(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let parts = [

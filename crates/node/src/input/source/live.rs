@@ -22,11 +22,11 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 const STAYED: Duration = Duration::from_secs(10);
 /// The longest silence that can be set.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
-/// How long a camera that sent nothing is tried to be reached, to say why.
+/// The node tries for this long to reach a camera that sent nothing, to say why it did not.
 const CONNECT_LIMIT: Duration = Duration::from_secs(3);
 /// The first parts that all must be something else before motion JPEG is given up.
 const FIRST_PARTS: u32 = 3;
-/// What is read of a program's output at once.
+/// This much of a program's output is read at once, bytes.
 const BUFFER: usize = 1 << 18;
 
 /// Ends of HTTP addresses behind which there is no motion JPEG.
@@ -39,7 +39,7 @@ const INSTALL_FFMPEG: &str =
 const INSTALL_GSTREAMER: &str =
     "Install it with `apt-get install gstreamer1.0-tools gstreamer1.0-plugins-good`";
 
-/// Who takes the pictures. Called on the thread that reads: while it is at work the source waits.
+/// Takes the pictures. It is called on the thread that reads, so the source waits while it is at work.
 pub trait SourceSink: Send + 'static {
     /// A picture, or one that cannot be used. `reopened`: the first since the source was opened.
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
@@ -57,13 +57,14 @@ pub struct LiveSource {
     settings: SourceSettings,
     /// The ffmpeg that opens it; GStreamer does without one.
     ffmpeg: Option<Version>,
-    /// Whether it is believed to send motion JPEG, which need not be decoded: ffmpeg must be set so before it opens the source.
+    /// It is true while the source is believed to send motion JPEG, which need not be decoded. ffmpeg must be told before it
+    /// opens the source.
     motion_jpeg: bool,
-    /// Whether what ffmpeg took for motion JPEG was something else.
+    /// It is true once something that ffmpeg took for motion JPEG was something else.
     not_jpeg: bool,
 }
 
-/// How one opening ended.
+/// The ways in which one opening may end.
 enum End {
     /// For this reason.
     Failed(String),
@@ -184,7 +185,7 @@ impl LiveSource {
         }
     }
 
-    /// Why a network camera cannot even be connected to, in clearer words than a program's.
+    /// Says why a network camera cannot even be connected to, in clearer words than a program does.
     async fn unreachable(&self) -> Option<String> {
         let resolved = self.settings.address.resolved().ok()?;
         let SourceKind::Network(scheme) = &resolved.kind else {
@@ -305,7 +306,7 @@ impl LiveSource {
         }
     }
 
-    /// Whether what ffmpeg says of the source calls for the other way of reading it.
+    /// Says whether the codec that ffmpeg names calls for the other way of reading the source.
     fn switches(&self, codec: Option<&str>) -> bool {
         let is_jpeg = codec.map(|codec| codec == "mjpeg");
         self.ffmpeg.is_some()

@@ -14,15 +14,15 @@ use tokio::runtime::Handle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
-/// What a pipe is to hold: a picture has several times as much.
+/// A pipe is to hold this many bytes. A picture has several times as many.
 const PIPE_BYTES: usize = 1 << 20;
-/// How long a program may take to end by itself once its output has ended, and again after it was killed.
+/// A program may take this long to end by itself once its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
 /// Complaints of a program that are kept, and the length of each.
 const MAX_COMPLAINTS: usize = 12;
 const MAX_LINE: usize = 4096;
 
-/// What a program gets of this process's environment: where to find libraries, devices and proxies, and no secrets. A `*`
+/// A program gets these variables of this process: where to find libraries, devices and proxies, and no secrets. A `*`
 /// stands for any end; capitals do not matter, as for proxies both are usual.
 const ENVIRONMENT: &str = "PATH HOME LANG TMPDIR XDG_RUNTIME_DIR LD_LIBRARY_PATH GST_* LIBVA_* CUDA_* LC_* HTTP_PROXY \
     HTTPS_PROXY RTSP_PROXY ALL_PROXY NO_PROXY";
@@ -33,11 +33,11 @@ pub(super) struct PictureProgram {
     /// Its name.
     pub program: &'static str,
     pub arguments: Vec<String>,
-    /// What it gets to read.
+    /// It gets this text to read.
     pub input: Option<String>,
-    /// Whether its pictures are PPM files; else they are the parts of a multipart stream.
+    /// It is true if its pictures are PPM files. Otherwise they are the parts of a multipart stream.
     pub ppm: bool,
-    /// What is hidden in what it says.
+    /// These words are hidden in what it says.
     pub secrets: Secrets,
     /// Most memory it may have, bytes.
     pub max_memory: Option<u64>,
@@ -233,7 +233,7 @@ impl Drop for RunningProgram {
     }
 }
 
-/// What a program says on its error output.
+/// The lines that a program writes to its error output.
 #[derive(Default)]
 struct ErrorOutput {
     /// Until it has ended.
@@ -287,7 +287,7 @@ impl ErrorOutput {
         }
     }
 
-    /// Why it failed: what the camera answered, or else its last words.
+    /// Returns why it failed: what the camera answered, or else its last words.
     fn reason(&mut self) -> Option<String> {
         let rest = std::mem::take(&mut self.line);
         self.take_line(String::from_utf8_lossy(&rest).trim());
@@ -312,7 +312,7 @@ fn refusal(complaint: &str) -> Option<String> {
     })
 }
 
-/// What of a line is a complaint: all of it, but for what ffmpeg marks as information (`-v level+info`), and without the
+/// Returns the complaint in a line: all of it, but for what ffmpeg marks as information (`-v level+info`), and without the
 /// addresses in memory that it puts before it.
 fn complaint(line: &str) -> Option<String> {
     if line.is_empty() || line.contains("deprecated pixel format") {
@@ -340,7 +340,7 @@ fn codec(line: &str) -> Option<String> {
     Some(video[..end.unwrap_or(video.len())].to_owned())
 }
 
-/// What a program puts out when it is run to its end; `None` where it is not there.
+/// Runs a program to its end, and returns its output; `None` where it is not there.
 ///
 /// # Errors
 /// When it is there and cannot be started.

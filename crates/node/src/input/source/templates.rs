@@ -35,7 +35,7 @@ const PROGRAM_OPTIONS: &str = "an autorotate c codec discard ec err_detect f fla
 const ACCELERATIONS: &str =
     "auto cuda d3d11va drm dxva2 opencl qsv vaapi vdpau videotoolbox vulkan";
 
-/// How an RTSP camera sends its packets.
+/// The way in which an RTSP camera sends its packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -65,14 +65,14 @@ pub enum Handover {
     Pixels,
 }
 
-/// What is to be opened, and how.
+/// A source that is to be opened, and the way to do it.
 #[derive(Clone, Debug)]
 pub struct SourceSettings {
     /// The source.
     pub address: SourceAddress,
     /// Frames per second at most.
     pub max_rate: Option<f64>,
-    /// How RTSP packets come.
+    /// The way in which RTSP packets come.
     pub transport: RtspTransport,
     /// Acceleration or decoder of ffmpeg.
     pub hardware: Option<String>,
@@ -80,7 +80,7 @@ pub struct SourceSettings {
     pub options: SourceOptions,
     /// A source without a picture for that long is opened again.
     pub silence: Duration,
-    /// What pictures are handed over as where they must be decoded.
+    /// The form in which pictures are handed over where they must be decoded.
     pub decoded: Handover,
     /// Limits of the pictures.
     pub limits: FrameLimits,
@@ -298,7 +298,7 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
     })
 }
 
-/// Whether `name` is one of the `words`.
+/// Says whether `name` is one of the `words`.
 fn is_among(words: &str, name: &str) -> bool {
     words.split_whitespace().any(|word| word == name)
 }

@@ -56,7 +56,7 @@ impl LatestFrame {
         self.jpeg.get_or_init(make).clone()
     }
 
-    /// Whether the file is there, or known to be impossible.
+    /// Says whether the file is there, or known to be impossible.
     pub(crate) fn is_made(&self) -> bool {
         self.jpeg.get().is_some()
     }
@@ -75,7 +75,7 @@ pub struct CameraSnapshot {
     pub dropped: DroppedFrames,
     /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
     pub looks: u64,
-    /// What the audit has found, and its joules in the clips that ended; `None` without an audit.
+    /// The results of the audit, and its joules in the clips that ended; `None` without an audit.
     pub audit: Option<AuditReport>,
     /// Clips ended.
     pub clips: u64,
@@ -89,9 +89,9 @@ pub struct CameraSnapshot {
     pub total_latency: [LatencyHistogram; 5],
     /// Time the detector took, over the frames where it ran.
     pub detector_latency: LatencyHistogram,
-    /// What was published for the newest frame.
+    /// The message that was published for the newest frame.
     pub latest: Option<Arc<DetectionsMessage>>,
-    /// When the newest frame was answered.
+    /// The newest frame was answered at this time.
     pub last_frame: Option<Instant>,
     /// Frames that came in memory which their sender shares.
     pub shared_frames: u64,
@@ -159,7 +159,7 @@ const fn source_name(source: BoxSource) -> &'static str {
 
 #[derive(Debug, Default)]
 struct Counts {
-    /// What is shown of them, but for the advice.
+    /// The counts that are shown, without the advice.
     shown: CameraSnapshot,
     /// Of the dropped frames and the audit, what is in no clip yet.
     unreported: (DroppedFrames, AuditReport),
@@ -168,7 +168,7 @@ struct Counts {
     watch: SkipWatch,
 }
 
-/// What all cameras of a board share.
+/// All cameras of a board share this.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
     /// The node's start: times of the past are counted from there.
@@ -190,10 +190,10 @@ pub struct CameraBoard {
     pub(crate) source: Option<String>,
     /// Name of its policy.
     pub(crate) policy: &'static str,
-    /// What the policy lets a user turn, if anything.
+    /// The knob that the policy lets a user turn, if it has one.
     pub knob: Option<Knob>,
-    /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
-    /// value for it: the filter of the profile `paper`.
+    /// It is true if `u` means the same at every picture size, as with the filter of the profile `paper`. The published
+    /// code, where it does not, then has another value for it.
     pub(super) is_sizeless: bool,
     /// Most frames that its policy lets pass without the detector while objects are followed.
     longest_pause: Option<u32>,
@@ -261,12 +261,12 @@ impl CameraBoard {
         counts.unmeasured.merge(&more.sums);
     }
 
-    /// What was audited since this was asked last.
+    /// Takes what was audited since the last call.
     pub(crate) fn take_audit(&self) -> AuditSums {
         std::mem::take(&mut self.counts.lock().unmeasured)
     }
 
-    /// Dropped frames and what was audited since this was asked last: the open clip's part.
+    /// Takes the dropped frames and what was audited since the last call: the open clip's part.
     pub(crate) fn take_unreported(&self) -> (DroppedFrames, AuditReport) {
         std::mem::take(&mut self.counts.lock().unreported)
     }
@@ -373,7 +373,8 @@ impl CameraBoard {
         (history.frames(frames), history.slots(&now), now)
     }
 
-    /// What these values of the threshold would have skipped over the last frames. Computes for some milliseconds.
+    /// Estimates what these values of the threshold would have skipped over the last frames. It computes for some
+    /// milliseconds.
     pub(crate) fn skip_estimate(&self, values: &[f64]) -> Option<SkipEstimate> {
         let frames = self.history.lock().frames(usize::MAX);
         // After the lock: this takes longer than a frame may wait.

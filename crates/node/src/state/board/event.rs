@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 /// An event with many readers: its JSON is made once, for the first of them.
 #[derive(Debug)]
 pub struct Event {
-    /// What happened.
+    /// The thing that happened.
     pub news: News,
     json: OnceLock<Result<String, String>>,
 }

@@ -30,13 +30,13 @@ const TIMES: usize = 1024;
 pub(crate) struct PastFrame {
     /// Sequence number.
     pub seq: u64,
-    /// When it was answered, milliseconds since the node started.
+    /// It was answered this many milliseconds after the start of the node.
     pub at_ms: u64,
     /// Its state.
     pub state: FrameState,
-    /// Why the detector was called.
+    /// The cause for which the detector was called.
     pub cause: Option<CallCause>,
-    /// Whether the detector was needed but not available.
+    /// It is true if the detector was needed but not available.
     pub degraded: bool,
     /// Boxes reported.
     pub boxes: u16,
@@ -90,7 +90,7 @@ impl Clock {
         }
     }
 
-    /// How long ago something happened, from its time after the node's start.
+    /// Returns how long ago something happened, from its time after the node's start.
     pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
         milliseconds(self.age).saturating_sub(at_ms)
     }
@@ -114,7 +114,7 @@ impl<T> Default for Hour<T> {
 }
 
 impl<T: Clone> Hour<T> {
-    /// Whether a piece is over at that time after the node's start; what it held is then to be ended.
+    /// Says whether the open piece is over at that time after the node's start. It is then to be ended.
     fn is_over(&self, at: Duration) -> bool {
         at.as_secs() / SLOT_S != self.open
     }
@@ -175,7 +175,7 @@ pub(crate) struct History {
     open: CameraSlot,
     /// Times of the detector in the open piece.
     times: Vec<f32>,
-    /// How many there were.
+    /// The number of times that there were.
     timed: usize,
 }
 

@@ -41,7 +41,7 @@ pub(crate) struct Savings {
     pub energy: Option<EnergyUsed>,
 }
 
-/// What the node has counted since its start, all cameras together. Of a time between, the difference.
+/// The counts of the node since its start, all cameras together, or the difference of two such counts.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Totals {
     /// Frames processed.
@@ -57,7 +57,7 @@ pub(crate) struct Totals {
 }
 
 impl Totals {
-    /// What was counted since `before`.
+    /// Returns what was counted since `before`.
     pub(crate) fn since(self, before: &Self) -> Self {
         Self {
             frames: self.frames.saturating_sub(before.frames),
@@ -68,7 +68,7 @@ impl Totals {
         }
     }
 
-    /// What was saved in this time, which began at `since_ms`.
+    /// Returns what was saved in this time, which began at `since_ms`.
     pub(super) fn savings(&self, since_ms: i64) -> Savings {
         let power = &self.power;
         let saved = |watts: f64| watts * power.saved_detector_s;
@@ -95,9 +95,9 @@ impl Totals {
 /// The day that goes on.
 #[derive(Debug)]
 pub(super) struct Today {
-    /// When it began, or the node.
+    /// The day, or the node if later, began at this time.
     pub since_ms: i64,
-    /// What was counted before.
+    /// The counts from before.
     pub before: Totals,
 }
 

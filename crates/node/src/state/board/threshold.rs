@@ -28,10 +28,10 @@ struct Kept {
     knob: String,
     /// The value.
     value: f64,
-    /// What the configuration said when it was changed. Once that is edited, the configuration is the
-    /// newer word and wins over what was changed at the node; not over the hub's, which has a revision.
+    /// The value of the configuration when it was changed. Once that is edited, the configuration is the newer word and wins
+    /// over what was changed at the node, but not over the hub's, which has a revision.
     configured: Option<f64>,
-    /// Who changed it.
+    /// It was changed from there.
     source: SettingSource,
 }
 
@@ -113,7 +113,7 @@ impl CameraBoard {
         Some(Threshold::new(self.knob?.name, self.threshold()?))
     }
 
-    /// Who set the threshold in force.
+    /// Returns who set the threshold in force.
     pub(crate) fn threshold_source(&self) -> SettingSource {
         *self.set_by.lock()
     }
@@ -136,7 +136,7 @@ impl CameraBoard {
         (rounded != in_force).then_some(rounded)
     }
 
-    /// What subscribers get to know of a new threshold.
+    /// Returns what subscribers get to know of a new threshold.
     pub(super) fn threshold_news(&self, threshold: Threshold) -> News {
         News::Threshold(ThresholdEvent {
             camera: Arc::clone(&self.name),

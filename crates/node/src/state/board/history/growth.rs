@@ -4,7 +4,7 @@ use super::PastFrame;
 
 /// Ages that are kept apart; beyond them the growth is that of the fit.
 const AGES: usize = 64;
-/// How uncertainty grows with time where nothing is recorded of it: in proportion.
+/// Uncertainty is taken to grow in proportion to time where nothing is recorded of it.
 const USUAL_POWER: f64 = 1.0;
 
 /// A frame of the past with its age: frames since the detector was last called before it.

@@ -107,7 +107,7 @@ impl Record<'_> {
     }
 }
 
-/// Whether the detector was called because of the objects that are followed.
+/// Says whether the detector was called because of the objects that are followed.
 fn of_objects(cause: CallCause) -> bool {
     matches!(
         cause,
