@@ -83,17 +83,8 @@ impl IntoResponse for Problem {
     }
 }
 
-/// Answers a path that is not there.
-pub(super) async fn not_found(request: Request) -> Problem {
-    Problem::new(StatusCode::NOT_FOUND, nothing_at(request.uri().path()))
-}
-
-fn nothing_at(path: &str) -> String {
-    format!("there is nothing at {path}; /openapi.json lists what is")
-}
-
-/// Turns errors that the framework answers in plain text (wrong method, unreadable query) into problem
-/// documents.
+/// Turns errors that the framework answers in plain text (wrong method, unreadable query) or without any (a path that is
+/// not there) into problem documents.
 pub(super) async fn translate(
     State(limit): State<Duration>,
     request: Request,
@@ -130,7 +121,9 @@ pub(super) async fn translate(
             ("", StatusCode::REQUEST_TIMEOUT) => {
                 format!("the request did not end within {limit:?}")
             }
-            ("", StatusCode::NOT_FOUND) => nothing_at(&path),
+            ("", StatusCode::NOT_FOUND) => {
+                format!("there is nothing at {path}; /openapi.json lists what is")
+            }
             ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
             (text, _) => text.to_owned(),
         };

@@ -141,7 +141,6 @@ async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: Canc
 fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Guard) -> Router {
     let limit = Duration::from_millis(config.timeout_ms);
     let inner = router
-        .fallback(problem::not_found)
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         // Bounds the time until a response begins. Event streams begin at once and then last.
         .layer(TimeoutLayer::with_status_code(
