@@ -6,15 +6,18 @@ use crate::state::board::Board;
 use crate::state::readiness;
 use crate::{Node, NodeError, PreparedNode};
 use albireo_service::http::{HttpError, Problem, run_with_tokens};
+use axum::extract::Request;
 use axum::http::{Method, StatusCode};
-use axum::routing::{any, get};
+use axum::routing::get;
 use axum::{Json, Router};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use tokio::net::TcpListener;
-use tokio_util::sync::CancellationToken;
+use tokio::task::JoinHandle;
+use tokio_util::sync::{CancellationToken, DropGuard};
+use tower_service::Service;
 
 /// Runs a node and its HTTP interface on `listener` until `shutdown`.
 ///
@@ -29,26 +32,122 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let refused = || NodeError::of("the listener cannot be used");
+    let interface = Interface::start(config, listener)?;
     // The state file is opened and checked: on a slow card that takes a while.
-    let listener = listener.into_std().map_err(refused())?;
-    let early = listener.try_clone().and_then(TcpListener::from_std);
-    let opened = CancellationToken::new();
-    let until_opened = opened.clone().drop_guard();
-    let routes = early_routes(&config.node.name);
-    tokio::spawn(serve(config, routes, early.map_err(refused())?, opened));
     let opening = config.clone();
     let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
     let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
         return Ok(());
     };
-    drop(until_opened);
-    let listener = TcpListener::from_std(listener).map_err(refused())?;
     let prepared = prepared.map_err(NodeError::new)??;
-    run_prepared(config, prepared, listener, shutdown).await
+    interface.run(config, prepared, shutdown).await
 }
 
-/// What is answered while the state file is not open.
+/// As [`run`], with a node whose board others read too.
+///
+/// # Errors
+/// As there.
+pub async fn run_prepared(
+    config: &NodeConfig,
+    prepared: PreparedNode,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> Result<(), NodeError> {
+    let interface = Interface::start(config, listener)?;
+    interface.run(config, prepared, shutdown).await
+}
+
+/// The HTTP interface of a node. It is there from the start, and shows the node from when that is open.
+struct Interface {
+    address: SocketAddr,
+    routes: Arc<OnceLock<Router>>,
+    /// HTTP outlives the node, so that the counters can be read until the end.
+    serving: DropGuard,
+    served: JoinHandle<Result<(), HttpError>>,
+}
+
+impl Interface {
+    /// Serves HTTP as configured, in a task of its own: nothing the node waits for may keep a health check waiting.
+    fn start(config: &NodeConfig, listener: TcpListener) -> Result<Self, NodeError> {
+        let address = listener.local_addr();
+        let address = address.map_err(NodeError::of("the listener has no address"))?;
+        let (serving, routes) = (CancellationToken::new(), Arc::<OnceLock<_>>::default());
+        let (early, open) = (early_routes(&config.node.name), Arc::clone(&routes));
+        let router = Router::new()
+            .fallback(move |request: Request| open.get().unwrap_or(&early).clone().call(request));
+        let (http, tokens, stop) = (config.http.clone(), config.tokens.clone(), serving.clone());
+        let served = tokio::spawn(async move {
+            let methods = [Method::GET, Method::PUT];
+            run_with_tokens(&http, &tokens, &methods, router, listener, stop).await
+        });
+        Ok(Self {
+            address,
+            routes,
+            serving: serving.drop_guard(),
+            served,
+        })
+    }
+
+    /// Shows the node, and runs it until `shutdown`.
+    async fn run(
+        self,
+        config: &NodeConfig,
+        prepared: PreparedNode,
+        shutdown: CancellationToken,
+    ) -> Result<(), NodeError> {
+        let (address, serving) = (self.address, self.serving.disarm());
+        let board = Arc::clone(prepared.board());
+        let router = http::router(Arc::clone(&board), config, serving.clone());
+        // It is set only here.
+        let _ = self.routes.set(router);
+        // Without its interface a node cannot be watched or stopped: it ends.
+        let unserved = shutdown.clone();
+        let http = async move {
+            let ended = self.served.await;
+            unserved.cancel();
+            let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
+            ended.map_err(NodeError::of("[http]"))
+        };
+        let (status_board, stuck_after) = (Arc::clone(&board), config.node.stuck_after());
+        let stopping = shutdown.child_token();
+        let notifier = tokio::spawn(albireo_service::notify::run(
+            move || {
+                readiness::service_state(
+                    &status_board.readiness,
+                    &status_board.detector_status(),
+                    stuck_after,
+                )
+            },
+            stopping.clone(),
+        ));
+        tracing::info!(
+            http = format!("http://{address}"),
+            node = config.node.name,
+            "listening"
+        );
+        let node = async {
+            let node = prepared.start(config, shutdown.clone()).await;
+            let ended = match node {
+                Ok(None) => Ok(()),
+                Ok(Some(node)) => {
+                    let zenoh = node.endpoints().await;
+                    log_start(config, &board, &node, address, &zenoh);
+                    node.stopped().await
+                }
+                Err(error) => Err(error),
+            };
+            serving.cancel();
+            ended
+        };
+        let (http, node) = tokio::join!(http, node);
+        // The service manager hears of the end, be it by an error, before the process is gone.
+        stopping.cancel();
+        let _ = notifier.await;
+        node.and(http)
+    }
+}
+
+/// Answers requests while the state file is not open.
 fn early_routes(node: &str) -> Router {
     let alive = json!({
         "status": "ok",
@@ -62,83 +161,7 @@ fn early_routes(node: &str) -> Router {
     };
     Router::new()
         .route("/healthz", get(move || async move { Json(alive) }))
-        .route("/", any(opening))
-        .route("/{*path}", any(opening))
-}
-
-/// Serves HTTP as configured, until `stop`.
-fn serve(
-    config: &NodeConfig,
-    routes: Router,
-    listener: TcpListener,
-    stop: CancellationToken,
-) -> impl Future<Output = Result<(), HttpError>> + Send + use<> {
-    let (http, tokens) = (config.http.clone(), config.tokens.clone());
-    let methods = [Method::GET, Method::PUT];
-    async move { run_with_tokens(&http, &tokens, &methods, routes, listener, stop).await }
-}
-
-/// As [`run`], with a node whose board others read too.
-///
-/// # Errors
-/// As there.
-pub async fn run_prepared(
-    config: &NodeConfig,
-    prepared: PreparedNode,
-    listener: TcpListener,
-    shutdown: CancellationToken,
-) -> Result<(), NodeError> {
-    let address = (listener.local_addr()).map_err(NodeError::of("the listener has no address"))?;
-    let view_board = Arc::clone(prepared.board());
-    // HTTP outlives the node, so that the counters can be read until the end.
-    let serving = CancellationToken::new();
-    let router = http::router(Arc::clone(prepared.board()), config, serving.clone());
-    // A separate task: nothing the node waits for may keep a health check waiting.
-    let http = tokio::spawn(serve(config, router, listener, serving.clone()));
-    // Without its interface a node cannot be watched or stopped: it ends.
-    let unserved = shutdown.clone();
-    let http = async move {
-        let ended = http.await;
-        unserved.cancel();
-        let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
-        ended.map_err(NodeError::of("[http]"))
-    };
-    let (status_board, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
-    let stopping = shutdown.child_token();
-    let notifier = tokio::spawn(albireo_service::notify::run(
-        move || {
-            readiness::service_state(
-                &status_board.readiness,
-                &status_board.detector_status(),
-                stuck_after,
-            )
-        },
-        stopping.clone(),
-    ));
-    tracing::info!(
-        http = format!("http://{address}"),
-        node = config.node.name,
-        "listening"
-    );
-    let node = async {
-        let node = prepared.start(config, shutdown.clone()).await;
-        let ended = match node {
-            Ok(None) => Ok(()),
-            Ok(Some(node)) => {
-                let zenoh = node.endpoints().await;
-                log_start(config, &view_board, &node, address, &zenoh);
-                node.stopped().await
-            }
-            Err(error) => Err(error),
-        };
-        serving.cancel();
-        ended
-    };
-    let (http, node) = tokio::join!(http, node);
-    // The service manager hears of the end, be it by an error, before the process is gone.
-    stopping.cancel();
-    let _ = notifier.await;
-    node.and(http)
+        .fallback(opening)
 }
 
 /// Logs what a reader of the log wants to know first, in one line.
