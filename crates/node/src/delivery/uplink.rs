@@ -17,6 +17,7 @@ use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::clock::Now;
+use albireo_service::readiness::Part;
 use albireo_service::session;
 use albireo_wire::{
     BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
@@ -155,9 +156,8 @@ impl Worker {
             };
             let failed = match session {
                 Ok(session) => {
-                    part.works();
                     let began = Instant::now();
-                    let served = self.serve(&session).await;
+                    let served = self.serve(&session, &part).await;
                     if began.elapsed() > MIN_UPTIME {
                         self.reconnect.reset();
                     }
@@ -175,6 +175,7 @@ impl Worker {
                         Err(error) => {
                             let error = session::plain(&error);
                             tracing::error!(error, "the hub cannot be spoken to");
+                            part.degraded("the hub cannot be spoken to");
                             true
                         }
                     }
@@ -192,7 +193,7 @@ impl Worker {
         }
     }
 
-    async fn serve(&mut self, session: &Session) -> zenoh::Result<Served> {
+    async fn serve(&mut self, session: &Session, part: &Part) -> zenoh::Result<Served> {
         let setup = Arc::clone(&self.setup);
         let (keys, outbox) = (&setup.keys, &setup.board.outbox);
         let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
@@ -230,6 +231,7 @@ impl Worker {
         let mut asked = FuturesUnordered::<BoxFuture<'_, Ended>>::new();
         self.watched.begin();
         self.schedule.begin(Instant::now());
+        part.works();
         loop {
             let now = Instant::now();
             let counts = outbox.counts();
@@ -353,4 +355,35 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     let desired = ask::<Desired>(pulls, payload).await;
     (Asked::Pull, desired.map(Some))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_session_on_which_nothing_can_be_said_is_a_fault_of_the_uplink() {
+        let mut config = NodeConfig::default();
+        config.outbox.retry_min_ms = 1;
+        let board = Board::open(&config).unwrap();
+        let mut zenoh = zenoh::Config::default();
+        for key in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
+            zenoh.insert_json5(key, "false").unwrap();
+        }
+        zenoh.insert_json5("listen/endpoints", "[]").unwrap();
+        let closed = zenoh::open(zenoh).await.unwrap();
+        closed.close().await.unwrap();
+        let mut health = board.readiness.subscribe();
+        let (uplink, _ended) = Uplink::start(UplinkSetup {
+            board: Arc::clone(&board),
+            keys: config.keys().unwrap(),
+            desired: DesiredKeeper::open(&board.settings),
+            local: Some(closed),
+            config,
+        });
+        let fault = health.wait_for(|health| health.reasons.contains_key(readiness::UPLINK));
+        let found = tokio::time::timeout(Duration::from_secs(60), fault).await;
+        assert!(found.unwrap().is_ok());
+        uplink.stop().await;
+    }
 }
