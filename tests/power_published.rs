@@ -3,9 +3,7 @@
 //! The expected values are in the README of the shared data; the means are over 200 clips.
 
 use crate::support::shared;
-use albireo_node::camera::clip::energy_of;
-use albireo_power::{Energy, Measured};
-use albireo_wire::{DomainEnergy, EnergyQuality, FrameStates};
+use albireo_wire::{ClipEnergy, FrameStates};
 use serde::Deserialize;
 use std::time::Duration;
 
@@ -43,30 +41,14 @@ fn states(row: &Row) -> FrameStates {
 
 /// J·ms/frame of a clip, as its report has it.
 fn energy_delay_product(row: &Row) -> f64 {
-    let node = Energy {
-        source: "tegrastats".to_owned(),
-        quality: EnergyQuality::Measured,
-        total_from: "input_rail".to_owned(),
-        samples: 1,
+    let energy = ClipEnergy {
+        joules: Some(row.energy_j),
         coverage: 1.0,
-        domains: vec![DomainEnergy {
-            domain: "total".to_owned(),
-            joules: row.energy_j,
-            mean_watts: row.energy_j / row.wall_duration_s,
-            peak_watts: None,
-        }],
+        ..ClipEnergy::default()
     };
     let duration = Duration::from_secs_f64(row.wall_duration_s);
-    let measured = Measured {
-        node,
-        joules: Some(row.energy_j),
-        detector_watts: None,
-        saved_joules: None,
-        board: None,
-    };
-    let energy = energy_of(&measured, duration, states(row).frames());
-    assert_eq!(energy.node_joules, Some(row.energy_j));
-    energy.edp.unwrap()
+    albireo_node::camera::clip::energy_delay_product(&energy, duration, states(row).frames())
+        .unwrap()
 }
 
 #[test]

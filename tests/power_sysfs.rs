@@ -1,8 +1,8 @@
 //! Known curves of power, on fixture trees of sysfs that change as time goes, come out of the sampler to
 //! 0.1 %, through the same code as on a machine. Time is tokio's paused clock, so nothing here waits.
 
-use albireo_power::{self as power, Domain, Energy, PowerConfig, PowerHandle, PowerSource};
-use albireo_wire::EnergyQuality;
+use albireo_power::{self as power, PowerConfig, PowerHandle, PowerSource};
+use albireo_wire::{ClipEnergy, EnergyQuality};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -83,13 +83,13 @@ async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationTok
 }
 
 /// The node's energy between two moments.
-pub(crate) async fn energy(power: &PowerHandle, start: Instant, end: Instant) -> Energy {
+pub(crate) async fn energy(power: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
     let measured = power.camera().measure(start);
-    measured.finish(end, Duration::MAX).await.unwrap().node
+    measured.finish(end, Duration::MAX).await.unwrap().energy
 }
 
 /// Plays `watts` for ten seconds before both meters and gives back what each says of eight of them.
-async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [Energy; 2] {
+async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [ClipEnergy; 2] {
     let mut found = Vec::new();
     for source in [PowerSource::Ina, PowerSource::Rapl] {
         let mut tree = Tree::new();
@@ -108,8 +108,8 @@ async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [Energy; 2] {
     found.try_into().unwrap()
 }
 
-fn check(found: &Energy, joules: f64) {
-    let total = found.joules(Domain::Total).unwrap();
+fn check(found: &ClipEnergy, joules: f64) {
+    let total = found.node_joules.unwrap();
     assert!(
         (total / joules - 1.0).abs() < 1e-3,
         "{total} J, not {joules}: {found:?}"

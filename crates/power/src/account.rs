@@ -9,57 +9,20 @@ use crate::detector_watts::DetectorWatts;
 use crate::reading::{Domain, Reading};
 use crate::sampler::MeterCost;
 use crate::totals::{History, Sample, Totals};
-use albireo_wire::{BoardState, DomainEnergy, EnergyQuality, FULL_COVERAGE};
+use albireo_wire::{BoardState, ClipEnergy, DomainEnergy, EnergyQuality, FULL_COVERAGE};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Energy of the whole node between two instants.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Energy {
-    /// The source's name: `rapl`, `estimate`, …
-    pub source: String,
-    /// Quality of the figures.
-    pub quality: EnergyQuality,
-    /// How the total came about.
-    pub total_from: String,
-    /// Samples of the total after the first instant and up to the second.
-    pub samples: u64,
-    /// Share of the time that samples of the total cover, 0 to 1.
-    pub coverage: f64,
-    /// Joules, mean and peak watts by domain; a domain without any covered time is left out. Joules and mean are those
-    /// of the covered time. Where energy is counted, the peak is the highest mean between two samples.
-    pub domains: Vec<DomainEnergy>,
-}
-
-impl Energy {
-    /// No figure: nothing was sampled.
-    pub fn unavailable(source: &str) -> Self {
-        Self {
-            source: source.to_owned(),
-            ..Self::default()
-        }
-    }
-
-    /// Joules of `domain`, if it has any covered time.
-    pub fn joules(&self, domain: Domain) -> Option<f64> {
-        let found = self.domains.iter().find(|d| d.domain == domain.as_str());
-        found.map(|domain| domain.joules)
-    }
-}
-
-/// What was used between two instants.
+/// The use of energy between two instants.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// The whole node's energy.
-    pub node: Energy,
-    /// Of its total, the camera's joules; those of the covered time.
-    pub joules: Option<f64>,
+    /// The energy of the camera and of the whole node, without an energy-delay product. Joules and mean watts are those of
+    /// the covered time. Where energy is counted, the peak is the highest mean between two samples.
+    pub energy: ClipEnergy,
     /// Watts that a running detector adds on this machine; `None` until that is known.
     pub detector_watts: Option<f64>,
-    /// Estimate of what the camera's avoided detector calls would have added, joules; `None` without those watts.
-    pub saved_joules: Option<f64>,
     /// The state of the board; `None` where nothing is known of it.
     pub board: Option<BoardState>,
 }
@@ -214,21 +177,25 @@ impl Account {
         let (to, notes) = known.unwrap_or_else(|| (self.history.at(end), open.notes));
         let from = open.from.unwrap_or_else(|| self.history.at(open.start));
         let seconds = end.saturating_duration_since(open.start).as_secs_f64();
-        let node = self.energy(&from, &to, seconds, &notes);
+        let mut energy = self.energy(&from, &to, seconds, &notes);
         let (before, after) = (from.camera(open.camera), to.camera(open.camera));
-        let saved_s = after.saved_s - before.saved_s;
         let detector_watts = self.detector.watts();
+        energy.joules = (energy.coverage > 0.0).then_some(after.joules - before.joules);
+        energy.saved_joules_estimated =
+            detector_watts.map(|watts| watts * (after.saved_s - before.saved_s));
         Some(Measured {
-            joules: (node.coverage > 0.0).then_some(after.joules - before.joules),
+            energy,
             detector_watts,
-            saved_joules: detector_watts.map(|watts| watts * saved_s),
             board: notes.conditions.state(),
-            node,
         })
     }
 
-    fn energy(&self, from: &Totals, to: &Totals, seconds: f64, notes: &Notes) -> Energy {
-        let mut found = Energy::unavailable(&self.source);
+    /// Returns the energy of the whole node.
+    fn energy(&self, from: &Totals, to: &Totals, seconds: f64, notes: &Notes) -> ClipEnergy {
+        let mut found = ClipEnergy {
+            source: self.source.clone(),
+            ..ClipEnergy::default()
+        };
         let mut least = 1.0_f64;
         for domain in Domain::ALL {
             let index = domain as usize;
@@ -244,6 +211,7 @@ impl Account {
             least = least.min(share);
             if domain == Domain::Total {
                 found.coverage = share;
+                found.node_joules = (share > 0.0).then_some(joules);
             }
             if share > 0.0 {
                 found.domains.push(DomainEnergy {

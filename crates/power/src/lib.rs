@@ -27,7 +27,8 @@
 //! tokio::time::sleep(Duration::from_millis(500)).await;
 //! camera.frame();
 //! if let Some(used) = clip.finish(Instant::now(), Duration::MAX).await {
-//!     println!("{:?} J by {} ({:?})", used.joules, used.node.source, used.node.quality);
+//!     let energy = used.energy;
+//!     println!("{:?} J by {} ({:?})", energy.joules, energy.source, energy.quality);
 //! }
 //! stop.cancel();
 //! let _ = sampler.await;
@@ -61,7 +62,7 @@ mod tegrastats;
 mod tests;
 mod totals;
 
-pub use account::{Energy, Measured};
+pub use account::Measured;
 pub use choose::open;
 pub use condition::Condition;
 pub use config::{PowerConfig, PowerSource};

@@ -68,14 +68,14 @@ impl Bench {
     }
 
     /// The node's energy between two kept instants.
-    fn energy(&mut self, start: u64, end: u64) -> Energy {
+    fn energy(&mut self, start: u64, end: u64) -> ClipEnergy {
         let number = self.open(start);
-        self.close(number, end).node
+        self.close(number, end).energy
     }
 }
 
-fn total(energy: &Energy) -> f64 {
-    energy.joules(Domain::Total).unwrap()
+fn total(energy: &ClipEnergy) -> f64 {
+    energy.node_joules.unwrap()
 }
 
 #[test]
@@ -93,13 +93,13 @@ fn a_clip_of_any_length_is_exact_in_constant_memory() {
     }
     let spent = bench.close(span, 10_800_000);
     let exact = 12.5 * 10_800.0 - 0.25 * (15.0 - 0.125);
-    let joules = total(&spent.node);
+    let joules = total(&spent.energy);
     assert!((joules - exact).abs() < 1e-3, "{joules}, not {exact}");
-    assert!((spent.joules.unwrap() - joules).abs() < 1e-3);
-    assert_eq!(spent.node.quality, EnergyQuality::Measured);
-    assert!((spent.node.coverage - 1.0).abs() < 1e-9);
-    assert_eq!(spent.node.samples, 107_998);
-    assert_eq!(spent.node.domains[0].peak_watts, Some(15.0));
+    assert!((spent.energy.joules.unwrap() - joules).abs() < 1e-3);
+    assert_eq!(spent.energy.quality, EnergyQuality::Measured);
+    assert!((spent.energy.coverage - 1.0).abs() < 1e-9);
+    assert_eq!(spent.energy.samples, 107_998);
+    assert_eq!(spent.energy.domains[0].peak_watts, Some(15.0));
     assert!(most < 1100, "{most} entries");
 }
 
@@ -113,10 +113,10 @@ fn an_end_that_is_noticed_an_hour_later_is_exact() {
     let spent = bench.close(span, 100_030);
     // The 30 ms are on the way from 10 W to 50 W.
     let exact = 1000.0 + 0.03 * 10.0 + 0.5 * 0.03 * 0.03 * 400.0;
-    let joules = total(&spent.node);
+    let joules = total(&spent.energy);
     assert!((joules - exact).abs() < 1e-6, "{joules}, not {exact}");
-    assert_eq!(spent.node.samples, 1000);
-    assert_eq!(spent.node.domains[0].peak_watts, Some(10.0));
+    assert_eq!(spent.energy.samples, 1000);
+    assert_eq!(spent.energy.domains[0].peak_watts, Some(10.0));
 }
 
 #[test]
@@ -129,11 +129,11 @@ fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
     bench.until(span, 600_000);
     bench.sample_until(601_000, |_| 10.0);
     let spent = bench.close(span, 601_000);
-    let joules = total(&spent.node);
+    let joules = total(&spent.energy);
     let exact = 100.0 + 1.5 + 589.9 * 20.0 + 1.5 + 0.9 * 10.0;
     assert!((joules - exact).abs() < 1e-6, "{joules}, not {exact}");
-    assert_eq!(spent.node.samples, 6010);
-    assert_eq!(spent.node.domains[0].peak_watts, Some(20.0));
+    assert_eq!(spent.energy.samples, 6010);
+    assert_eq!(spent.energy.domains[0].peak_watts, Some(20.0));
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn what_is_not_sampled_makes_the_energy_partial_and_not_smaller_in_silence() {
     let found = bench.energy(0, 10_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
     assert!((found.coverage - 0.49).abs() < 1e-9, "{}", found.coverage);
-    assert!((found.joules(Domain::Cpu).unwrap() - 100.0).abs() < 1e-9);
+    assert!((found.domains[1].joules - 100.0).abs() < 1e-9);
     let now = bench.account.history.present(bench.at(10_000)).unwrap();
     assert_eq!(now.watts, [None, None, Some(10.0), None]);
 }
@@ -177,9 +177,9 @@ fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
     bench.until(span, 1060);
     bench.sample_until(1500, |t| 10.0 * t);
     let spent = bench.close(span, 1060);
-    assert!((total(&spent.node) - 5.0 * (1.06 * 1.06 - 1.02 * 1.02)).abs() < 1e-9);
+    assert!((total(&spent.energy) - 5.0 * (1.06 * 1.06 - 1.02 * 1.02)).abs() < 1e-9);
     assert_eq!(
-        (spent.node.samples, &*spent.node.total_from),
+        (spent.energy.samples, &*spent.energy.total_from),
         (0, "sum_of_rails")
     );
     assert_eq!(spent.board.unwrap().cpu_mhz, Some(1500.0));
@@ -218,7 +218,7 @@ fn avoided_calls_save_their_time_at_the_watts_of_a_running_detector() {
     let watts = spent.detector_watts.unwrap();
     assert!((watts - 20.0).abs() < 2.0, "{watts}");
     // 300 calls of 50 ms.
-    let saved_s = spent.saved_joules.unwrap() / watts;
+    let saved_s = spent.energy.saved_joules_estimated.unwrap() / watts;
     assert!((saved_s - 15.0).abs() < 0.2, "{saved_s}");
 }
 
@@ -347,12 +347,12 @@ proptest! {
         for (span, end) in ended {
             shares.push(bench.close(span, end));
         }
-        let total = bench.close(whole, end).node.joules(Domain::Total).unwrap();
-        let sum: f64 = shares.iter().filter_map(|spent| spent.joules).sum();
+        let total = bench.close(whole, end).energy.node_joules.unwrap();
+        let sum: f64 = shares.iter().filter_map(|spent| spent.energy.joules).sum();
         prop_assert!((sum - total).abs() < 1e-6 * total.max(1.0), "{} of {}", sum, total);
         let is_share = |spent: &Measured| {
-            let node = spent.node.joules(Domain::Total).unwrap_or_default();
-            spent.joules.is_none_or(|joules| joules > -1e-9 && joules < node + 1e-9)
+            let node = spent.energy.node_joules.unwrap_or_default();
+            spent.energy.joules.is_none_or(|joules| joules > -1e-9 && joules < node + 1e-9)
         };
         prop_assert!(shares.iter().all(is_share), "no clip has more than its node: {:?}", shares);
     }

@@ -1,10 +1,11 @@
 //! Promises of the sampler.
 
 use super::*;
-use crate::account::{Energy, Measured};
+use crate::account::Measured;
 use crate::config::PowerSource;
 use crate::reading::{Reading, Value};
 use crate::tests::Tree;
+use albireo_wire::ClipEnergy;
 use rstest::rstest;
 
 /// A meter that follows a curve of power over the seconds since it was made.
@@ -44,17 +45,17 @@ fn sampled_every(
     (handle, start, stop, task)
 }
 
-fn total(energy: &Energy) -> f64 {
-    energy.joules(Domain::Total).unwrap()
+fn total(energy: &ClipEnergy) -> f64 {
+    energy.node_joules.unwrap()
 }
 
 /// The node's energy over a span that has begun already.
-async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> Energy {
+async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
     let measured: Measured = (handle.camera().measure(start))
         .finish(end, Duration::MAX)
         .await
         .unwrap();
-    measured.node
+    measured.energy
 }
 
 #[tokio::test(start_paused = true)]
@@ -96,7 +97,13 @@ async fn without_a_meter_energy_is_unavailable_and_nobody_waits() {
     let asked = Instant::now();
     let found = energy(&handle, start, asked).await;
     assert_eq!(asked.elapsed(), Duration::ZERO);
-    assert_eq!(found, Energy::unavailable("none"));
+    assert_eq!(
+        found,
+        ClipEnergy {
+            source: "none".to_owned(),
+            ..ClipEnergy::default()
+        }
+    );
     stop.cancel();
 }
 
@@ -128,10 +135,10 @@ async fn energy_is_right_at_every_interval_the_configuration_accepts() {
         );
         let end = start + Duration::from_secs(40);
         let spent = span.finish(end, Duration::MAX).await.unwrap();
-        let joules = total(&spent.node);
+        let joules = total(&spent.energy);
         assert!((joules - 400.0).abs() < 1e-6, "{joules} J at {interval} ms");
-        assert!((spent.node.coverage - 1.0).abs() < 1e-9);
-        assert_eq!(spent.node.quality, EnergyQuality::Measured);
+        assert!((spent.energy.coverage - 1.0).abs() < 1e-9);
+        assert_eq!(spent.energy.quality, EnergyQuality::Measured);
         stop.cancel();
     }
 }
@@ -144,7 +151,7 @@ async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
         let span = handle.camera().measure(start);
         let end = start + Duration::from_secs(200);
         tokio::time::sleep_until(end).await;
-        let spent = span.finish(end, Duration::MAX).await.unwrap().node;
+        let spent = span.finish(end, Duration::MAX).await.unwrap().energy;
         assert_eq!(spent.quality, EnergyQuality::Partial, "at {interval} ms");
         assert!(
             (spent.coverage - 0.7).abs() < 0.06,
@@ -163,7 +170,7 @@ async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
     let span = handle.camera().measure(start);
     let end = start + Duration::from_millis(13_000);
     tokio::time::sleep_until(end).await;
-    let spent = span.finish(end, Duration::MAX).await.unwrap().node;
+    let spent = span.finish(end, Duration::MAX).await.unwrap().energy;
     let waited = end.elapsed();
     assert!(
         (Duration::from_secs(7)..Duration::from_millis(7_100)).contains(&waited),
@@ -183,9 +190,9 @@ async fn a_meter_that_fails_lets_nobody_wait_for_long_and_what_it_missed_is_not_
     tokio::time::sleep_until(end).await;
     for span in spans {
         let spent = span.finish(end, Duration::MAX).await.unwrap();
-        assert!((total(&spent.node) - 50.0).abs() < 1e-6, "{spent:?}");
-        assert!((spent.node.coverage - 0.5).abs() < 1e-9);
-        assert_eq!(spent.node.quality, EnergyQuality::Partial);
+        assert!((total(&spent.energy) - 50.0).abs() < 1e-6, "{spent:?}");
+        assert!((spent.energy.coverage - 0.5).abs() < 1e-9);
+        assert_eq!(spent.energy.quality, EnergyQuality::Partial);
     }
     let waited = end.elapsed();
     assert!(waited < Duration::from_millis(2_100), "{waited:?}");
@@ -202,7 +209,7 @@ async fn a_clip_that_ends_with_the_node_waits_no_longer_than_it_may() {
         .finish(end, Duration::from_millis(300))
         .await
         .unwrap()
-        .node;
+        .energy;
     assert_eq!(end.elapsed(), Duration::from_millis(300));
     assert!((total(&spent) - 100.0).abs() < 1e-6 && (spent.coverage - 2.0 / 3.0).abs() < 1e-6);
     stop.cancel();

@@ -2,11 +2,9 @@
 
 use super::latencies::percentiles;
 use crate::camera::FrameRecord;
-use albireo_power::{Domain, Measured, Measurement};
+use albireo_power::{Measured, Measurement};
 use albireo_service::clock::{milliseconds, unix_nanoseconds};
-use albireo_wire::{
-    ClipEnd, ClipEnergy, ClipReport, FULL_COVERAGE, Threshold, ThresholdChange, VERSION,
-};
+use albireo_wire::{ClipEnd, ClipEnergy, ClipReport, Threshold, ThresholdChange, VERSION};
 use std::time::Duration;
 use tokio::time::Instant;
 use uuid::{NoContext, Timestamp, Uuid};
@@ -96,7 +94,10 @@ impl Clip {
             skip_rate: report.states.skip_rate(report.degraded_frames),
             total_latency_ms: percentiles(self.total),
             detector_latency_ms: percentiles(self.detector),
-            energy: energy_of(&measured, duration, report.frames),
+            energy: ClipEnergy {
+                edp: energy_delay_product(&measured.energy, duration, report.frames),
+                ..measured.energy
+            },
             board: measured.board,
             ..report
         }
@@ -111,29 +112,11 @@ fn new_id() -> Uuid {
     Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
-/// The energy section of a report. Where samples do not cover the whole clip there is no energy-delay product: the energy
-/// would be that of a part of the time.
-pub fn energy_of(measured: &Measured, duration: Duration, frames: u64) -> ClipEnergy {
-    let node = &measured.node;
-    ClipEnergy {
-        joules: measured.joules,
-        node_joules: node.joules(Domain::Total),
-        saved_joules_estimated: measured.saved_joules,
-        edp: (measured.joules)
-            .filter(|_| node.coverage >= FULL_COVERAGE)
-            .and_then(|joules| energy_delay_product(joules, duration, frames)),
-        quality: node.quality,
-        source: node.source.clone(),
-        total_from: node.total_from.clone(),
-        samples: node.samples,
-        coverage: node.coverage,
-        domains: node.domains.clone(),
-    }
-}
-
-/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). None without frames.
-fn energy_delay_product(joules: f64, duration: Duration, frames: u64) -> Option<f64> {
-    (frames > 0).then(|| joules * duration.as_secs_f64() * 1e3 / frames as f64)
+/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). There is none without frames, and where
+/// samples do not cover the whole clip: the energy would be that of a part of the time.
+pub fn energy_delay_product(energy: &ClipEnergy, duration: Duration, frames: u64) -> Option<f64> {
+    let joules = energy.whole_joules().filter(|_| frames > 0)?;
+    Some(joules * duration.as_secs_f64() * 1e3 / frames as f64)
 }
 
 #[cfg(test)]

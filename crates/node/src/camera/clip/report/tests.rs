@@ -6,28 +6,16 @@ use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::FrameState;
-use albireo_power::{Energy, Meter, MeterError, PowerHandle, Reading, Value, start_with};
-use albireo_wire::DomainEnergy;
+use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
 use albireo_wire::EnergyQuality;
 use tokio_util::sync::CancellationToken;
 
-fn measured(joules: f64, coverage: f64) -> Measured {
-    Measured {
-        node: Energy {
-            source: "rapl".to_owned(),
-            quality: EnergyQuality::Measured,
-            total_from: "sum_of_rails".to_owned(),
-            samples: 400,
-            coverage,
-            domains: vec![DomainEnergy {
-                domain: "total".to_owned(),
-                joules,
-                mean_watts: joules / 40.0,
-                peak_watts: None,
-            }],
-        },
+fn measured(joules: f64, coverage: f64) -> ClipEnergy {
+    ClipEnergy {
         joules: Some(joules),
-        ..Measured::default()
+        coverage,
+        quality: EnergyQuality::Measured,
+        ..ClipEnergy::default()
     }
 }
 
@@ -39,7 +27,7 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
         closed = camera.frame(i * 200, None);
     }
     let closed = closed.unwrap();
-    let energy = energy_of(&measured(811.5, 1.0), closed.duration(), 200);
+    let product = energy_delay_product(&measured(811.5, 1.0), closed.duration(), 200);
     let report = report(closed).await;
     assert_eq!(report.frames, 200);
     assert_eq!(report.states.frames(), report.frames);
@@ -48,7 +36,7 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
     assert!((report.skip_rate - 74.0 / 200.0).abs() < 1e-12);
     assert_eq!(report.duration_s, 40.0);
     // 811.5 J over 40 s and 200 frames: 200 ms a frame.
-    assert!((energy.edp.unwrap() - 811.5 * 200.0).abs() < 1e-6);
+    assert!((product.unwrap() - 811.5 * 200.0).abs() < 1e-6);
     assert_eq!(report.total_latency_ms.count, 200);
     assert_eq!(report.detector_latency_ms.count, 120);
     assert_eq!(report.total_latency_ms.p99, 12.0);
@@ -56,21 +44,19 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
 
 #[test]
 fn without_frames_or_without_a_meter_there_is_no_product_and_no_nan() {
-    assert_eq!(energy_delay_product(5.0, ms(100), 0), None);
-    let none = energy_of(&Measured::default(), ms(100), 5);
-    assert_eq!(
-        (none.joules, none.node_joules, none.edp),
-        (None, None, None)
-    );
+    assert_eq!(energy_delay_product(&measured(5.0, 1.0), ms(100), 0), None);
+    let none = ClipEnergy::default();
+    assert_eq!(energy_delay_product(&none, ms(100), 5), None);
+    assert_eq!((none.joules, none.node_joules), (None, None));
     assert_eq!(none.quality, EnergyQuality::Unavailable);
 }
 
 #[test]
 fn energy_of_a_part_of_the_time_makes_no_product() {
     for (coverage, has_product) in [(1.0, true), (0.9991, true), (0.998, false), (0.47, false)] {
-        let energy = energy_of(&measured(10.0, coverage), ms(1000), 10);
-        assert_eq!(energy.edp.is_some(), has_product, "{coverage}");
-        assert_eq!((energy.joules, energy.coverage), (Some(10.0), coverage));
+        let energy = measured(10.0, coverage);
+        let product = energy_delay_product(&energy, ms(1000), 10);
+        assert_eq!(product.is_some(), has_product, "{coverage}");
         assert_eq!(energy.is_whole(), has_product);
     }
 }
