@@ -48,4 +48,4 @@ pub use status::{
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};
-pub use version::{MessageError, VERSION, read};
+pub use version::{MessageError, VERSION, check_version, read};

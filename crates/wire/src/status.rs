@@ -1,6 +1,6 @@
 //! The status of a node, `{prefix}/@status/{node}`: in full when something changed, otherwise a heartbeat every 30 seconds.
 
-use crate::version::{MessageError, VERSION};
+use crate::version::{MessageError, VERSION, check_version};
 use crate::{EnergyQuality, NodeTarget, Threshold};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
@@ -59,9 +59,7 @@ impl Heartbeat {
     /// [`MessageError`] when it is not an array of four numbers, or of another version.
     pub fn read(payload: &[u8]) -> Result<Self, MessageError> {
         let (found, run, seq, waiting): (u32, u32, u64, u64) = serde_json::from_slice(payload)?;
-        if found != VERSION {
-            return Err(MessageError::Version { found });
-        }
+        check_version(found)?;
         Ok(Self { run, seq, waiting })
     }
 

@@ -29,10 +29,19 @@ pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> 
         v: u32,
     }
     let Versioned { v } = serde_json::from_slice(bytes)?;
-    if v != VERSION {
-        return Err(MessageError::Version { found: v });
-    }
+    check_version(v)?;
     Ok(serde_json::from_slice(bytes)?)
+}
+
+/// Refuses a message of a version that this program does not know.
+///
+/// # Errors
+/// [`MessageError::Version`].
+pub fn check_version(found: u32) -> Result<(), MessageError> {
+    match found {
+        VERSION => Ok(()),
+        found => Err(MessageError::Version { found }),
+    }
 }
 
 pub(crate) const fn current_version() -> u32 {

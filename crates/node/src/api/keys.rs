@@ -2,7 +2,7 @@
 
 use crate::rate_limit::SharedLimit;
 use crate::state::board::{Board, CameraBoard, set_thresholds};
-use albireo_wire::{MessageError, SettingSource, TargetMessage, ThresholdMessage, VERSION};
+use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
 use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::io::Read;
@@ -35,14 +35,14 @@ impl KeyValue {
             Self::Threshold(camera) => {
                 let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
                 let message: ThresholdMessage = read(payload, example)?;
-                check_version(message.v)?;
+                check_version(message.v).map_err(|error| error.to_string())?;
                 let camera = std::slice::from_ref(camera);
                 set_thresholds(camera, message.threshold, SettingSource::Local)
                     .map_err(|error| error.to_string())
             }
             Self::Target(board) => {
                 let message: TargetMessage = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
-                check_version(message.v)?;
+                check_version(message.v).map_err(|error| error.to_string())?;
                 (board.set_target(message.target, SettingSource::Local))
                     .map_err(|error| error.to_string())
             }
@@ -202,11 +202,4 @@ fn beginning(payload: &ZBytes) -> Vec<u8> {
 fn read<T: DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String> {
     serde_json::from_slice(payload)
         .map_err(|error| format!("expected JSON such as {example}: {error}"))
-}
-
-fn check_version(found: u32) -> Result<(), String> {
-    match found {
-        VERSION => Ok(()),
-        found => Err(MessageError::Version { found }.to_string()),
-    }
 }
