@@ -96,7 +96,8 @@ async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     // Already over: a service that is not refused ends at once.
     shutdown.cancel();
     let router = router(board, &NodeConfig::default(), shutdown.clone());
-    http::run(&config, router, listener, shutdown).await.err()
+    let served = http::run(&config, &[], &[], router, listener, shutdown);
+    served.await.err()
 }
 
 #[tokio::test]

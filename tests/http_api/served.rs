@@ -73,7 +73,8 @@ impl Served {
         let (routed, stop) = (Arc::clone(&board), shutdown.clone());
         let task = tokio::spawn(async move {
             let router = router(routed, &config, stop.clone());
-            http::run(&config.http, router, listener, stop).await
+            let methods = [Method::GET, Method::PUT];
+            http::run(&config.http, &[], &methods, router, listener, stop).await
         });
         Self {
             board,

@@ -65,7 +65,7 @@ pub async fn run(
     let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
     // HTTP ends last, so that the state can be read until the end.
     let serving = CancellationToken::new();
-    let http = albireo_service::http::run_with_tokens(
+    let http = albireo_service::http::run(
         &config.http,
         &config.tokens,
         &[Method::GET, Method::PUT, Method::POST, Method::DELETE],

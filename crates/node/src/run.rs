@@ -5,15 +5,15 @@ use crate::config::NodeConfig;
 use crate::state::board::Board;
 use crate::state::readiness;
 use crate::{Node, NodeError, PreparedNode};
-use albireo_service::http::{HttpError, Problem, run_with_tokens};
+use albireo_service::http::{HttpError, Problem};
+use axum::Router;
 use axum::extract::Request;
 use axum::http::{Method, StatusCode};
 use axum::routing::get;
-use axum::{Json, Router};
-use serde_json::json;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -78,7 +78,7 @@ impl Interface {
         let (http, tokens, stop) = (config.http.clone(), config.tokens.clone(), serving.clone());
         let served = tokio::spawn(async move {
             let methods = [Method::GET, Method::PUT];
-            run_with_tokens(&http, &tokens, &methods, router, listener, stop).await
+            albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
         });
         Ok(Self {
             address,
@@ -149,18 +149,14 @@ impl Interface {
 
 /// Answers requests while the state file is not open.
 fn early_routes(node: &str) -> Router {
-    let alive = json!({
-        "status": "ok",
-        "node": node,
-        "version": env!("CARGO_PKG_VERSION"),
-        "uptime_s": 0.0,
-    });
+    let node = node.to_owned();
+    let alive = || async move { http::alive(&node, Duration::ZERO) };
     let opening = || async {
         let reason = "the state directory is being opened";
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, reason)
     };
     Router::new()
-        .route("/healthz", get(move || async move { Json(alive) }))
+        .route("/healthz", get(alive))
         .fallback(opening)
 }
 

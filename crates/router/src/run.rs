@@ -108,8 +108,10 @@ pub async fn run(
     };
     let serving = CancellationToken::new();
     let stopping = serving.clone().drop_guard();
+    let routes = http::routes(view.clone());
+    let methods = [axum::http::Method::GET];
     let served =
-        albireo_service::http::run(&http, http::routes(view.clone()), listener, serving.clone());
+        albireo_service::http::run(&http, &[], &methods, routes, listener, serving.clone());
     let routing = async {
         let routed = route(config, options, &view, &shutdown).await;
         drop(stopping);

@@ -15,4 +15,4 @@ pub use error::HttpError;
 pub use index::{Route, routes};
 pub use page::Page;
 pub use problem::{Problem, response};
-pub use serve::{BODY_LIMIT, run, run_with_tokens};
+pub use serve::{BODY_LIMIT, run};

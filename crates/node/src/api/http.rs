@@ -16,6 +16,8 @@ mod states;
 mod target;
 mod threshold;
 
+pub(crate) use health::alive;
+
 use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::config::without_secrets;

@@ -33,30 +33,17 @@ const GRACE: Duration = Duration::from_secs(1);
 const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 
 /// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then lets
-/// requests in progress end (event streams are closed by their router) for at most a second.
+/// requests in progress end (event streams are closed by their router) for at most a second. Pages of other origins may use
+/// `methods`.
 ///
 /// A connection that says nothing, or does not take what is sent to it, for [`HttpConfig::idle_timeout_ms`] is closed. There
-/// are at most [`HttpConfig::max_connections`]; when all are taken the oldest is closed for a new one.
+/// are at most [`HttpConfig::max_connections`]; when all are taken the oldest is closed for a new one. What is written to
+/// the file of one of the `tokens`, or of the configuration's, is taken over within a second or two.
 ///
 /// # Errors
-/// [`HttpError`] when the token cannot be read, or the listener can be reached from other machines and
+/// [`HttpError`] when a token cannot be read, or the listener can be reached from other machines and
 /// neither a token is set nor `allow_unauthenticated`.
 pub async fn run(
-    config: &HttpConfig,
-    router: Router,
-    listener: TcpListener,
-    shutdown: CancellationToken,
-) -> Result<(), HttpError> {
-    let methods = [Method::GET, Method::PUT];
-    run_with_tokens(config, &[], &methods, router, listener, shutdown).await
-}
-
-/// As [`run`], with named tokens beside the one of the configuration, and `methods` that pages of other origins may use.
-/// What is written to a token file meanwhile is taken over within a second or two.
-///
-/// # Errors
-/// As [`run`].
-pub async fn run_with_tokens(
     config: &HttpConfig,
     tokens: &[NamedToken],
     methods: &[Method],

@@ -10,11 +10,12 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use std::time::Duration;
 use utoipa::ToSchema;
 
 /// The process answers.
 #[derive(Serialize, ToSchema)]
-pub(super) struct Health {
+pub(crate) struct Health {
     /// Always `ok`.
     status: &'static str,
     /// The node.
@@ -76,12 +77,16 @@ pub(super) fn readiness(board: &Board) -> Readiness {
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
 #[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
 pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
-    let board = &shared.board;
+    alive(&shared.board.node, shared.board.uptime())
+}
+
+/// Answers that the process of `node` is there.
+pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Health> {
     Json(Health {
         status: "ok",
-        node: board.node.clone(),
+        node: node.to_owned(),
         version: env!("CARGO_PKG_VERSION"),
-        uptime_s: albireo_service::clock::seconds(board.uptime()),
+        uptime_s: albireo_service::clock::seconds(uptime),
     })
 }
 
