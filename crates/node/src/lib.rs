@@ -8,7 +8,6 @@ pub mod delivery;
 mod error;
 pub mod input;
 pub mod online;
-use albireo_service::rate_limit;
 mod run;
 mod start;
 pub mod state;

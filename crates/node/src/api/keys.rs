@@ -1,7 +1,7 @@
 //! Serves values of the node on Zenoh keys: a query reads one, a put or a query with a payload changes it.
 
-use crate::rate_limit::SharedLimit;
 use crate::state::board::{Board, CameraBoard, set_thresholds};
+use albireo_service::rate_limit::SharedLimit;
 use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
 use serde::de::DeserializeOwned;
 use std::any::Any;

@@ -2,9 +2,9 @@
 
 use super::BegunFrame;
 use super::evidence::LiveEvidence;
-use crate::rate_limit::SharedLimit;
 use albireo_core::policy::{Evidence, LatePolicy, Need, Outcome};
 use albireo_service::clock::milliseconds;
+use albireo_service::rate_limit::SharedLimit;
 use albireo_vision::picture::FrameFault;
 use std::future::Future;
 use std::pin::Pin;

@@ -9,7 +9,7 @@ mod threshold;
 pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
-pub(crate) use history::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
+pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
 #[cfg(test)]
 pub(crate) use threshold::set_by_hand;

@@ -1,7 +1,9 @@
 //! Shows the recent past of a node to a page that has just been opened.
 
 use super::{RouteState, bad_request, query, within};
-use crate::state::board::{CameraSlot, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
+use crate::state::board::{
+    CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate,
+};
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
 use albireo_wire::Threshold;
@@ -56,7 +58,7 @@ pub(super) struct CameraHistory {
     /// Length of a piece of the hour, seconds.
     slot_s: u64,
     /// The last hour in pieces, the oldest first, the last one still open; those without a frame are left out.
-    slots: Vec<CameraSlot>,
+    slots: Vec<CameraPiece>,
     /// The last frames.
     frames: PastFrames,
 }

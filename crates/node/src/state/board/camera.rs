@@ -1,7 +1,7 @@
 //! Holds one camera's part of the live board.
 
 use super::event::{Event, FrameEvent, News};
-use super::history::{CameraSlot, Clock, History, PastFrame, SkipEstimate};
+use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
 use super::threshold;
 use crate::camera::FrameRecord;
 use crate::config::{CameraConfig, NodeConfig};
@@ -367,7 +367,7 @@ impl CameraBoard {
     }
 
     /// The last `frames` frames, oldest first, the pieces of the last hour, and the time now.
-    pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<CameraSlot>, Clock) {
+    pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<CameraPiece>, Clock) {
         let history = self.history.lock();
         let now = Clock::now(self.shared.started);
         (history.frames(frames), history.slots(&now), now)

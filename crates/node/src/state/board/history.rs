@@ -148,7 +148,8 @@ impl<T: Clone> Hour<T> {
 
 /// A piece of the last hour.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
-pub(crate) struct CameraSlot {
+#[schema(as = CameraSlot)]
+pub(crate) struct CameraPiece {
     /// When it began, milliseconds since the Unix epoch.
     pub at_ms: i64,
     /// Frames processed.
@@ -171,8 +172,8 @@ pub(crate) struct CameraSlot {
 #[derive(Debug)]
 pub(crate) struct History {
     frames: VecDeque<PastFrame>,
-    hour: Hour<CameraSlot>,
-    open: CameraSlot,
+    hour: Hour<CameraPiece>,
+    open: CameraPiece,
     /// Times of the detector in the open piece.
     times: Vec<f32>,
     /// The number of times that there were.
@@ -184,7 +185,7 @@ impl Default for History {
         Self {
             frames: VecDeque::with_capacity(FRAMES),
             hour: Hour::default(),
-            open: CameraSlot::default(),
+            open: CameraPiece::default(),
             times: Vec::with_capacity(TIMES),
             timed: 0,
         }
@@ -200,7 +201,7 @@ impl History {
         self.frames.push_back(PastFrame::of(frame, at));
         if self.hour.is_over(at) {
             self.hour.end(self.ended(), at);
-            self.open = CameraSlot::default();
+            self.open = CameraPiece::default();
             self.times.clear();
             self.timed = 0;
         }
@@ -219,10 +220,10 @@ impl History {
     }
 
     /// The open piece with its percentiles; nothing without a frame.
-    fn ended(&self) -> Option<CameraSlot> {
+    fn ended(&self) -> Option<CameraPiece> {
         let mut sorted = self.times.clone();
         sorted.sort_unstable_by(f32::total_cmp);
-        (self.open.frames > 0).then(|| CameraSlot {
+        (self.open.frames > 0).then(|| CameraPiece {
             detector_p50_ms: percentile(&sorted, 50),
             detector_p99_ms: percentile(&sorted, 99),
             ..self.open.clone()
@@ -236,11 +237,12 @@ impl History {
     }
 
     /// The pieces of the hour before now, oldest first, with the one that has begun; those without a frame are left out.
-    pub(crate) fn slots(&self, now: &Clock) -> Vec<CameraSlot> {
-        self.hour.read(self.ended(), now, |held, at_ms| CameraSlot {
-            at_ms,
-            ..held
-        })
+    pub(crate) fn slots(&self, now: &Clock) -> Vec<CameraPiece> {
+        self.hour
+            .read(self.ended(), now, |held, at_ms| CameraPiece {
+                at_ms,
+                ..held
+            })
     }
 }
 
