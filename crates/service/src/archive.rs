@@ -11,7 +11,7 @@ use tar::{Builder, Header};
 /// Answers with the archive `NAME-SECONDS.tar` of these files, named and in order, and of the last lines of the log, all of
 /// the time `at_s` (seconds since the Unix epoch).
 pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response {
-    let lines = logging::last_lines().into_iter();
+    let lines = logging::lines_after(0, usize::MAX).into_iter();
     let log: String = lines.map(|line| format!("{line}\n")).collect();
     let log = ("log.txt", log.into_bytes());
     match archive(files.iter().chain([&log]), at_s) {

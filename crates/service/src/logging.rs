@@ -2,7 +2,7 @@
 
 mod tail;
 
-pub use tail::{LogLine, conceal, last_lines, lines_after};
+pub use tail::{LogLine, conceal, lines_after};
 
 use crate::config::{LogConfig, LogFormat, check_level};
 use std::fmt::Display;

@@ -47,11 +47,6 @@ impl fmt::Display for LogLine {
     }
 }
 
-/// The lines that are kept, oldest first.
-pub fn last_lines() -> Vec<LogLine> {
-    lines_after(0, KEPT)
-}
-
 /// At most `most` of the newest lines with a number above `number`, oldest first.
 pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
     after(&LAST.lock(), number, most)
@@ -209,7 +204,7 @@ mod tests {
                 + "hush-hush-7 and much more than fits into one line of it";
             tracing::info!(target: "tail_test", "{long}");
         });
-        let kept = last_lines();
+        let kept = lines_after(0, KEPT);
         let mine: Vec<_> = kept
             .iter()
             .filter(|line| line.target == "tail_test")
