@@ -30,14 +30,11 @@ use waiting::Waiting;
 /// The counts and the state of the outbox.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OutboxCounts {
-    /// Reports that no hub has, on disk and in memory.
-    pub waiting: u64,
+    /// The counts that the status has: reports that no hub has, that are lost as there was no room for them, and that a hub
+    /// refused for good or that could not be read; and whether reports survive a power loss now.
+    pub status: OutboxStatus,
     /// Reports that a hub lost, to be sent again.
     pub again: u64,
-    /// Reports lost: there was no room for them.
-    pub lost: u64,
-    /// Reports that a hub refused for good, or that could not be read.
-    pub undeliverable: u64,
     /// The last time since the start at which reports were lost.
     pub last_loss: Option<Instant>,
     /// Reports taken in since the node started.
@@ -48,20 +45,6 @@ pub struct OutboxCounts {
     pub disk_failures: u64,
     /// The reason for which nothing can be kept on disk now.
     pub failing: Option<String>,
-    /// It is true while reports survive a power loss.
-    pub durable: bool,
-}
-
-impl OutboxCounts {
-    /// The same for the status.
-    pub fn status(&self) -> OutboxStatus {
-        OutboxStatus {
-            waiting: self.waiting,
-            lost: self.lost,
-            undeliverable: self.undeliverable,
-            durable: self.durable,
-        }
-    }
 }
 
 /// A disk that failed is tried again at this interval.

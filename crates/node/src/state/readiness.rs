@@ -112,7 +112,7 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
             "clip reports were lost in the last {} minutes",
             LOSS_SHOWN_FOR.as_secs() / 60
         )))
-    } else if has_directory && !counts.durable {
+    } else if has_directory && !counts.status.durable {
         Some(Fault::degraded(
             "clip reports wait in memory and do not survive a power loss",
         ))

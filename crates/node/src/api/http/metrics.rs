@@ -203,15 +203,15 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     page.gauge(
         "albireo_outbox_waiting",
         "Clip reports that no hub has acknowledged",
-        counts.waiting as f64,
+        counts.status.waiting as f64,
     );
     page.gauge(
         "albireo_outbox_in_memory",
         "Of these, reports that are not on disk",
-        if counts.durable {
+        if counts.status.durable {
             0.0
         } else {
-            counts.waiting as f64
+            counts.status.waiting as f64
         },
     );
     page.gauge(
@@ -222,7 +222,7 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     page.gauge(
         "albireo_outbox_durable",
         "Whether clip reports survive a power loss",
-        flag(counts.durable),
+        flag(counts.status.durable),
     );
     page.counter(
         "albireo_outbox_kept_total",
@@ -237,12 +237,12 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     page.counter(
         "albireo_outbox_lost_total",
         "Clip reports lost: the outbox was full or its disk broken",
-        counts.lost as f64,
+        counts.status.lost as f64,
     );
     page.counter(
         "albireo_outbox_undeliverable_total",
         "Clip reports that a hub refused for good, or that could not be read",
-        counts.undeliverable as f64,
+        counts.status.undeliverable as f64,
     );
     page.counter(
         "albireo_outbox_disk_failures_total",

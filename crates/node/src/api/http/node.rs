@@ -56,7 +56,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
-        outbox: board.outbox.counts().status(),
+        outbox: board.outbox.counts().status,
         energy: EnergySinceStart {
             source: power.source,
             quality: power.quality,

@@ -83,14 +83,14 @@ fn thresholds(board: &Board) -> Thresholds {
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
         value: same.unwrap_or_default(),
-        survives_restart: board.outbox.counts().durable,
+        survives_restart: board.outbox.counts().status.durable,
         cameras,
     }
 }
 
 fn one_threshold(board: &Board, camera: &CameraBoard) -> Json<CameraThreshold> {
     Json(CameraThreshold {
-        survives_restart: Some(board.outbox.counts().durable),
+        survives_restart: Some(board.outbox.counts().status.durable),
         ..of(camera)
     })
 }

@@ -192,7 +192,7 @@ fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again
     drop(outbox);
     let outbox = bench.open();
     let counts = outbox.counts();
-    assert_eq!((counts.waiting, counts.undeliverable), (3, 1));
+    assert_eq!((counts.status.waiting, counts.status.undeliverable), (3, 1));
     assert_eq!(drain(&outbox), ["window-2", "window-3", "window-4"]);
 }
 
@@ -223,7 +223,10 @@ fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
         ..ReportAnswer::new(HUB)
     };
     outbox.answered(&sent, &answer, Now::system());
-    assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 3));
+    assert_eq!(
+        (outbox.counts().status.waiting, outbox.counts().again),
+        (0, 3)
+    );
     keep(&outbox, 7..8);
     assert_eq!(
         clips(&outbox.batch("n", false, Now::system()).unwrap()),
@@ -248,7 +251,10 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     let other = ReportAnswer::new(Uuid::from_u128(2));
     let sent = batch(&outbox).unwrap();
     outbox.answered(&sent, &other, Now::system());
-    assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 4));
+    assert_eq!(
+        (outbox.counts().status.waiting, outbox.counts().again),
+        (0, 4)
+    );
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 4);
     outbox.answered(&sent, &other, Now::system());
@@ -290,7 +296,13 @@ fn no_step_of_the_clock_costs_a_report() {
         for day in steps {
             waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
         }
-        assert_eq!((waiting.counts().waiting, waiting.counts().lost), (16, 0));
+        assert_eq!(
+            (
+                waiting.counts().status.waiting,
+                waiting.counts().status.lost
+            ),
+            (16, 0)
+        );
         let left = waiting.batch("n", true, at(steps[1])).unwrap();
         assert_eq!(left.reports.len(), 16);
     }
@@ -358,7 +370,10 @@ fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
         let outbox = bench.open();
         keep(&outbox, 400..401);
         let counts = outbox.counts();
-        assert!(counts.disk_failures > 0 && counts.durable, "{counts:?}");
+        assert!(
+            counts.disk_failures > 0 && counts.status.durable,
+            "{counts:?}"
+        );
         assert!(bench.state().join("node.db.damaged-0").exists());
         assert_eq!(drain(&outbox), ["window-400"]);
     }
@@ -372,14 +387,14 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
     bench.take_disk();
     keep(&outbox, 2..4);
     let counts = outbox.counts();
-    assert!(!counts.durable && counts.failing.is_some());
-    assert_eq!(counts.waiting, 4);
+    assert!(!counts.status.durable && counts.failing.is_some());
+    assert_eq!(counts.status.waiting, 4);
     bench.return_disk(&outbox);
     let counts = outbox.counts();
-    assert!(counts.durable, "{counts:?}");
+    assert!(counts.status.durable, "{counts:?}");
     drop(outbox);
     let outbox = bench.open();
-    assert_eq!(outbox.counts().waiting, 4);
+    assert_eq!(outbox.counts().status.waiting, 4);
     assert_eq!(
         super::tests::counts(&batch(&outbox).unwrap()),
         [Some(1), Some(2), Some(3), Some(4)]
@@ -416,7 +431,7 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
     keep(&outbox, 2..3);
     assert_eq!(acknowledge(&outbox, &sent), 2);
     assert_eq!(clips(&batch(&outbox).unwrap()), ["window-2"]);
-    assert_eq!(outbox.counts().waiting, 1);
+    assert_eq!(outbox.counts().status.waiting, 1);
     bench.return_disk(&outbox);
     assert_eq!(drain(&outbox), ["window-2"]);
     // Another disk is put in, with reports of its own.
@@ -441,17 +456,20 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
     drain(&outbox);
     keep(&outbox, 40..60);
     let counts = outbox.counts();
-    assert_eq!((counts.waiting, counts.lost), (20, 0));
+    assert_eq!((counts.status.waiting, counts.status.lost), (20, 0));
     keep(&outbox, 60..400);
     let counts = outbox.counts();
-    assert!(counts.lost > 0 && counts.waiting > 20, "{counts:?}");
-    assert_eq!(counts.lost + counts.waiting, 360);
+    assert!(
+        counts.status.lost > 0 && counts.status.waiting > 20,
+        "{counts:?}"
+    );
+    assert_eq!(counts.status.lost + counts.status.waiting, 360);
     assert!(counts.last_loss.is_some());
     assert_eq!(drain(&outbox).last().unwrap(), "window-399");
     let size = std::fs::metadata(bench.file()).unwrap().len();
     assert!(size < 256 << 10, "{size}");
     drop(outbox);
-    assert_eq!(bench.open().counts().lost, counts.lost);
+    assert_eq!(bench.open().counts().status.lost, counts.status.lost);
 }
 
 #[test]
@@ -462,10 +480,10 @@ fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
         keep_large(&outbox, clip, 50_000);
     }
     let counts = outbox.counts();
-    assert!(!counts.durable && counts.lost > 0 && counts.waiting > most / 3);
-    assert_eq!(counts.waiting + counts.lost, most);
+    assert!(!counts.status.durable && counts.status.lost > 0 && counts.status.waiting > most / 3);
+    assert_eq!(counts.status.waiting + counts.status.lost, most);
     let sent = drain(&outbox);
-    assert_eq!(sent.len() as u64, counts.waiting);
+    assert_eq!(sent.len() as u64, counts.status.waiting);
     assert_eq!(sent.last().unwrap(), &format!("window-{}", most - 1));
 }
 
@@ -476,13 +494,16 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     keep(&outbox, 0..2);
     bench.fill_disk(true);
     keep(&outbox, 2..60);
-    assert_eq!(outbox.counts().waiting, 60);
+    assert_eq!(outbox.counts().status.waiting, 60);
     // What is on disk is sent too, also after attempts that find the disk as full as before.
     for _ in 0..20 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
         outbox.retry_disk(Now::system());
         let counts = outbox.counts();
-        assert!(!counts.durable && counts.waiting == 60, "{counts:?}");
+        assert!(
+            !counts.status.durable && counts.status.waiting == 60,
+            "{counts:?}"
+        );
     }
     assert!(
         outbox
@@ -494,7 +515,7 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     bench.fill_disk(false);
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
-    assert!(counts.durable);
+    assert!(counts.status.durable);
     assert_eq!(drain(&outbox).len(), 60);
 }
 
@@ -511,12 +532,12 @@ fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() 
     assert_eq!(sent.reports.len(), 5);
     sent.reports.truncate(4);
     assert_eq!(acknowledge(&outbox, &sent), 4);
-    assert_eq!(outbox.counts().waiting, 1);
+    assert_eq!(outbox.counts().status.waiting, 1);
     assert_eq!(clips(&batch(&outbox).unwrap()), ["window-4"]);
     other.execute_batch("ROLLBACK").unwrap();
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
-    assert!(counts.durable && counts.waiting == 1);
+    assert!(counts.status.durable && counts.status.waiting == 1);
     drop(outbox);
     assert_eq!(drain(&bench.open()), ["window-4"]);
 }
@@ -536,7 +557,7 @@ fn a_file_that_has_become_read_only_is_read_and_reopened() {
     assert_eq!(batch(&outbox).unwrap().reports.len(), 3);
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
-    assert!(counts.durable, "{counts:?}");
+    assert!(counts.status.durable, "{counts:?}");
 }
 
 #[test]
@@ -566,7 +587,7 @@ fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
         }
         assert_eq!(drain(&outbox), ["window-0", "window-2"]);
         let counts = outbox.counts();
-        assert_eq!((counts.undeliverable, counts.waiting), (1, 0));
+        assert_eq!((counts.status.undeliverable, counts.status.waiting), (1, 0));
     }
 }
 
@@ -580,7 +601,7 @@ fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
     drop(db);
     let outbox = bench.open();
     assert_eq!(drain(&outbox), ["window-0", "window-2"]);
-    assert_eq!(outbox.counts().undeliverable, 1);
+    assert_eq!(outbox.counts().status.undeliverable, 1);
 }
 
 #[test]
@@ -603,7 +624,7 @@ fn counts_and_waking_the_sender_never_wait_for_a_disk() {
     keep(&outbox, 0..1);
     // As while a disk is written.
     let writing = outbox.0.waiting.lock();
-    assert_eq!(outbox.counts().waiting, 1);
+    assert_eq!(outbox.counts().status.waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());
     drop(writing);
 }

@@ -86,7 +86,7 @@ impl Waiting {
         // What was counted since the start goes on from what was counted before.
         file.counters = file.counters.max(self.memory.counters);
         let lost = file.insert(&self.memory.reports(REFUSED, usize::MAX)?)?;
-        (self.counts.waiting, self.counts.again) = file.waiting()?;
+        (self.counts.status.waiting, self.counts.again) = file.waiting()?;
         self.memory = Table::in_memory(file.counters)?;
         self.file = Some(file);
         self.lose(lost, now);
@@ -138,7 +138,7 @@ impl Waiting {
         }
         match done.map_or_else(|| work(&mut self.memory), Ok) {
             Ok((done, waiting)) => {
-                (self.counts.waiting, self.counts.again) = waiting;
+                (self.counts.status.waiting, self.counts.again) = waiting;
                 done
             }
             Err(error) => {
@@ -237,14 +237,12 @@ impl Waiting {
 
     /// Returns the counts, and the state of the disk.
     pub(super) fn counts(&self) -> OutboxCounts {
-        let durable = self.file.is_some();
         let counters = self.file.as_ref().unwrap_or(&self.memory).counters;
-        OutboxCounts {
-            lost: counters.lost,
-            undeliverable: counters.undeliverable,
-            durable,
-            ..self.counts.clone()
-        }
+        let mut counts = self.counts.clone();
+        counts.status.lost = counters.lost;
+        counts.status.undeliverable = counters.undeliverable;
+        counts.status.durable = self.file.is_some();
+        counts
     }
 }
 

@@ -175,7 +175,7 @@ impl Node {
 
     /// What the outbox says is on its disk is no longer in memory only.
     fn note_durable(&mut self) {
-        if (self.counts()).is_some_and(|counts| counts.durable) {
+        if (self.counts()).is_some_and(|counts| counts.status.durable) {
             self.in_memory.clear();
         }
     }
@@ -239,7 +239,9 @@ impl Node {
 
     /// Whether everything was delivered.
     pub(super) fn is_settled(&self) -> bool {
-        let is_empty = |counts: OutboxCounts| counts.waiting + counts.again == 0 && counts.durable;
+        let is_empty = |counts: OutboxCounts| {
+            counts.status.waiting + counts.again == 0 && counts.status.durable
+        };
         self.reply.is_none() && self.counts().is_some_and(is_empty)
     }
 }

@@ -221,7 +221,10 @@ impl World {
 
     /// Running counts that are not on the disk are missing, or given once more after the power went.
     fn note_counts(&mut self, at: usize) {
-        if !self.nodes[at].counts().is_some_and(|counts| counts.durable) {
+        if !self.nodes[at]
+            .counts()
+            .is_some_and(|counts| counts.status.durable)
+        {
             self.is_rewound = true;
             self.excuse(BTreeSet::new());
         }
@@ -450,7 +453,7 @@ impl World {
             wrong.push("a report is stored that nobody made".to_owned());
         }
         wrong.extend(self.hub.check().err());
-        if (self.nodes.iter().filter_map(Node::counts)).any(|counts| counts.lost > 0) {
+        if (self.nodes.iter().filter_map(Node::counts)).any(|counts| counts.status.lost > 0) {
             wrong.push("a report was lost for want of room".to_owned());
         }
         if !wrong.is_empty() {

@@ -123,7 +123,7 @@ impl Schedule {
         now: Instant,
     ) -> Option<bool> {
         let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
-        let is_worth_it = self.is_due(counts.waiting, watched, now) || again;
+        let is_worth_it = self.is_due(counts.status.waiting, watched, now) || again;
         if !is_worth_it {
             self.answered_at = now;
         }
@@ -226,11 +226,9 @@ mod tests {
         }
 
         fn batch_of(&mut self, waiting: u64, again: u64, ms: u64) -> Option<bool> {
-            let counts = OutboxCounts {
-                waiting,
-                again,
-                ..OutboxCounts::default()
-            };
+            let mut counts = OutboxCounts::default();
+            counts.status.waiting = waiting;
+            counts.again = again;
             let now = self.at(ms);
             self.schedule.next_batch(&counts, false, now)
         }

@@ -120,7 +120,7 @@ impl StatusSender {
             power_source: power.source,
             power_quality: power.quality,
             health: board.readiness.health().status(),
-            outbox: board.outbox.counts().status(),
+            outbox: board.outbox.counts().status,
             refused: desired.kept().refused,
             target: target.status(),
             target_off: target.off,

@@ -88,7 +88,7 @@ fn a_threshold_outside_the_knob_changes_nothing() {
     assert_eq!(*seen.borrow(), Some(1e-3));
     set_by_hand(&board.cameras[..1], 5e-4).unwrap();
     assert_eq!(*seen.borrow(), Some(5e-4));
-    assert!(!board.outbox.counts().durable);
+    assert!(!board.outbox.counts().status.durable);
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn a_changed_threshold_survives_a_restart() {
     let restarted = |policy: &str| board(Some(&directory.path().join("state")), policy);
     let first = restarted("albireo");
     set_by_hand(&first.cameras[..1], 5e-4).unwrap();
-    assert!(first.outbox.counts().durable);
+    assert!(first.outbox.counts().status.durable);
     drop(first);
     assert_eq!(thresholds(&restarted("albireo")), [5e-4, 3e-4]);
     // Once the configuration is edited it is the newer word.
@@ -115,7 +115,7 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let board = board(Some(&blocked.join("state")), "albireo");
     set_by_hand(&board.cameras, 1e-3).unwrap();
     assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
-    assert!(!board.outbox.counts().durable);
+    assert!(!board.outbox.counts().status.durable);
 }
 
 #[test]
@@ -187,11 +187,11 @@ fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_na
     std::fs::write(&blocked, b"").unwrap();
     let failing = board(Some(&blocked.join("state")), "albireo");
     assert!(reason(&failing).unwrap().contains("do not survive"));
-    let lost = OutboxCounts {
-        durable: true,
+    let mut lost = OutboxCounts {
         last_loss: Some(std::time::Instant::now()),
         ..OutboxCounts::default()
     };
+    lost.status.durable = true;
     let fault = readiness::of_outbox(&lost, true).unwrap();
     assert!(fault.reason.contains("were lost"), "{}", fault.reason);
 }
