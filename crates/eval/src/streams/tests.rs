@@ -1,7 +1,7 @@
 use super::*;
 use crate::average_precision::ScoredBox;
-use crate::source::ScreenRule;
 use crate::average_precision::tests::scored;
+use crate::source::ScreenRule;
 use crate::spec::resolve;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;

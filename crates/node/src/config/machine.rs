@@ -117,3 +117,78 @@ fn state_dir(folder: &Path, findings: &mut Findings) {
     }
     let _ = std::fs::remove_file(&probe);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_vision::detector::ClassNames;
+    use std::path::PathBuf;
+
+    #[test]
+    fn everything_that_is_missing_is_named_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        std::fs::write(&taken, "short").unwrap();
+        let mut config = NodeConfig::default();
+        config.detector.model = PathBuf::from("/nowhere/detector.onnx");
+        config.detector.class_names = Some(ClassNames::File("/nowhere/classes.txt".into()));
+        config.detector.onnxruntime = Some("/nowhere/libonnxruntime.so".into());
+        config.screen.model = Some(folder.path().to_owned());
+        config.http.token_file = Some(taken.clone());
+        config.node.state_dir = Some(taken);
+        config.uplink.root_ca_certificate = Some("/nowhere/ca.pem".into());
+        let found: Vec<_> = (config.missing_here().into_iter())
+            .map(|finding| finding.key)
+            .collect();
+        assert_eq!(
+            found,
+            [
+                "detector.model",
+                "detector.class_names",
+                "screen.model",
+                "detector.onnxruntime",
+                "http.token_file",
+                "uplink.root_ca_certificate",
+                "node.state_dir",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_provider_that_the_library_does_not_have_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let library = folder.path().join("libonnxruntime.so");
+        std::fs::write(&library, []).unwrap();
+        let mut config = NodeConfig::default();
+        config.detector.onnxruntime = Some(library);
+        config.detector.providers = vec![ExecutionProvider::Cuda];
+        let about = |config: &NodeConfig| {
+            let found = config.missing_here();
+            found
+                .into_iter()
+                .find(|finding| finding.key == "detector.providers")
+        };
+        let finding = about(&config).unwrap();
+        assert!(
+            finding
+                .reason
+                .contains("`cuda` is not in this ONNX Runtime"),
+            "{finding}"
+        );
+        std::fs::write(folder.path().join("libonnxruntime_providers_cuda.so"), []).unwrap();
+        assert_eq!(about(&config), None);
+    }
+
+    #[test]
+    fn a_port_that_is_taken_is_in_the_way() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let mut config = NodeConfig::default();
+        config.http.listen = address;
+        config.zenoh.listen = vec![format!("tcp/{address}")];
+        let keys: Vec<_> = (config.in_the_way().into_iter())
+            .map(|finding| finding.key)
+            .collect();
+        assert_eq!(keys, ["http.listen", "zenoh.listen"]);
+    }
+}
