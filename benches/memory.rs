@@ -227,12 +227,12 @@ async fn send(
     }
     let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
     let start = Instant::now();
-    let mut told = Duration::ZERO;
+    let mut reported = Duration::ZERO;
     for seq in 0_u64.. {
         clock.tick().await;
         let since = start.elapsed();
-        if since - told >= Duration::from_secs(60).min(time) {
-            told = since;
+        if since - reported >= Duration::from_secs(60).min(time) {
+            reported = since;
             tell(since);
         }
         if since >= time {

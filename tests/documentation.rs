@@ -373,9 +373,11 @@ async fn the_commands_of_the_pages_run_in_their_order() {
     // Those of the page about cameras want cameras.
     let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
+    // Commands that have nothing to do with each other run side by side.
     let (with_node, without): (Vec<_>, Vec<_>) = (commands.into_iter())
         .partition(|command| command.contains("curl ") || command.contains(" replay "));
-    // Those that need no node run beside those that do.
+    let (comparing, others): (Vec<_>, Vec<_>) =
+        (without.into_iter()).partition(|command| command.contains(" compare "));
     let run = async |commands: Vec<String>| {
         for command in commands {
             let mut line = command
@@ -390,7 +392,7 @@ async fn the_commands_of_the_pages_run_in_their_order() {
             run_line(folder.path(), &line, &[]).await;
         }
     };
-    tokio::join!(run(with_node), run(without));
+    tokio::join!(run(with_node), run(comparing), run(others));
     assert!(folder.path().join("results/report.html").is_file());
     node.kill().await.unwrap();
     let mut log = String::new();

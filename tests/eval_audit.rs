@@ -83,8 +83,11 @@ fn shared_the_interval_contains_all_frames_where_the_crowded_ones_are_missed() {
     let (cameras, all) = cameras("expected-loss:0.5");
     let truth = all.recall().expect("there are boxes").rate;
     for seed in 0..50 {
-        let told = sample(&cameras, 0.1, seed, 8).recall().expect("boxes");
-        assert!((told.low..=told.high).contains(&truth), "{told:?} {truth}");
-        assert!(told.high - told.low > 0.1, "{told:?}");
+        let reported = sample(&cameras, 0.1, seed, 8).recall().expect("boxes");
+        assert!(
+            (reported.low..=reported.high).contains(&truth),
+            "{reported:?} {truth}"
+        );
+        assert!(reported.high - reported.low > 0.1, "{reported:?}");
     }
 }

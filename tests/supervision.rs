@@ -154,8 +154,8 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
         let reason = status.reasons.get("zenoh");
         reason.is_some_and(|reason| reason.contains("of this name"))
     };
-    let told = status(&mut changes, of_this_name).await;
-    assert_eq!(told.state, HealthState::Degraded);
+    let twin = status(&mut changes, of_this_name).await;
+    assert_eq!(twin.state, HealthState::Degraded);
     first.stop().await;
     status(&mut changes, |now| !now.reasons.contains_key("zenoh")).await;
     second.stop().await;

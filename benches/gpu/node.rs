@@ -120,8 +120,8 @@ impl Node {
             if let Ok(answer) = reqwest::get(&url).await
                 && answer.status().is_success()
             {
-                let told: serde_json::Value = answer.json().await?;
-                let provider = told["provider"].as_str();
+                let answer_json: serde_json::Value = answer.json().await?;
+                let provider = answer_json["provider"].as_str();
                 return Ok(provider.context("/readyz names no provider")?.to_owned());
             }
             if begun.elapsed() > PATIENCE {

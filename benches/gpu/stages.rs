@@ -185,27 +185,28 @@ async fn together(
             let mut own = pictures.clone();
             own.rotate_left(camera % pictures.len());
             tokio::spawn(async move {
-                let mut told = Vec::new();
+                let mut answers = Vec::new();
                 for number in 0..each {
                     let picture = Arc::clone(&own[number % own.len()]);
                     let answer = detector.detect(CameraSlot(camera), picture).await?;
-                    told.push((answer.model.as_secs_f64() * 1e3, f64::from(answer.pictures)));
+                    answers.push((answer.model.as_secs_f64() * 1e3, f64::from(answer.pictures)));
                 }
-                anyhow::Ok(told)
+                anyhow::Ok(answers)
             })
         })
         .collect();
-    let mut told = Vec::new();
+    let mut answers = Vec::new();
     for camera in cameras {
-        told.extend(camera.await??);
+        answers.extend(camera.await??);
     }
-    let rate = told.len() as f64 / start.elapsed().as_secs_f64();
+    let rate = answers.len() as f64 / start.elapsed().as_secs_f64();
     detector.stop().await;
-    let a_picture: Vec<_> = told
+    let a_picture: Vec<_> = answers
         .iter()
         .map(|(model, pictures)| model / pictures)
         .collect();
-    let shared: f64 = told.iter().map(|(_, pictures)| pictures).sum::<f64>() / told.len() as f64;
+    let shared: f64 =
+        answers.iter().map(|(_, pictures)| pictures).sum::<f64>() / answers.len() as f64;
     Ok(format!(
         "{} ms, {rate:.1}/s, {shared:.1} shared",
         ms(median(&a_picture))

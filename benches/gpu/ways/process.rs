@@ -203,19 +203,19 @@ fn measure<T: Element>(
     for number in 0..WARM_UP + runs {
         let input = &inputs[number % INPUTS];
         let mut expected: Option<Vec<Vec<f32>>> = None;
-        for ((_, way), told) in ways.iter_mut().zip(&mut measured.ways) {
+        for ((_, way), results) in ways.iter_mut().zip(&mut measured.ways) {
             let Ok(run) = way else { continue };
             match run(input) {
                 Ok((outputs, took)) => {
                     if number >= WARM_UP {
-                        told.times.push(took);
+                        results.times.push(took);
                     }
                     let expected = expected.get_or_insert_with(|| outputs.clone());
-                    told.difference = told.difference.max(difference(expected, &outputs));
+                    results.difference = results.difference.max(difference(expected, &outputs));
                 }
                 Err(error) => {
-                    told.times.clear();
-                    told.why_not = Some(error.to_string());
+                    results.times.clear();
+                    results.why_not = Some(error.to_string());
                     *way = Err(error);
                 }
             }

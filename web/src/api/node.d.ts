@@ -634,7 +634,7 @@ export interface paths {
         };
         /**
          * What happens on the node, as server-sent events
-         * @description First how things stand (counters, thresholds, detector), then each change. A reader that is too slow
+         * @description First the present state (counters, thresholds, detector), then each change. A reader that is too slow
          *     loses events; the event `lagged` has their number.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
          */

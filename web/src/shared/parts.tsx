@@ -14,7 +14,7 @@ export function Pill({ mood, children, title }: { mood: Mood; children: Componen
   );
 }
 
-/** Where a figure of energy comes from, told apart at a glance: filled when metered, an outline with ≈ when not. */
+/** Where a figure of energy comes from, as a mark: filled when metered, an outline with ≈ when not. */
 export function Quality({ quality }: { quality: string }) {
   const words: Record<string, string> = {
     measured: "measured",

@@ -114,7 +114,7 @@ fn wanted(
 
 /// What happens on the node, as server-sent events
 ///
-/// First how things stand (counters, thresholds, detector), then each change. A reader that is too slow
+/// First the present state (counters, thresholds, detector), then each change. A reader that is too slow
 /// loses events; the event `lagged` has their number.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
