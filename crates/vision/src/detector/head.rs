@@ -18,7 +18,7 @@ use crate::picture::InputFormat;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 
-/// An output tensor as float32, borrowed.
+/// An output tensor as borrowed float32 values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TensorView<'a> {
     /// Its dimensions.
@@ -32,42 +32,42 @@ pub struct TensorView<'a> {
 pub struct Candidate {
     /// In pixels of the model's input.
     pub corners: Corners,
-    /// The most probable class, by its number in the model. End-to-end models name it themselves, so it may
-    /// be one that the model has no name for.
+    /// The most probable class, by its number in the model. End-to-end models give the number themselves, so the model
+    /// may have no name for it.
     pub class: ClassId,
     /// Confidence, 0 to 1.
     pub confidence: f32,
 }
 
-/// Why a model does not fit a head.
+/// The reason why a model does not fit a head.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Misfit {
-    /// What the head expects, in words.
+    /// The model that the head expects, in words.
     pub expected: String,
-    /// The first thing that differs.
+    /// The first difference.
     pub reason: String,
 }
 
 /// A head bound to a model that fits it.
 #[derive(Debug)]
 pub struct Head {
-    /// Which head it is.
+    /// The name of the head.
     pub name: HeadName,
-    /// How many classes the outputs' shapes have; `None` when they do not say.
+    /// The number of classes in the outputs' shapes; `None` if they do not show it.
     pub classes: Option<usize>,
     /// The input that the model expects.
     pub input_format: InputFormat,
-    /// Whether one object may come as several overlapping boxes, which are ours to suppress.
+    /// True if one object may give several overlapping boxes, which the program then suppresses.
     pub overlaps: bool,
     reader: Box<dyn ReadOutputs>,
 }
 
 impl Head {
-    /// Appends to `candidates` what has at least `confidence`, in input pixels, overlaps not suppressed.
-    /// Returns how many rows were rejected because a number in them is not finite or not possible.
+    /// Appends the boxes with at least `confidence` to `candidates`, in input pixels, overlaps not suppressed. Returns
+    /// the number of rows rejected because a number in them is not finite or not possible.
     ///
     /// # Errors
-    /// When the outputs are not of the shape the model announced, in words.
+    /// If the outputs do not have the shape that the model announced; in words.
     pub fn read(
         &self,
         outputs: &[TensorView<'_>],
@@ -78,7 +78,7 @@ impl Head {
     }
 }
 
-/// What differs from head to head: [`Head::read`] for one kind of outputs.
+/// [`Head::read`] for one kind of outputs.
 trait ReadOutputs: std::fmt::Debug {
     fn read(
         &self,
@@ -88,11 +88,11 @@ trait ReadOutputs: std::fmt::Debug {
     ) -> Result<u64, String>;
 }
 
-/// Binds the head of that name to a model with `signature` whose picture input is `input`.
-/// [`HeadName::Auto`] fits nothing: [`recognise`] finds the name.
+/// Binds the head `name` to a model with `signature` whose picture input is `input`. [`HeadName::Auto`] never fits:
+/// [`recognise`] finds the name.
 ///
 /// # Errors
-/// When this head cannot read the model.
+/// If this head cannot read the model.
 pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
     match name {
         HeadName::Auto => Err(Misfit {

@@ -1,7 +1,7 @@
-//! The head of RF-DETR and other models of the DETR family with sigmoid scores: `[1, queries, 4]` boxes (centre
-//! x, centre y, width, height, from 0 to 1) and `[1, queries, classes]` logits. The best pairs of query and class
-//! are taken, as many as there are queries, so one query may give boxes of several classes; nothing is suppressed.
-//! The picture is stretched to the input and normalised as ImageNet's are.
+//! The head of RF-DETR and other models of the DETR family with sigmoid scores: `[1, queries, 4]` boxes (centre x,
+//! centre y, width, height, from 0 to 1) and `[1, queries, classes]` logits. The best pairs of query and class are
+//! kept, as many as there are queries, so one query may give boxes of several classes; nothing is suppressed. The
+//! picture is stretched to the input and normalised as for ImageNet.
 
 use super::reading::{around, candidate, count, elements, format, misfit};
 use super::suppression::keep_best;
@@ -11,17 +11,17 @@ use crate::picture::{ColorOrder, Fit, ValueRange};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
 
-/// Names of the outputs with boxes and logits: of RF-DETR's exporter, and of the Transformers library.
+/// Names of the outputs with boxes and logits, in RF-DETR's exporter and in the Transformers library.
 const NAMES: [[&str; 2]; 2] = [["dets", "labels"], ["pred_boxes", "logits"]];
 
-/// What reading it takes.
+/// The parameters for reading the output.
 #[derive(Debug)]
 struct Detr {
     size: PictureSize,
-    /// Places of boxes and logits among the outputs.
+    /// The indices of boxes and logits among the outputs.
     boxes: usize,
     logits: usize,
-    /// -1 where the model leaves it open.
+    /// -1 if the model leaves the number open.
     queries: i64,
     classes: usize,
 }
@@ -64,7 +64,7 @@ pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, M
     }
 }
 
-/// Whether the outputs are named as RF-DETR names them, so that scores and colours are known to be its.
+/// True if the outputs have RF-DETR's names, so that its scores and colours are known to apply.
 pub(super) fn is_named(signature: &Signature) -> bool {
     let [boxes, logits] = NAMES[0];
     signature.output(boxes).is_ok() && signature.output(logits).is_ok()
@@ -123,7 +123,7 @@ fn sigmoid(logit: f32) -> f32 {
     1.0 / (1.0 + (-logit).exp())
 }
 
-/// The logit with that score: infinite for 0 and 1.
+/// The logit of `score`: infinite for 0 and 1.
 fn logit(score: f64) -> f64 {
     (score / (1.0 - score)).ln()
 }

@@ -1,5 +1,5 @@
-//! The head of models that end with finished boxes (YOLO26, YOLOv10, and exports with suppression inside): one
-//! output `[1, boxes, 6]`, each row x1, y1, x2, y2 in input pixels, score, class. Nothing is left to suppress.
+//! The head of models that output final boxes (YOLO26, YOLOv10, and exports with suppression inside): one output
+//! `[1, boxes, 6]`, each row x1, y1, x2, y2 in input pixels, score, class. Nothing is left to suppress.
 
 use super::reading::{candidate, corners, count, format, is_score, misfit, only};
 use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
@@ -10,10 +10,10 @@ use albireo_core::detection::ClassId;
 /// Box, score and class.
 const ROW: usize = 6;
 
-/// What reading it takes.
+/// The parameters for reading the output.
 #[derive(Debug)]
 struct EndToEnd {
-    /// -1 where it depends on the picture.
+    /// -1 if the number depends on the picture.
     boxes: i64,
 }
 
@@ -46,7 +46,7 @@ impl ReadOutputs for EndToEnd {
         let mut rejected = 0;
         for row in values.chunks_exact(ROW) {
             let (score, class) = (row[4], row[5]);
-            // Rows that are not used are all 0. NaN goes on, to be counted.
+            // Unused rows are all 0. NaN is not skipped, so that it is counted.
             if is_score(score) && f64::from(score) < confidence {
                 continue;
             }

@@ -1,5 +1,5 @@
-//! The head of FastestDet (dog-qiuqiu, 2022): one output `[1, 5 + classes, rows, columns]` with one cell for 16x16
-//! pixels; the channels are objectness, four numbers of the box, and the class scores. Overlaps are ours to suppress.
+//! The head of FastestDet (dog-qiuqiu, 2022): one output `[1, 5 + classes, rows, columns]` with one cell per 16x16
+//! pixels; the channels are objectness, four numbers of the box, and class scores. Overlaps remain to be suppressed.
 
 use super::reading::{around, best_class, candidate, count, format, is_score, misfit, only};
 use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
@@ -11,7 +11,7 @@ use albireo_core::geometry::PictureSize;
 const BEFORE_CLASSES: usize = 5;
 const STRIDE: u32 = 16;
 
-/// What reading it takes.
+/// The parameters for reading the output.
 #[derive(Debug)]
 struct FastestDet {
     size: PictureSize,
@@ -68,7 +68,7 @@ impl ReadOutputs for FastestDet {
         let mut scores = Vec::with_capacity(self.classes);
         for cell in 0..cells {
             let objectness = channel(0, cell);
-            // The score is at most objectness^0.6. NaN goes on, to be counted.
+            // The score is at most objectness^0.6. NaN is not skipped, so that it is counted.
             if is_score(objectness) && f64::from(objectness.max(0.0)).powf(0.6) < confidence {
                 continue;
             }

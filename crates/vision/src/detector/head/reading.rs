@@ -1,4 +1,4 @@
-//! What the heads share: looking for outputs, checking shapes, boxes from numbers.
+//! Functions that the heads share: finding outputs, checking shapes, making boxes from numbers.
 
 use super::{Candidate, Misfit, TensorView};
 use crate::detector::{HeadName, PictureInput, shape_text};
@@ -6,10 +6,10 @@ use crate::picture::{ColorOrder, Fit, InputFormat, ValueRange};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 
-/// Strides of the three feature maps that YOLO models have.
+/// Strides of the three feature maps of YOLO models.
 pub(super) const STRIDES: [u32; 3] = [8, 16, 32];
 
-/// Cells of all strides in an input of `size`.
+/// The number of cells of all strides in an input of `size`.
 pub(super) fn cells(size: PictureSize, strides: &[u32]) -> usize {
     strides
         .iter()
@@ -17,17 +17,17 @@ pub(super) fn cells(size: PictureSize, strides: &[u32]) -> usize {
         .sum()
 }
 
-/// Whether a dimension of the model, which may be open, can be `wanted`.
+/// True if a dimension of the model, which may be open, can be `wanted`.
 pub(super) fn can_be(dimension: i64, wanted: usize) -> bool {
     dimension == -1 || usize::try_from(dimension) == Ok(wanted)
 }
 
-/// A dimension as a count.
+/// A dimension as a count; 0 if it is open.
 pub(super) fn count(dimension: i64) -> usize {
     usize::try_from(dimension).unwrap_or(0)
 }
 
-/// How `name`'s misfits say what is expected.
+/// Makes misfits for the head `name` from their reasons.
 pub(super) fn misfit(name: HeadName) -> impl Fn(String) -> Misfit {
     move |reason| Misfit {
         expected: name.looks_for().to_owned(),
@@ -35,7 +35,7 @@ pub(super) fn misfit(name: HeadName) -> impl Fn(String) -> Misfit {
     }
 }
 
-/// The format for a model with this input.
+/// The input format for a model with this input.
 pub(super) fn format(
     input: PictureInput,
     fit: Fit,
@@ -46,7 +46,7 @@ pub(super) fn format(
         size: input.size,
         fit,
         color_order,
-        // A model that takes bytes does the rest itself.
+        // A model that takes bytes normalises them itself.
         value_range: if input.takes_bytes {
             ValueRange::To255
         } else {
@@ -56,7 +56,7 @@ pub(super) fn format(
     }
 }
 
-/// The elements of the only output, which must be of that shape; -1 matches any dimension.
+/// The elements of the only output, which must have this shape; -1 matches any dimension.
 pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&'a [f32], String> {
     match outputs {
         [output] => elements(output, expected),
@@ -67,7 +67,7 @@ pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&
     }
 }
 
-/// The elements of `output`, which must be of that shape; -1 matches any dimension.
+/// The elements of `output`, which must have this shape; -1 matches any dimension.
 pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<&'a [f32], String> {
     let fits = output.shape.len() == expected.len()
         && output
@@ -90,12 +90,12 @@ pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<
     Ok(output.values)
 }
 
-/// Whether `score` is a number from 0 to 1, beyond what rounding (of float16 too) explains.
+/// True if `score` is a number from 0 to 1, within rounding (of float16 too).
 pub(super) fn is_score(score: f32) -> bool {
     (-1e-3..=1.001).contains(&score)
 }
 
-/// The number of the largest score and the score; `None` when one is no score.
+/// The class with the largest score, and that score; `None` if one of the numbers is not a score.
 pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
     let mut best = (0, f32::NEG_INFINITY);
     for (class, &score) in scores.iter().enumerate() {
@@ -110,7 +110,7 @@ pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
     (!scores.is_empty()).then_some((ClassId(class), best.1.clamp(0.0, 1.0)))
 }
 
-/// The corners that a row begins with: x1, y1, x2, y2.
+/// The corners at the start of a row: x1, y1, x2, y2.
 pub(super) fn corners(row: &[f32]) -> Corners {
     Corners {
         x1: f64::from(row[0]),
@@ -130,7 +130,7 @@ pub(super) fn around(center_x: f64, center_y: f64, width: f64, height: f64) -> C
     }
 }
 
-/// The candidate, when its corners are finite and enclose an area and its confidence is a score.
+/// The candidate, if its corners are finite and enclose an area and its confidence is a score.
 pub(super) fn candidate(corners: Corners, class: ClassId, confidence: f32) -> Option<Candidate> {
     let Corners { x1, y1, x2, y2 } = corners;
     let possible = [x1, y1, x2, y2].iter().all(|value| value.is_finite())

@@ -5,25 +5,25 @@ use super::reading::{STRIDES, can_be, cells};
 use super::{Misfit, bind};
 use crate::detector::{HeadName, PictureInput, Signature};
 
-/// The sets of strides that YOLO models have: with three feature maps, with a finer or a coarser fourth.
+/// The sets of strides of YOLO models: three feature maps, or four with a finer or a coarser one.
 const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
 
-/// More boxes than end-to-end models give. More rows of six numbers are cells of something else.
+/// The maximum number of boxes of end-to-end models. More rows of six numbers are cells of something else.
 const MOST_BOXES: i64 = 1000;
 
-/// Why no head was recognised.
+/// The reason why no head was recognised.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unrecognised {
-    /// What is the matter, in words.
+    /// The reason, in words.
     pub reason: String,
     /// Each head that was tried, the outputs it needs, and why the model does not fit.
     pub looked_for: Vec<String>,
 }
 
-/// The head for a model with this signature and picture input. Never [`HeadName::Auto`].
+/// Returns the head for a model with this signature and picture input. Never [`HeadName::Auto`].
 ///
 /// # Errors
-/// When no head fits, when several do, and when the metadata say that the model is no detector.
+/// If no head fits, if several do, or if the metadata describe a model that is not a detector.
 pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName, Unrecognised> {
     let metadata = &signature.metadata;
     let refused = |reason: String| Unrecognised {
@@ -85,8 +85,8 @@ fn fit(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(),
         .map_err(|Misfit { reason, .. }| reason)
 }
 
-/// Whether a model without metadata looks like one for `head`. Stricter than binding it, which is for a user
-/// who knows.
+/// Checks that a model without metadata looks like one for `head`. Stricter than binding, which is for a user who knows
+/// the head.
 fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
     fit(head, signature, input)?;
     let all_cells = || YOLO_STRIDES.map(|strides| cells(input.size, strides));

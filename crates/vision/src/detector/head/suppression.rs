@@ -1,28 +1,28 @@
-//! Non-maximum suppression: of boxes of one class that overlap, the most confident stays.
+//! Non-maximum suppression: of overlapping boxes of one class, the most confident stays.
 
 use super::Candidate;
 use std::cmp::Ordering;
 
-/// The most candidates that are looked at, the most confident ones: what a broken model or a hostile picture
-/// can cost at most. More than all anchors of a model with an input of 640x640.
+/// The maximum number of candidates considered, the most confident ones: limits the cost of a broken model or a hostile
+/// picture. More than all anchors of a model with an input of 640x640.
 pub(super) const MOST_CANDIDATES: usize = 10_000;
 
-/// How suppression works.
+/// The settings of suppression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Suppression {
     /// A box that overlaps a better one by more than this (intersection over union) is dropped.
     pub overlap: f64,
-    /// Whether only boxes of one class suppress each other.
+    /// True if only boxes of one class suppress each other.
     pub per_class: bool,
-    /// The most boxes that are kept, the most confident ones.
+    /// The maximum number of boxes kept, the most confident ones.
     pub most: usize,
 }
 
-/// Sorts `candidates` by confidence and drops each that overlaps a better one too much. Of more than
-/// [`MOST_CANDIDATES`] only the best are looked at, and only `settings.most` are kept; returns how many were
-/// lost to these two limits. Equal confidences keep their order.
+/// Sorts `candidates` by confidence and drops each that overlaps a better one too much. Considers only the best
+/// [`MOST_CANDIDATES`] and keeps only `settings.most`; returns the number lost to the first limit, plus one if any were
+/// lost to the second. Equal confidences keep their order.
 ///
-/// Takes O(n + m log m + k·m) for n candidates, m of them looked at, k of them kept.
+/// Takes O(n + m log m + k·m) for n candidates, m of them considered, k of them kept.
 pub fn suppress(candidates: &mut Vec<Candidate>, settings: Suppression) -> u64 {
     let mut over_limit = keep_best(candidates, MOST_CANDIDATES);
     let mut kept = 0;
@@ -38,7 +38,7 @@ pub fn suppress(candidates: &mut Vec<Candidate>, settings: Suppression) -> u64 {
         }
         if kept == settings.most {
             over_limit += 1;
-            // The rest would only be counted, at a high price.
+            // Counting the rest would cost too much.
             break;
         }
         candidates[kept] = candidate;
@@ -48,8 +48,8 @@ pub fn suppress(candidates: &mut Vec<Candidate>, settings: Suppression) -> u64 {
     over_limit
 }
 
-/// Sorts `candidates` by confidence and keeps the `most` best; returns how many were dropped. Equal confidences
-/// keep their order.
+/// Sorts `candidates` by confidence and keeps the `most` best; returns the number dropped. Equal confidences keep their
+/// order.
 pub fn keep_best(candidates: &mut Vec<Candidate>, most: usize) -> u64 {
     let dropped = candidates.len().saturating_sub(most);
     candidates.sort_by(best_first);

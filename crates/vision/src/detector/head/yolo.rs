@@ -1,6 +1,6 @@
 //! The head of YOLOv8, YOLO11 and of YOLO26 in its one-to-many form, as Ultralytics exports them: one output
-//! `[1, 4 + classes, anchors]`, decoded. The rows are centre x, centre y, width and height in input pixels,
-//! then one score a class; there is no objectness. Overlaps are ours to suppress.
+//! `[1, 4 + classes, anchors]`, decoded. The rows are centre x, centre y, width and height in input pixels, then one
+//! score per class; there is no objectness. Overlaps remain to be suppressed.
 
 use super::reading::{around, candidate, count, format, is_score, misfit, only};
 use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
@@ -11,15 +11,15 @@ use albireo_core::detection::ClassId;
 /// The box, before the class scores.
 const BEFORE_CLASSES: usize = 4;
 
-/// Anchors that are looked at together, so that the scores of one class lie side by side in memory and the
-/// best so far stay in the processor's cache.
+/// The number of anchors processed together, so that the scores of one class lie side by side in memory and the best so
+/// far stay in the processor's cache.
 const BLOCK: usize = 64;
 
-/// What reading it takes.
+/// The parameters for reading the output.
 #[derive(Debug)]
 struct Yolo {
     classes: usize,
-    /// -1 where the model leaves it open.
+    /// -1 if the model leaves the number open.
     anchors: i64,
 }
 

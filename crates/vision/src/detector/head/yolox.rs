@@ -1,5 +1,5 @@
-//! The head of YOLOX (Ge et al., "YOLOX: Exceeding YOLO Series in 2021"): one output `[1, cells, 5 + classes]`,
-//! not decoded, cells of the strides 8, 16 and 32 one after the other, each row by row.
+//! The head of YOLOX (Ge et al., "YOLOX: Exceeding YOLO Series in 2021"): one output `[1, cells, 5 + classes]`, not
+//! decoded: the cells of strides 8, 16 and 32 in sequence, each row by row.
 
 use super::reading::{
     STRIDES, around, best_class, can_be, candidate, cells, count, format, misfit, only,
@@ -12,7 +12,7 @@ use albireo_core::geometry::PictureSize;
 /// Box and objectness, before the class scores.
 const BEFORE_CLASSES: usize = 5;
 
-/// What reading it takes.
+/// The parameters for reading the output.
 #[derive(Debug)]
 struct Yolox {
     size: PictureSize,
@@ -62,7 +62,7 @@ impl ReadOutputs for Yolox {
             let columns = size.width / stride;
             for cell in 0..columns * (size.height / stride) {
                 let Some(row) = rows.next() else { break };
-                // Class scores are at most 1, so most cells end here. NaN goes on, to be counted.
+                // Class scores are at most 1, so most cells end here. NaN is not skipped, so that it is counted.
                 if f64::from(row[4]) < confidence {
                     continue;
                 }
@@ -79,7 +79,7 @@ impl ReadOutputs for Yolox {
     }
 }
 
-/// The candidate of one cell; `None` when its numbers are not possible.
+/// The candidate of one cell; `None` if its numbers are not possible.
 fn decode(row: &[f32], column: u32, line: u32, stride: u32) -> Option<Candidate> {
     let (_, objectness) = best_class(&row[4..5])?;
     let (class, score) = best_class(&row[BEFORE_CLASSES..])?;
