@@ -39,6 +39,6 @@ pub(crate) use signature::shape_text;
 pub use signature::{ElementType, Signature, TensorSpec};
 pub use status::DetectorStatus;
 
-/// A camera among those that share a detector, by its place in the configuration.
+/// A camera that shares a detector with others, by its place in the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CameraSlot(pub usize);

@@ -1,4 +1,4 @@
-//! The names of a model's classes: given, in its metadata, or the list that belongs to its head.
+//! The names of a model's classes: configured, from its metadata, or the list that belongs to its head.
 
 use super::{ClassNames, HeadName, Metadata, StartError};
 
@@ -6,11 +6,10 @@ use super::{ClassNames, HeadName, Metadata, StartError};
 /// category numbers, which is the order detectors trained on it use.
 pub(super) const COCO_CLASSES: &str = include_str!("coco.txt");
 
-/// COCO's category numbers that no category has. Models that answer with category numbers (RF-DETR) have 91
-/// classes, from 0 to 90.
+/// COCO's unused category numbers. Models that answer with category numbers (RF-DETR) have 91 classes, from 0 to 90.
 const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
 
-/// The names of COCO by category number; empty where there is no category.
+/// The COCO names by category number; empty for an unused number.
 fn coco_categories() -> Vec<String> {
     let mut names = COCO_CLASSES.lines();
     (0..=90)
@@ -21,12 +20,12 @@ fn coco_categories() -> Vec<String> {
         .collect()
 }
 
-/// The names of the model's classes: those that were given, else those of its metadata, else the list that
-/// belongs to its head. `classes` is how many the outputs have, where they say it. An empty name is a class that
-/// does not occur.
+/// Returns the names of the model's classes: the configured ones, else those of its metadata, else the list that
+/// belongs to its head. `classes` is the number of classes in the outputs, if known. An empty name is a class that does
+/// not occur.
 ///
 /// # Errors
-/// When there are none, too few or too many, or they cannot be read.
+/// If there are no names, too few or too many, or they cannot be read.
 pub(super) fn read(
     configured: Option<&ClassNames>,
     metadata: &Metadata,
@@ -78,7 +77,7 @@ pub(super) fn read(
     Ok(names)
 }
 
-/// The list that belongs to a head, if it is as long.
+/// The list that belongs to a head, if it has as many names as there are classes.
 fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
     match (head, classes?) {
         (_, 80) => Some(COCO_CLASSES.lines().map(str::to_owned).collect()),

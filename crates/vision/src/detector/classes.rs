@@ -3,7 +3,7 @@
 use super::{DetectorConfig, StartError};
 use albireo_core::detection::{BDD100K_CLASSES, ClassId};
 
-/// Names that COCO and other data sets have for classes of BDD100K.
+/// Names in COCO and other data sets for classes of BDD100K.
 const SYNONYMS: [(&str, &str); 5] = [
     ("person", "pedestrian"),
     ("people", "pedestrian"),
@@ -12,20 +12,20 @@ const SYNONYMS: [(&str, &str); 5] = [
     ("motorbike", "motorcycle"),
 ];
 
-/// What becomes of a model's classes.
+/// The reported classes, and the mapping from the model's classes to them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Classes {
-    /// Names of the reported classes, by the number they are reported under.
+    /// The names of the reported classes, by reported number.
     pub(super) reported: Vec<String>,
-    /// For each class of the model the number it is reported under, if it is.
+    /// The reported number of each class of the model; `None` if it is not reported.
     by_model: Vec<Option<ClassId>>,
 }
 
 impl Classes {
-    /// For a model whose classes have these names (empty: does not occur), as `config` wants them reported.
+    /// Maps a model's classes with these names (empty: does not occur) to those that `config` reports.
     ///
     /// # Errors
-    /// When the configuration has a name that the model has not.
+    /// If the configuration contains a name that the model does not have.
     pub(super) fn new(names: &[String], config: &DetectorConfig) -> Result<Self, StartError> {
         let wrong = |key: &str, name: &str| StartError::Configuration {
             key: format!("detector.{key}"),
@@ -66,13 +66,13 @@ impl Classes {
         Ok(classes)
     }
 
-    /// The number that class `number` of the model is reported under: `None` when the model has no such class,
-    /// `Some(None)` when it is not reported.
+    /// The number under which class `number` of the model is reported: `None` if the model has no such class,
+    /// `Some(None)` if the class is not reported.
     pub(super) fn reported_as(&self, number: ClassId) -> Option<Option<ClassId>> {
         self.by_model.get(usize::from(number.0)).copied()
     }
 
-    /// Those that are `wanted`, under their own name or another for the same.
+    /// The `wanted` classes, under their own name or a synonym.
     fn only(names: &[&str], wanted: &[&str]) -> Self {
         let place = |name: &str| wanted.iter().position(|&wanted| wanted == name);
         let by_model = names
@@ -93,7 +93,7 @@ impl Classes {
         }
     }
 
-    /// All that have a name. Where no name is there twice, they keep their numbers.
+    /// All classes that have a name. If no name occurs twice, they keep their numbers.
     fn all(names: &[&str]) -> Self {
         let mut reported: Vec<String> = Vec::new();
         let mut by_model = Vec::with_capacity(names.len());
@@ -109,7 +109,7 @@ impl Classes {
     }
 }
 
-/// A place in a list of names as a class number; lists are not longer than numbers go.
+/// An index into a list of names as a class number; no list is longer than the numbers reach.
 fn number(place: usize) -> ClassId {
     ClassId(u16::try_from(place).unwrap_or(u16::MAX))
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// What runs the model.
+/// An execution provider of ONNX Runtime.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -21,7 +21,7 @@ pub enum ExecutionProvider {
 }
 
 impl ExecutionProvider {
-    /// The name in configuration and reports.
+    /// Its name in configuration and reports.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::TensorRt => "tensorrt",
@@ -31,61 +31,61 @@ impl ExecutionProvider {
     }
 }
 
-/// The longest time limit that can be set: a day.
+/// The longest time limit that can be set: one day.
 pub(crate) const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 
-/// Where the names of a model's classes are.
+/// The source of a model's class names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ClassNames {
-    /// In a text file, one per line.
+    /// A text file, one name per line.
     File(PathBuf),
-    /// Here, in the order of the model's class numbers.
+    /// The names, in the order of the model's class numbers.
     List(Vec<String>),
 }
 
-/// The detector: which model, how its output is read, and what runs it.
+/// The detector: its model, the head that reads the output, and the providers that run it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DetectorConfig {
-    /// ONNX file.
+    /// The ONNX file.
     pub model: PathBuf,
-    /// How its output is read.
+    /// The head that reads its output.
     pub head: HeadName,
-    /// Columns and rows of the input, for a model that leaves them open; without it those of its metadata.
+    /// Columns and rows of the input, for a model that leaves them open. Default: those of its metadata.
     pub input_size: Option<[u32; 2]>,
-    /// Names of the model's classes. Without them those of its metadata, else the list that belongs to its head
-    /// when it is as long (80: COCO; 91: COCO's category numbers).
+    /// Names of the model's classes. Default: those of its metadata, else the list that belongs to its head if it is as
+    /// long (80: COCO; 91: COCO's category numbers).
     pub class_names: Option<ClassNames>,
-    /// Other names for classes: the model's name to the one reported. Several may have the same new name.
+    /// Other names for classes: from the model's name to the reported one. Several may get the same new name.
     pub class_map: BTreeMap<String, String>,
-    /// Names of the classes to report; an empty list for all of the model. Without it the seven of BDD100K, or
-    /// all when the model has none of these.
+    /// Names of the classes to report; an empty list for all of the model. Default: the seven of BDD100K, or all if the
+    /// model has none of these.
     pub report_classes: Option<Vec<String>>,
     /// Detections below this confidence are dropped (paper: 0.5).
     pub confidence: f64,
-    /// Non-maximum suppression drops a box that overlaps a better one of its class more than this. Models that
-    /// end with finished boxes have no use for it.
+    /// Non-maximum suppression drops a box that overlaps a better one of its class more than this. Without effect on
+    /// models that output final boxes.
     pub suppression_overlap: f64,
-    /// The most detections of a frame, the most confident ones. No setting of a node.
+    /// The maximum number of detections per frame; the most confident ones stay. Not a node setting.
     #[serde(skip)]
     pub most_detections: usize,
-    /// Execution providers in order of preference. The first that works is used; a list of one has no other.
+    /// Execution providers in order of preference. The first that works is used; a list of one has no fallback.
     pub providers: Vec<ExecutionProvider>,
-    /// Settings of a provider on a GPU.
+    /// Settings of the GPU providers.
     pub gpu: GpuConfig,
-    /// Threads ONNX Runtime uses inside one run; 0 for one less than the machine has cores.
+    /// Threads that ONNX Runtime uses within a run; 0 for one fewer than the machine has cores.
     pub threads: usize,
-    /// A run that takes longer is answered by prediction.
+    /// A frame whose run takes longer is answered by prediction.
     pub timeout_ms: u64,
-    /// The most frames that one run of the model takes, each of another camera; more than 1 for a model with an
-    /// open batch.
+    /// The maximum number of frames in a run, each from another camera; more than 1 only for a model with an open
+    /// batch.
     pub batch_size: usize,
-    /// How long a frame waits for those of other cameras to share its run, from being asked. No setting of a node.
+    /// The longest that a frame waits for frames of other cameras, from its request. Not a node setting.
     #[serde(skip)]
     pub batch_wait_ms: u64,
-    /// The ONNX Runtime library; empty to look at `ORT_DYLIB_PATH`, beside the program, in
-    /// `.cache/onnxruntime`, and where the system keeps libraries.
+    /// The ONNX Runtime library; if empty, it is searched for in `ORT_DYLIB_PATH`, beside the program, in
+    /// `.cache/onnxruntime`, and in the system's library folders.
     pub onnxruntime: Option<PathBuf>,
 }
 
@@ -113,14 +113,13 @@ impl Default for DetectorConfig {
 }
 
 impl DetectorConfig {
-    /// The size that the configuration names for an open input.
+    /// The configured size for an open input.
     pub(crate) fn input_size(&self) -> Option<PictureSize> {
         self.input_size
             .map(|[width, height]| PictureSize::new(width, height))
     }
 
-    /// Everything that is wrong and can be seen without opening a file: the key within `[detector]`, and what
-    /// its value should be.
+    /// Returns every problem that can be found without opening a file: the key within `[detector]`, and the reason.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut problems = Vec::new();
         let mut check = |key, is_right: bool, reason: String| {
@@ -162,10 +161,10 @@ impl DetectorConfig {
         problems
     }
 
-    /// The first of the [`problems`](Self::problems), as an error.
+    /// Returns the first of the [`problems`](Self::problems) as an error.
     ///
     /// # Errors
-    /// The first key whose value cannot be.
+    /// The first key with an invalid value.
     pub fn check(&self) -> Result<(), StartError> {
         match self.problems().into_iter().next() {
             None => Ok(()),

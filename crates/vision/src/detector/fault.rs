@@ -1,11 +1,12 @@
-//! What ONNX Runtime says when a GPU's memory has run out or the GPU is gone, recognised and put into plain words.
+//! Recognises ONNX Runtime's messages about exhausted memory or a lost GPU, and puts them into plain words.
 //!
 //! Its CUDA provider writes `CUDA failure 700: an illegal memory access was encountered ; GPU=0 ; hostname=… ; expr=…`
-//! (`onnxruntime/core/providers/cuda/cuda_call.cc`), its arenas `Failed to allocate memory for requested buffer of size …`
-//! (`core/framework/bfc_arena.cc`). The numbers are those of `cudaError` in the CUDA Runtime API.
+//! (`onnxruntime/core/providers/cuda/cuda_call.cc`), its arenas
+//! `Failed to allocate memory for requested buffer of size …` (`core/framework/bfc_arena.cc`). The numbers are those of
+//! `cudaError` in the CUDA Runtime API.
 
-/// How ONNX Runtime and what it calls say that memory ran out: its arenas on the CPU and on a GPU, C++, CUDA, cuBLAS and
-/// cuDNN.
+/// Phrases by which ONNX Runtime and the libraries it calls report exhausted memory: its arenas on the CPU and on a
+/// GPU, C++, CUDA, cuBLAS and cuDNN.
 const MEMORY_RAN_OUT: [&str; 8] = [
     "failed to allocate memory",
     "smaller than requested bytes",
@@ -17,14 +18,14 @@ const MEMORY_RAN_OUT: [&str; 8] = [
     "allocation_failed",
 ];
 
-/// What the CUDA provider writes before the number of an error.
+/// The text that the CUDA provider writes before the number of an error.
 const CUDA_FAILURE: &str = "cuda failure ";
 
-/// CUDA's errors for a device that is not available: used exclusively by another process, none at all, none with that
+/// CUDA's errors for an unavailable device: used exclusively by another process, no device at all, none with that
 /// number, not ready.
 const NO_DEVICE: [u32; 4] = [46, 100, 101, 802];
 
-/// CUDA's errors after which no call works any more in this process. The CUDA Runtime API says of most of them: "the
+/// CUDA's errors after which no call works any more in this process. The CUDA Runtime API states for most of them: "the
 /// process must be terminated and relaunched" to use CUDA again.
 const CONTEXT_IS_LOST: [u32; 13] = [
     214, // memory error that could not be corrected
@@ -42,7 +43,7 @@ const CONTEXT_IS_LOST: [u32; 13] = [
     999, // unknown: what a GPU that fell off its bus ends as
 ];
 
-/// The numbers of CUDA's errors in the message `said`.
+/// The numbers of the CUDA errors in `message`.
 fn cuda_failures(message: &str) -> Vec<u32> {
     let lower = message.to_lowercase();
     lower
@@ -55,18 +56,18 @@ fn cuda_failures(message: &str) -> Vec<u32> {
         .collect()
 }
 
-/// Whether `said`, a message of a session that worked before, means that this process has lost its GPU. It may be part of
-/// a longer sentence.
+/// Returns true if `message`, from a session that worked before, means that this process has lost its GPU. The message
+/// may be part of a longer sentence.
 pub(crate) fn device_is_lost(message: &str) -> bool {
     cuda_failures(message)
         .iter()
         .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
 }
 
-/// The message of ONNX Runtime, preceded by its meaning and a remedy where these are known: by itself it speaks of arenas
-/// and numbers.
+/// Returns ONNX Runtime's message, preceded by its meaning and a remedy if these are known: the message itself speaks
+/// of arenas and numbers.
 pub(crate) fn in_words(message: &str) -> String {
-    // A sentence of ours goes on after it.
+    // Callers continue the sentence after it.
     let message = message.trim_end().trim_end_matches('.');
     let lower = message.to_lowercase();
     let is_one_of =

@@ -3,21 +3,21 @@
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Settings of the `cuda` and `tensorrt` execution providers; without meaning for `cpu`.
+/// Settings of the `cuda` and `tensorrt` execution providers; without effect on `cpu`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GpuConfig {
-    /// Which GPU, as CUDA numbers them. No setting of a node: `CUDA_VISIBLE_DEVICES` chooses.
+    /// The GPU's number, as CUDA counts. Not a node setting: `CUDA_VISIBLE_DEVICES` chooses.
     #[serde(skip)]
     pub device: u32,
-    /// The most GPU memory that CUDA's arena, and TensorRT's workspace while it builds an engine, may take, MiB;
-    /// 0 for no limit. No setting of a node.
+    /// The maximum GPU memory for CUDA's arena, and for TensorRT's workspace while it builds an engine, in MiB; 0 for
+    /// no limit. Not a node setting.
     #[serde(skip)]
     pub memory_limit_mib: u32,
-    /// Whether TensorRT may compute in half precision: about twice as fast, and scores move in the third
-    /// decimal place.
+    /// True if TensorRT may compute in half precision: about twice as fast, and scores change in the third decimal
+    /// place.
     pub fp16: bool,
-    /// Folder where TensorRT keeps the engines and tactics it has built, minutes of work each, for the next
+    /// The folder in which TensorRT keeps the engines and tactics it has built, minutes of work each, for the next
     /// start. Without it they are built at every start.
     pub engine_cache: Option<PathBuf>,
 }
@@ -34,7 +34,7 @@ impl Default for GpuConfig {
 }
 
 impl GpuConfig {
-    /// The most memory in bytes, if there is a limit.
+    /// The memory limit in bytes, if there is one.
     pub(crate) fn memory_limit(&self) -> Option<usize> {
         let bytes = usize::try_from(self.memory_limit_mib).ok()? << 20;
         (bytes > 0).then_some(bytes)

@@ -19,13 +19,13 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 pub struct Detected {
     /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
     pub detections: Vec<Detection>,
-    /// From being asked to the start of the run.
+    /// The time from the request to the start of the run.
     pub queued: Duration,
-    /// From the start of the run to its end.
+    /// The duration of the run.
     pub took: Duration,
-    /// The model alone; of a batch, that of all its pictures.
+    /// The duration of the model alone; for a batch, that of all its pictures.
     pub model: Duration,
-    /// How many pictures the run looked at; the time this one used is `took` divided by their number.
+    /// The number of pictures in the run; this picture's share of the time is `took` divided by it.
     pub pictures: u32,
 }
 
@@ -40,19 +40,19 @@ pub struct DetectorHandle {
     spare: Arc<Semaphore>,
 }
 
-/// The right to have one picture looked at while no camera waits.
+/// The right to have one picture answered while no camera waits.
 pub type SpareTurn = OwnedSemaphorePermit;
 
-/// What the detector has counted since it started.
+/// The detector's counts since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DetectorCounts {
     /// Runs and rebuilds.
     pub worker: WorkerCounts,
-    /// What was found in the model's output and not reported.
+    /// Rows and boxes of the model's output that were not reported.
     pub head: HeadCounts,
 }
 
-/// The detector's counters for metrics: does not keep the detector running.
+/// The detector's counters for metrics; does not keep the detector running.
 #[derive(Clone, Debug)]
 pub struct DetectorMeter {
     worker: WorkerMeter,
@@ -60,7 +60,7 @@ pub struct DetectorMeter {
 }
 
 impl DetectorMeter {
-    /// What the detector has counted since it started.
+    /// Returns the counts since the detector started.
     pub fn read(&self) -> DetectorCounts {
         DetectorCounts {
             worker: self.worker.read(),
@@ -73,7 +73,7 @@ impl DetectorHandle {
     /// Loads the model on its own thread, checks that it fits its head, and warms it up.
     ///
     /// # Errors
-    /// When the library, the model, its head or the execution provider is not as configured.
+    /// If the library, the model, its head or the execution provider is not as configured.
     pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
         let head = Arc::new(HeadCounters::default());
@@ -98,13 +98,13 @@ impl DetectorHandle {
         })
     }
 
-    /// Where pictures become the model's input, on any thread, before [`detect_prepared`](Self::detect_prepared).
+    /// Makes the model's input from pictures, on any thread, before [`detect_prepared`](Self::detect_prepared).
     pub fn preparation(&self) -> &Preparation {
         &self.preparation
     }
 
-    /// Finds the objects in `picture`: prepares it on a blocking thread, waits for the camera's turn and for
-    /// the run. After `Ok` the picture is no longer held.
+    /// Finds the objects in `picture`: prepares it on a blocking thread, then waits for the camera's turn and for the
+    /// run. After `Ok` the detector no longer holds the picture.
     ///
     /// # Errors
     /// See [`InferenceError`].
@@ -121,9 +121,8 @@ impl DetectorHandle {
     /// camera's turn and for the run.
     ///
     /// # Errors
-    /// See [`InferenceError`]. Whatever the error, the frame can be answered from prediction. A run that
-    /// takes too long is answered at the limit, not later; while no session can take pictures the answer
-    /// comes at once.
+    /// See [`InferenceError`]. After any error, the frame can be answered from prediction. A run that takes too long is
+    /// answered at the limit, not later; while no session can accept pictures, the error comes at once.
     pub async fn detect_prepared(
         &self,
         camera: CameraSlot,
@@ -132,16 +131,16 @@ impl DetectorHandle {
         self.worker.run(camera, picture).await.map(detected)
     }
 
-    /// Returns when the model has nothing to do, with the right to ask [`detect_spare`](Self::detect_spare); one at a
-    /// time. `None` once the detector has been stopped.
+    /// Waits until the model has nothing to do; returns the right to call [`detect_spare`](Self::detect_spare), one at
+    /// a time. `None` once the detector has been stopped.
     pub async fn spare_turn(&self) -> Option<SpareTurn> {
         let permit = Arc::clone(&self.spare).acquire_owned().await.ok()?;
         self.worker.idle().await?;
         Some(permit)
     }
 
-    /// Finds the objects in a prepared picture while no camera waits: cameras' pictures that come meanwhile go before
-    /// it, and it is in none of the counters but [`WorkerCounts::spare`]. May be given up at any time.
+    /// Finds the objects in a prepared picture while no camera waits: pictures of cameras that arrive meanwhile go
+    /// first, and it counts only in [`WorkerCounts::spare`]. May be cancelled at any time.
     ///
     /// # Errors
     /// See [`InferenceError`].
@@ -153,25 +152,25 @@ impl DetectorHandle {
         self.worker.run_spare(picture).await.map(detected)
     }
 
-    /// Whether a picture would be taken now. A refusal is counted: ask before a picture is decoded for it.
+    /// Checks that a picture would be accepted now. Counts a refusal: call this before decoding a picture.
     ///
     /// # Errors
-    /// As [`detect_prepared`](Self::detect_prepared) would answer at once.
+    /// The error that [`detect_prepared`](Self::detect_prepared) would return at once.
     pub fn accepts(&self) -> Result<(), InferenceError> {
         self.worker.accepts()
     }
 
-    /// How the detector is doing, now and from now on.
+    /// The detector's status, updated as it changes.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
         self.worker.status.clone()
     }
 
-    /// What it has counted since it started.
+    /// Returns the counts since the detector started.
     pub fn counters(&self) -> DetectorCounts {
         self.meter().read()
     }
 
-    /// Its counters for metrics: does not keep the detector running.
+    /// Counters for metrics; does not keep the detector running.
     pub fn meter(&self) -> DetectorMeter {
         DetectorMeter {
             worker: self.worker.meter.clone(),
@@ -189,22 +188,22 @@ impl DetectorHandle {
         &self.model_name
     }
 
-    /// What really runs the model, or ran it last.
+    /// The provider that actually runs the model, or ran it last.
     pub fn provider(&self) -> ExecutionProvider {
         let provider = self.worker.status.borrow().provider();
-        // Always some: there is a handle only once the first model has been built.
+        // Always `Some`: a handle exists only once the first model has been built.
         provider.unwrap_or(ExecutionProvider::Cpu)
     }
 
-    /// Returns when it has been stopped.
+    /// Returns when the detector has stopped.
     ///
     /// # Errors
-    /// When its thread is stuck: only a new process helps.
+    /// If its thread is stuck: only a new process helps.
     pub async fn ended(&self) -> Result<(), String> {
         self.worker.ended().await
     }
 
-    /// Takes no more pictures and returns when the run in progress has ended or has taken too long.
+    /// Accepts no more pictures and returns when the run in progress has ended or exceeded its deadline.
     pub async fn stop(&self) {
         self.worker.stop().await;
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How a model's output tensors are read.
+/// The head that reads a model's output tensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -24,7 +24,7 @@ pub enum HeadName {
 }
 
 impl HeadName {
-    /// What `auto` can find.
+    /// The heads that `auto` can find.
     pub(crate) const RECOGNISED: [Self; 5] = [
         Self::Yolo,
         Self::EndToEnd,
@@ -33,7 +33,7 @@ impl HeadName {
         Self::FastestDet,
     ];
 
-    /// The name in configuration and messages.
+    /// Its name in configuration and messages.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Auto => "auto",

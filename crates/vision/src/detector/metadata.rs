@@ -1,17 +1,17 @@
-//! The text that a model's file carries beside its graph, as Ultralytics and our own exports write it.
+//! The text in a model's file beside its graph, as Ultralytics and our own exports write it.
 
 use albireo_core::geometry::PictureSize;
 use std::collections::BTreeMap;
 
-/// A longer text is not looked at: a file with 65,535 long class names stays below it.
+/// The longest text that is read; a file with 65,535 long class names stays below it.
 const LONGEST: usize = 4 << 20;
 
-/// Keys and values of an ONNX file's `metadata_props`.
+/// The keys and values of an ONNX file's `metadata_props`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
-    /// Metadata with these entries. Values of more than 4 MiB are left out.
+    /// Metadata with these entries, without values of more than 4 MiB.
     pub fn new(entries: impl IntoIterator<Item = (String, String)>) -> Self {
         Self(
             entries
@@ -26,7 +26,7 @@ impl Metadata {
         self.0.get(key).map(String::as_str)
     }
 
-    /// Whether an Ultralytics exporter wrote it: it names the task, the stride and the classes.
+    /// True if an Ultralytics exporter wrote it: by its author, or by its task, stride and class names.
     pub(crate) fn is_ultralytics(&self) -> bool {
         self.get("author") == Some("Ultralytics")
             || ["task", "stride", "names"]
@@ -34,8 +34,7 @@ impl Metadata {
                 .all(|key| self.0.contains_key(*key))
     }
 
-    /// Whether the model ends with boxes that need no suppression: `end2end`, or the exporter's argument
-    /// `nms`.
+    /// True if the model ends with boxes that need no suppression: `end2end`, or the exporter's argument `nms`.
     pub fn is_end_to_end(&self) -> bool {
         self.get("end2end")
             .is_some_and(|value| value.eq_ignore_ascii_case("true"))
@@ -44,7 +43,7 @@ impl Metadata {
                 .is_some_and(|value| value.contains("'nms': True"))
     }
 
-    /// The size the model was exported for: `imgsz`, rows first.
+    /// The input size of the export: `imgsz`, rows first.
     pub fn image_size(&self) -> Option<PictureSize> {
         let numbers: Vec<u32> = self
             .get("imgsz")?
@@ -59,10 +58,10 @@ impl Metadata {
         }
     }
 
-    /// The class names in `names`: a dictionary from number to name as Python or JSON writes it, or a list.
+    /// The class names in `names`: a dictionary from number to name in Python or JSON syntax, or a list.
     ///
     /// # Errors
-    /// When there is such an entry and it cannot be read, in words.
+    /// If the entry exists but cannot be read; in words.
     pub fn class_names(&self) -> Result<Option<Vec<String>>, String> {
         let Some(text) = self.get("names") else {
             return Ok(None);
@@ -82,11 +81,11 @@ impl Metadata {
     }
 }
 
-/// What is left to read of a Python or JSON literal.
+/// The unread rest of a Python or JSON literal.
 struct Literal<'a>(&'a str);
 
 impl Literal<'_> {
-    /// Names by class number.
+    /// Reads the names by class number.
     fn names(mut self) -> Result<BTreeMap<usize, String>, String> {
         let mut names = BTreeMap::new();
         let (numbered, close) = if self.take('{') {
@@ -129,7 +128,7 @@ impl Literal<'_> {
         format!("{what} is expected before `{next}`")
     }
 
-    /// Passes `sign` and the space behind it, if it is next.
+    /// Consumes `sign` and the space after it, if it is next.
     fn take(&mut self, sign: char) -> bool {
         match self.0.strip_prefix(sign) {
             Some(rest) => {
@@ -140,7 +139,7 @@ impl Literal<'_> {
         }
     }
 
-    /// A class number, plain or, as JSON has it, quoted.
+    /// Reads a class number, plain or quoted as in JSON.
     fn number(&mut self) -> Result<usize, String> {
         if self.0.starts_with(['"', '\'']) {
             let digits = self.quoted()?;

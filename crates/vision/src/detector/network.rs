@@ -1,5 +1,4 @@
-//! The real detector: session and head, one after the other on the task's thread, for one picture or several
-//! of the same run.
+//! The real detector: runs the session and then the head on the worker's thread, for one picture or all of a run.
 
 use super::classes::Classes;
 use super::head::{self, Head, TensorView, Unrecognised};
@@ -14,38 +13,37 @@ use albireo_core::detection::Detection;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// What the model found in one picture, and how long its own steps took.
+/// The detections in one picture, and the duration of each step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
     /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
     pub detections: Vec<Detection>,
     /// Resizing and conversion to the model's input tensor.
     pub letterbox: Duration,
-    /// The model alone; of a batch, that of all its pictures.
+    /// The model alone; for a batch, all its pictures.
     pub model: Duration,
     /// From output tensors to detections.
     pub head: Duration,
 }
 
-/// A model with all that belongs to it, on the caller's thread: from pictures to detections.
-/// [`DetectorHandle`](super::DetectorHandle) is the same for several cameras, with a queue and deadlines.
+/// A model with its preparation and its head, on the caller's thread: from pictures to detections.
+/// [`DetectorHandle`](super::DetectorHandle) does the same for several cameras, with a queue and deadlines.
 pub struct DetectorNetwork {
     session: OnnxSession,
     preparation: Preparation,
     reader: Reader,
-    /// Runs in a row in which everything found was impossible.
+    /// The number of consecutive runs with only impossible results.
     impossible_runs: u32,
 }
 
-/// So many runs in a row in which everything found is impossible are a fault of the model.
+/// This many consecutive runs with only impossible results are a fault of the model.
 const IMPOSSIBLE_RUNS: u32 = 5;
 
 impl DetectorNetwork {
-    /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not the slow
-    /// one.
+    /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not slow.
     ///
     /// # Errors
-    /// When the library, the model, its head or the execution provider is not as configured.
+    /// If the library, the model, its head or the execution provider is not as configured.
     pub fn open(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
         Self::open_counting(config, Arc::default())
@@ -83,10 +81,10 @@ impl DetectorNetwork {
         Ok(network)
     }
 
-    /// Runs the model on a black picture, and on a full batch of them: the slow first runs, in which memory is
-    /// laid out and an engine built, are over then.
+    /// Runs the model on a black picture, then on a full batch of them, to get over the slow first runs, in which
+    /// memory is laid out and an engine is built.
     fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
-        // Its buffers are not kept: a batch of them may be large, and the preparation has its own.
+        // `self.preparation` would keep these buffers, and a batch of them may be large.
         let preparation = Preparation::new(self.input_format());
         let black = Picture::black(self.input_format().size);
         let mut pictures = Vec::new();
@@ -106,18 +104,18 @@ impl DetectorNetwork {
     /// Finds the objects in one picture.
     ///
     /// # Errors
-    /// When the run failed.
+    /// If the run failed.
     pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, InferenceError> {
         let found = self.run(std::slice::from_ref(picture))?.pop();
         found.ok_or_else(|| InferenceError::Failed("the model gave no answer".to_owned()))
     }
 
-    /// Where pictures become the model's input.
+    /// Makes the model's input from pictures.
     pub fn preparation(&self) -> &Preparation {
         &self.preparation
     }
 
-    /// The names of the reported classes, by the number they are reported under.
+    /// The names of the reported classes, by reported number.
     pub fn class_names(&self) -> &[String] {
         &self.reader.classes.reported
     }
@@ -127,13 +125,13 @@ impl DetectorNetwork {
         self.reader.head.name
     }
 
-    /// The execution provider that runs it: not the first configured where that one does not work and falling back is
+    /// The execution provider that runs the model: not the first configured one if that does not work and a fallback is
     /// allowed.
     pub fn provider(&self) -> ExecutionProvider {
         self.session.provider()
     }
 
-    /// What the model wants to see.
+    /// The input that the model expects.
     pub fn input_format(&self) -> InputFormat {
         self.preparation.format()
     }
@@ -143,13 +141,13 @@ impl DetectorNetwork {
         self.session.signature()
     }
 
-    /// What was found in the model's output and not reported.
+    /// Rows and boxes of the model's output that were not reported.
     pub fn counts(&self) -> HeadCounts {
         *self.reader.counters.lock()
     }
 }
 
-/// Whether the model takes as many pictures at once as are configured.
+/// Checks that the model accepts as many pictures at once as configured.
 fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
     let is_open = |input: &TensorSpec| input.shape.first() == Some(&-1);
     if config.batch_size == 1 || signature.inputs.iter().all(is_open) {
@@ -166,7 +164,7 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
     })
 }
 
-/// The head for a model: the configured one, or the one it is recognised to need.
+/// The head for a model: the configured one, or the recognised one.
 fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, StartError> {
     let does_not_fit =
         |name: HeadName, expected: String, reason: String| StartError::ModelDoesNotFit {

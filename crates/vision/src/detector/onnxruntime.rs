@@ -1,4 +1,4 @@
-//! Finds the ONNX Runtime library and keeps the one environment a process may have.
+//! Finds the ONNX Runtime library and keeps the only environment of the process.
 
 use super::StartError;
 use ort::environment::Environment;
@@ -8,16 +8,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::{debug, error, info, warn};
 
-/// The variable that names the library, as the `ort` crate has it.
+/// The environment variable that names the library, as in the `ort` crate.
 const VARIABLE: &str = "ORT_DYLIB_PATH";
 
 static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
 
-/// The environment of this process, made from the library that `configured` names or, without it, from the
-/// first that is found. The first call decides which library the process uses.
+/// Returns the environment of this process, made from the library that `configured` names, or else from the first one
+/// found. The first call decides which library the process uses.
 ///
 /// # Errors
-/// When there is no library, or it cannot be used.
+/// If there is no library, or it cannot be used.
 pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, StartError> {
     let mut kept = ENVIRONMENT.lock();
     if let Some(environment) = kept.as_ref() {
@@ -41,20 +41,20 @@ pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, Star
     Ok(environment)
 }
 
-/// Where the library is that [`environment`] would load.
+/// Returns the path of the library that [`environment`] would load.
 ///
 /// # Errors
-/// When there is none, with where it was looked for.
+/// If there is none; the error lists the places searched.
 pub fn find_library(configured: Option<&Path>) -> Result<PathBuf, StartError> {
     Search::here(configured).find()
 }
 
-/// ONNX Runtime's own messages, warnings and worse; the rest would flood the log.
+/// Logs ONNX Runtime's own warnings and errors; its other messages would flood the log.
 fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str) {
     match level {
         LogLevel::Verbose | LogLevel::Info => {}
         LogLevel::Warning => warn!(target: "onnxruntime", category, location, "{message}"),
-        // It was asked to end (`Interrupter`), and ended.
+        // The run was asked to end (`Interrupter`), and did.
         LogLevel::Error if message.contains("due to terminate flag") => {
             debug!(target: "onnxruntime", category, location, "{message}");
         }
@@ -64,9 +64,9 @@ fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str
     }
 }
 
-/// Where to look.
+/// The places to search.
 struct Search {
-    /// A file or folder that somebody named, and what names it. Then nothing else is looked at.
+    /// A file or folder that is named explicitly, and what names it. Then nothing else is searched.
     named: Option<(&'static str, PathBuf)>,
     folders: Vec<PathBuf>,
 }
@@ -128,8 +128,8 @@ impl Search {
     }
 }
 
-/// The library in `folder`: the plain name, else the highest version. Absolute, because the loader looks at
-/// relative paths in its own way.
+/// Returns the library in `folder`: the plain name, else the highest version. The path is absolute, because the loader
+/// resolves relative paths in its own way.
 fn library_in(folder: &Path) -> Option<PathBuf> {
     let plain = format!(
         "{}onnxruntime{}",

@@ -1,5 +1,5 @@
-//! Turns pictures into the input of one model: letterbox on any thread, so that the model's own thread does
-//! nothing but run it. The buffers go round.
+//! Turns pictures into the input of one model by letterbox, on any thread, so that the model's own thread only runs the
+//! model. Buffers are reused.
 
 use super::InferenceError;
 use crate::picture::{InputFormat, InputMapping, Letterbox, LetterboxError, Picture};
@@ -7,19 +7,19 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Where pictures become inputs of one model. Clones share their buffers; several threads may prepare at once.
+/// Makes the inputs of one model from pictures. Clones share their buffers; several threads may prepare at once.
 #[derive(Clone)]
 pub struct Preparation(Arc<PreparationState>);
 
 struct PreparationState {
     format: InputFormat,
-    /// Those not in use, at most as many as were ever in use at once.
+    /// Buffers not in use, at most as many as were ever in use at once.
     idle: Mutex<Vec<Letterbox>>,
 }
 
-/// A picture as the model's input. Its buffer is used again when it is dropped.
+/// A picture as the model's input. Its buffer is reused when the picture is dropped.
 pub struct PreparedPicture {
-    /// Always some, until it is dropped.
+    /// Always `Some` until the picture is dropped.
     letterbox: Option<Letterbox>,
     mapping: InputMapping,
     took: Duration,
@@ -27,7 +27,7 @@ pub struct PreparedPicture {
 }
 
 impl Preparation {
-    /// For a model with that input.
+    /// A preparation for a model with this input.
     pub fn new(format: InputFormat) -> Self {
         Self(Arc::new(PreparationState {
             format,
@@ -35,15 +35,15 @@ impl Preparation {
         }))
     }
 
-    /// What the model wants to see.
+    /// The input that the model expects.
     pub fn format(&self) -> InputFormat {
         self.0.format
     }
 
-    /// Resizes `picture` and converts it to the model's input. Takes a fraction of a millisecond to some.
+    /// Resizes `picture` and converts it to the model's input. Takes up to a few milliseconds.
     ///
     /// # Errors
-    /// When the picture is empty or its buffer does not fit its size.
+    /// If the picture is empty or its buffer does not fit its size.
     pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, LetterboxError> {
         let start = Instant::now();
         let idle = self.0.idle.lock().pop();
@@ -58,17 +58,17 @@ impl Preparation {
     }
 }
 
-/// Prepares `picture` on a blocking thread, and lets go of it.
+/// Prepares `picture` on a blocking thread and drops it.
 ///
 /// # Errors
-/// When it cannot be prepared.
+/// If it cannot be prepared.
 pub(crate) async fn prepare_off_thread(
     preparation: Preparation,
     picture: Arc<Picture>,
 ) -> Result<PreparedPicture, InferenceError> {
     let work = move || {
         let prepared = preparation.prepare(&picture);
-        // Before the answer, so that its receiver is the only owner.
+        // Before the result is sent, so that its receiver is the only owner.
         drop(picture);
         prepared.map_err(|error| InferenceError::BadPicture(error.to_string()))
     };
@@ -78,17 +78,17 @@ pub(crate) async fn prepare_off_thread(
 }
 
 impl PreparedPicture {
-    /// The input, in the shape of the format, before any conversion to the model's element type.
+    /// The input, in the shape of the format, before conversion to the model's element type.
     pub fn values(&self) -> &[f32] {
         self.letterbox.as_ref().map_or(&[], Letterbox::tensor)
     }
 
-    /// The way back from the input's pixels to the picture.
+    /// The mapping from the input's pixels back to the picture.
     pub(crate) fn mapping(&self) -> InputMapping {
         self.mapping
     }
 
-    /// How long the preparation took.
+    /// The duration of the preparation.
     pub fn took(&self) -> Duration {
         self.took
     }

@@ -1,12 +1,12 @@
-//! Execution providers: the configured list, in order, and no silent fall-back.
+//! Execution providers: the configured list, in order, without a silent fallback.
 
 use super::{ExecutionProvider, GpuConfig, StartError};
 use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
 use tracing::warn;
 
-/// What ONNX Runtime is to register for `provider`; nothing for the CPU, which is always there. What TensorRT
-/// cannot run of a model goes to CUDA if that is among the `configured`. Left to itself, ONNX Runtime would go
-/// on without a provider that it cannot register.
+/// The providers that ONNX Runtime registers for `provider`; none for the CPU, which is always there. TensorRT leaves
+/// to CUDA what it cannot run, if CUDA is among the `configured`. By default, ONNX Runtime would go on without a
+/// provider that it cannot register.
 pub(super) fn registrations(
     provider: ExecutionProvider,
     configured: &[ExecutionProvider],
@@ -29,7 +29,7 @@ fn cuda(gpu: &GpuConfig) -> CUDA {
     match gpu.memory_limit() {
         Some(limit) => cuda
             .with_memory_limit(limit)
-            // The arena otherwise grows by doubling, over the limit's half at the first large model.
+            // By default the arena grows by doubling, beyond half the limit with the first large model.
             .with_arena_extend_strategy(ArenaExtendStrategy::SameAsRequested),
         None => cuda,
     }
@@ -56,7 +56,7 @@ fn tensorrt(gpu: &GpuConfig) -> TensorRT {
 /// Tries `attempt` with each of `providers` in order and returns the first that works.
 ///
 /// # Errors
-/// The result of `attempt` for the last provider tried.
+/// The error of `attempt` for the last provider tried.
 pub(super) fn first_that_works<T>(
     providers: &[ExecutionProvider],
     mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,

@@ -1,4 +1,4 @@
-//! From the model's output to detections: the head, classes, suppression, and what is counted on the way.
+//! Turns the model's output into detections: the head, classes, suppression, and counts of what is dropped.
 
 use super::classes::Classes;
 use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
@@ -9,31 +9,31 @@ use albireo_core::geometry::PictureSize;
 use parking_lot::Mutex;
 use std::sync::Arc;
 
-/// What was found in the model's output and not reported.
+/// Rows and boxes of the model's output that were not reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HeadCounts {
-    /// Rows with numbers that are not finite or not possible.
+    /// Rows with a number that is not finite or not possible.
     pub rejected: u64,
     /// Boxes outside the picture.
     pub outside: u64,
-    /// Boxes of a class whose number the model has no name for.
+    /// Boxes with a class number for which the model has no name.
     pub unknown_class: u64,
-    /// Boxes beyond [`MOST_CANDIDATES`](super::head::MOST_CANDIDATES) or the configured most detections; at
-    /// least one a frame where there were any.
+    /// Boxes beyond `MOST_CANDIDATES` of the suppression or the configured maximum of detections; at least one per
+    /// frame that has any.
     pub over_limit: u64,
 }
 
-/// The same while it is being counted; outlives the session.
+/// The same counts while they are updated; outlives the session.
 pub(super) type HeadCounters = Mutex<HeadCounts>;
 
-/// What is found in the output for one picture.
+/// The results in the output for one picture.
 pub(super) struct ReadOut {
     pub(super) detections: Vec<Detection>,
-    /// Whether all of it is impossible, and there is something.
+    /// True if there are results and all of them are impossible.
     pub(super) is_impossible: bool,
 }
 
-/// Makes detections of the model's output.
+/// Turns the model's output into detections.
 pub(super) struct Reader {
     pub(super) head: Head,
     confidence: f64,
@@ -44,7 +44,7 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// For a model with that head and those classes. Counts for itself until it is given other counters.
+    /// A reader for a model with this head and these classes. Has its own counters until it is given others.
     pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
         Self {
             head,
@@ -60,10 +60,10 @@ impl Reader {
         }
     }
 
-    /// What is found in the output for one picture.
+    /// Reads the output for one picture.
     ///
     /// # Errors
-    /// When the output is not of the shape the model announced.
+    /// If the output does not have the shape that the model announced.
     pub(super) fn read(
         &mut self,
         outputs: &[TensorView<'_>],
@@ -77,7 +77,7 @@ impl Reader {
         Ok(self.detections(mapping, rejected))
     }
 
-    /// The candidates that stay, as detections in the source picture; counts what does not, with the `rejected`.
+    /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`.
     fn detections(&mut self, mapping: InputMapping, rejected: u64) -> ReadOut {
         let mut counts = HeadCounts {
             rejected,
@@ -121,7 +121,7 @@ impl Reader {
     }
 }
 
-/// The candidate clipped to the source picture; `None` when nothing of it is inside.
+/// The candidate clipped to the source picture; `None` if no part of it is inside.
 fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> {
     let clipped = mapping.to_source(candidate.corners).corners().clipped();
     (clipped.area() > 0.0).then(|| Detection {
@@ -131,17 +131,17 @@ fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> 
     })
 }
 
-/// The outputs of one run for several pictures, taken apart: each picture has all outputs with a batch of 1.
+/// The outputs of a run for several pictures, split: each picture gets all outputs with a batch of 1.
 pub(super) struct Parts {
     shapes: Vec<Vec<i64>>,
     pictures: usize,
 }
 
 impl Parts {
-    /// For a run of `pictures`.
+    /// Splits the outputs of a run of `pictures`.
     ///
     /// # Errors
-    /// When an output is of another number of pictures.
+    /// If an output is for another number of pictures.
     pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, InferenceError> {
         let shape_of_one = |output: &TensorView<'_>| match output.shape {
             [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => {
@@ -158,7 +158,7 @@ impl Parts {
         })
     }
 
-    /// The outputs of picture number `picture`.
+    /// The outputs for picture number `picture`.
     pub(super) fn get<'a>(
         &'a self,
         outputs: &[TensorView<'a>],

@@ -1,4 +1,4 @@
-//! One ONNX Runtime session: from a file to something that takes a tensor and gives tensors.
+//! One ONNX Runtime session: loads a model file and runs it on tensors.
 
 use super::head::TensorView;
 use super::sessions::{Entry, SESSIONS};
@@ -18,27 +18,27 @@ use std::path::Path;
 use std::sync::Arc;
 use tracing::warn;
 
-/// A loaded model with what runs it.
+/// A loaded model with its execution provider.
 pub struct OnnxSession {
     session: Session,
     options: Arc<RunOptions>,
     signature: Signature,
     provider: ExecutionProvider,
-    /// The pictures of a batch one after the other, in the model's own element type.
+    /// The pictures of a batch, one after another, in the model's element type.
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
-    /// The last field: the session is gone when this goes.
+    /// The last field, so that it is dropped after the session.
     _entry: Entry<'static>,
 }
 
 impl OnnxSession {
-    /// Loads the model that `settings` name with the first execution provider that works.
+    /// Loads the model that `settings` names with the first execution provider that works.
     ///
     /// # Errors
-    /// When there is no library, no readable model, or no provider as configured.
+    /// If there is no library, no readable model, or no provider as configured.
     pub fn open(settings: &DetectorConfig) -> Result<Self, StartError> {
-        // Told apart from what ONNX Runtime says of a damaged model.
+        // Distinguishes an unreadable file from a model that ONNX Runtime finds damaged.
         if let Err(error) = std::fs::File::open(&settings.model) {
             return Err(StartError::ModelUnreadable {
                 path: settings.model.clone(),
@@ -88,16 +88,16 @@ impl OnnxSession {
         &self.signature
     }
 
-    /// What runs it.
+    /// The execution provider that runs the model.
     pub fn provider(&self) -> ExecutionProvider {
         self.provider
     }
 
-    /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
-    /// the model takes float16 or bytes. `read` gets the outputs in the order of the signature.
+    /// Runs the model on `pictures`, each as float32 in `shape`, the shape of one picture; converts them if the model
+    /// takes float16 or bytes. `read` gets the outputs in the order of the signature.
     ///
     /// # Errors
-    /// When ONNX Runtime fails, or an output is neither float32 nor float16.
+    /// If ONNX Runtime fails, or an output is neither float32 nor float16.
     pub fn run<R>(
         &mut self,
         mut shape: [i64; 4],
@@ -120,7 +120,7 @@ impl OnnxSession {
                 halves.resize(pictures.iter().map(|values| values.len()).sum(), f16::ZERO);
                 let mut place = 0;
                 for values in pictures {
-                    // Eight at a time where the processor can, which one after the other are not.
+                    // Converts eight at a time if the processor can; a loop over single values does not.
                     halves[place..][..values.len()].convert_from_f32_slice(values);
                     place += values.len();
                 }
@@ -133,7 +133,7 @@ impl OnnxSession {
                 TensorRef::from_array_view((shape, bytes.as_slice())).map(TensorRef::into_dyn)
             }
             _ => {
-                // A single picture is taken where it is.
+                // A single picture is not copied.
                 let values = match pictures {
                     [one] => one,
                     several => {
@@ -163,12 +163,12 @@ impl OnnxSession {
     }
 }
 
-/// The message of ONNX Runtime, for people.
+/// The human-readable message of ONNX Runtime.
 fn in_words(error: &ort::Error) -> String {
     fault::in_words(error.message())
 }
 
-/// Shape and elements of an output, float16 widened.
+/// The shape and the elements of an output; float16 is widened.
 fn elements(output: &DynValue) -> ort::Result<(&[i64], Cow<'_, [f32]>)> {
     if let Ok((shape, halves)) = output.try_extract_tensor::<f16>() {
         let mut values = vec![0.0; halves.len()];
@@ -179,7 +179,7 @@ fn elements(output: &DynValue) -> ort::Result<(&[i64], Cow<'_, [f32]>)> {
     Ok((shape, Cow::Borrowed(values)))
 }
 
-/// What the file carries beside the graph; nothing where that cannot be read.
+/// The text in the model's file beside the graph; empty if it cannot be read.
 fn metadata(session: &Session) -> Metadata {
     let Ok(metadata) = session.metadata() else {
         return Metadata::default();
@@ -210,7 +210,7 @@ fn build(
         .with_log_level(LogLevel::Warning)?
         .with_intra_threads(threads)?
         .with_inter_threads(1)?
-        // Threads that spin between runs take the core from the rest of the program.
+        // Threads that spin between runs take processor time from the rest of the program.
         .with_intra_op_spinning(false)?;
     let registrations = provider::registrations(provider, &settings.providers, &settings.gpu);
     if !registrations.is_empty() {
@@ -230,8 +230,8 @@ fn build(
     Ok((session, options, entry))
 }
 
-/// A device that is missing shows only when the session is made, so with any other provider than the CPU the
-/// provider is named; on the CPU it can only be the model.
+/// A missing device shows only when the session is created, so the error names the provider, except on the CPU, where
+/// it can only be the model.
 fn refusal(model: &Path, provider: ExecutionProvider, reason: String) -> StartError {
     match provider {
         ExecutionProvider::Cpu => StartError::ModelUnreadable {
@@ -252,7 +252,7 @@ fn spec(outlet: &Outlet) -> TensorSpec {
                 TensorElementType::Float32 => ElementType::Float32,
                 TensorElementType::Float16 => ElementType::Float16,
                 TensorElementType::Uint8 => ElementType::Uint8,
-                // As ONNX names them: int8, int64, bool.
+                // Named as in ONNX: int8, int64, bool.
                 other => ElementType::Other(format!("{other:?}").to_lowercase()),
             };
             (element, shape.to_vec())

@@ -1,4 +1,4 @@
-//! All sessions of this process, so that none runs when the process ends.
+//! All sessions of this process, kept so that none runs when the process ends.
 //!
 //! ONNX Runtime's library is destroyed as the process exits. A thread that still loads or runs a model then uses
 //! destroyed objects: it logs strange errors and may crash.
@@ -11,17 +11,17 @@ use std::time::Duration;
 /// Asks a model that is being loaded or run to end early.
 type Interrupter = Arc<dyn Fn() + Send + Sync>;
 
-/// Those of this process.
+/// The sessions of this process.
 pub(super) static SESSIONS: Sessions = Sessions::new();
 
 /// Interrupts every model that is being loaded or run in this process, and waits until all sessions are gone, at most
-/// `patience`. What is loaded afterwards is interrupted at once: this is for the end of the process. `false` when some
-/// are left.
+/// `patience`. Sessions loaded afterwards are interrupted at once: call this at the end of the process. Returns `false`
+/// if some are left.
 pub fn end_all_sessions(patience: Duration) -> bool {
     SESSIONS.end_all(patience)
 }
 
-/// Sessions from before they are loaded until they are gone.
+/// The sessions, each from before it is loaded until it is gone.
 pub(super) struct Sessions {
     kept: Mutex<Kept>,
     one_is_gone: Condvar,
@@ -45,7 +45,7 @@ impl Sessions {
         }
     }
 
-    /// Keeps `interrupter` for as long as the answer lives; calls it at once when all sessions are to end.
+    /// Keeps `interrupter` for as long as the returned entry lives; calls it at once if all sessions must end.
     pub(super) fn enter(&self, interrupter: Interrupter) -> Entry<'_> {
         let mut kept = self.kept.lock();
         let number = kept.next;
@@ -77,7 +77,7 @@ impl Sessions {
     }
 }
 
-/// One session's place among them; given up when dropped.
+/// The entry of one session; removed when dropped.
 pub(super) struct Entry<'a> {
     sessions: &'a Sessions,
     number: u64,

@@ -1,11 +1,11 @@
-//! What a model says about itself: names, element types and shapes of its inputs and outputs, and metadata.
+//! The signature of a model: names, element types and shapes of its inputs and outputs, and metadata.
 
 use super::Metadata;
 use crate::picture::TensorLayout;
 use albireo_core::geometry::PictureSize;
 use std::fmt;
 
-/// The most pixels an input may have: 200 MB as float32. A hostile file can ask for no more.
+/// The maximum number of pixels of an input: 200 MB as float32. A hostile file cannot ask for more.
 const MOST_PIXELS: u64 = 4096 * 4096;
 
 /// The type of a tensor's elements, as far as it matters here.
@@ -15,9 +15,9 @@ pub enum ElementType {
     Float32,
     /// IEEE 754 binary16.
     Float16,
-    /// Bytes: pixel values as they are.
+    /// Bytes: unchanged pixel values.
     Uint8,
-    /// Anything else, in words.
+    /// Any other type, in words.
     Other(String),
 }
 
@@ -26,20 +26,20 @@ pub enum ElementType {
 pub struct TensorSpec {
     /// Its name in the graph.
     pub name: String,
-    /// Type of its elements.
+    /// The type of its elements.
     pub element: ElementType,
-    /// Its dimensions; -1 where the model leaves one open.
+    /// Its dimensions; -1 for one that the model leaves open.
     pub shape: Vec<i64>,
 }
 
-/// The inputs and outputs of a model, and the text it carries.
+/// A model's inputs, outputs and metadata.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signature {
-    /// What it takes.
+    /// The inputs.
     pub inputs: Vec<TensorSpec>,
-    /// What it gives.
+    /// The outputs.
     pub outputs: Vec<TensorSpec>,
-    /// What else its file says.
+    /// The text in its file beside the graph.
     pub metadata: Metadata,
 }
 
@@ -48,19 +48,19 @@ pub struct Signature {
 pub struct PictureInput {
     /// Columns and rows.
     pub size: PictureSize,
-    /// Whether the colours come before or after rows and columns.
+    /// The order of colours, rows and columns.
     pub layout: TensorLayout,
-    /// Whether it takes bytes, which are then pixel values from 0 to 255.
+    /// True if it takes bytes, which are then pixel values from 0 to 255.
     pub takes_bytes: bool,
 }
 
 impl Signature {
-    /// The model's one picture input: float32, float16 or uint8, `[1, 3, rows, columns]` or
-    /// `[1, rows, columns, 3]`. An open batch dimension counts as 1. Sides that the model leaves open are
-    /// those of `wanted`, else of the metadata.
+    /// Returns the model's only picture input: float32, float16 or uint8, `[1, 3, rows, columns]` or
+    /// `[1, rows, columns, 3]`. An open batch dimension counts as 1. Open sides come from `wanted`, else from the
+    /// metadata.
     ///
     /// # Errors
-    /// What is wrong with the inputs or with `wanted`, in words.
+    /// The problem with the inputs or with `wanted`, in words.
     pub fn picture_input(&self, wanted: Option<PictureSize>) -> Result<PictureInput, String> {
         let [input] = self.inputs.as_slice() else {
             return Err(format!(
@@ -106,10 +106,10 @@ impl Signature {
         }
     }
 
-    /// The model's one output, which must be float32 or float16.
+    /// Returns the model's only output, which must be float32 or float16.
     ///
     /// # Errors
-    /// What is wrong with the outputs, in words.
+    /// The problem with the outputs, in words.
     pub(crate) fn only_output(&self) -> Result<&TensorSpec, String> {
         let [output] = self.outputs.as_slice() else {
             return Err(format!(
@@ -120,10 +120,10 @@ impl Signature {
         output.float()
     }
 
-    /// The output of that name, which must be float32 or float16, and its place.
+    /// Returns the output `name`, which must be float32 or float16, and its index.
     ///
     /// # Errors
-    /// When there is none, or it has other elements, in words.
+    /// If there is none, or it has other elements; in words.
     pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
         let found = self
             .outputs
@@ -150,7 +150,7 @@ impl TensorSpec {
     }
 }
 
-/// A side of the input: as the model has it, else as it was offered.
+/// A side of the input: the model's, else the offered one.
 fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
     let value = match (model, offered) {
         (-1, Some(side)) => i64::from(side),
@@ -188,7 +188,7 @@ impl fmt::Display for TensorSpec {
     }
 }
 
-/// A shape as messages have it: `[1, 3, ?, ?]`.
+/// A shape as written in messages: `[1, 3, ?, ?]`.
 pub(crate) fn shape_text(shape: &[i64]) -> String {
     let sides: Vec<_> = shape
         .iter()

@@ -7,38 +7,38 @@ use super::{ExecutionProvider, InferenceError};
 pub enum DetectorStatus {
     /// The session is being built and warmed up.
     Starting,
-    /// It runs.
+    /// The model runs.
     Ready {
-        /// What really runs it.
+        /// The provider that actually runs it.
         provider: ExecutionProvider,
     },
-    /// It runs, and what it finds is impossible, run after run.
+    /// The model runs, but its results are impossible, run after run.
     Implausible {
-        /// What is found, in words.
+        /// The fault, in words.
         reason: String,
-        /// What really runs it.
+        /// The provider that actually runs it.
         provider: ExecutionProvider,
     },
     /// The last run failed and the session is being rebuilt, or a run takes too long; frames are answered from
     /// prediction meanwhile.
     Degraded {
-        /// What happened, in words.
+        /// The failure, in words.
         reason: String,
-        /// What ran it before.
+        /// The provider that ran it before.
         provider: ExecutionProvider,
     },
-    /// What ran it is gone, and a new session in this process did not bring it back: what a new start of the program can
-    /// repair. It is still tried.
+    /// The GPU is gone, and a new session in this process did not bring it back; a new start of the program can.
+    /// Rebuilding is still tried.
     Lost {
-        /// What happened, in words.
+        /// The failure, in words.
         reason: String,
-        /// What ran it before.
+        /// The provider that ran it before.
         provider: ExecutionProvider,
     },
 }
 
 impl DetectorStatus {
-    /// What is wrong, in words, where anything is.
+    /// The fault in words, if there is one.
     pub fn fault(&self) -> Option<&str> {
         match self {
             Self::Starting | Self::Ready { .. } => None,
@@ -48,7 +48,7 @@ impl DetectorStatus {
         }
     }
 
-    /// What a picture is refused with now, if it is.
+    /// The error with which a picture is refused now, if it is.
     pub(crate) fn refusal(&self) -> Option<InferenceError> {
         match self {
             Self::Ready { .. } | Self::Implausible { .. } => None,
@@ -59,7 +59,7 @@ impl DetectorStatus {
         }
     }
 
-    /// What runs it, or ran it last.
+    /// The provider that runs the model, or ran it last.
     pub const fn provider(&self) -> Option<ExecutionProvider> {
         match self {
             Self::Starting => None,
