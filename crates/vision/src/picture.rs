@@ -24,6 +24,6 @@ pub use letterbox::{InputMapping, LetterboxError};
 pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
 pub use stream::{CutError, read_part, read_png, read_ppm};
 
-/// Most scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture, and a small
-/// file can hold many.
+/// The maximum number of scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture,
+/// and a small file can hold many.
 const MAX_SCANS: u32 = 32;

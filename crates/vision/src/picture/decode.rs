@@ -10,21 +10,20 @@ use super::{
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 
-/// Quality of a JPEG file made for people to look at.
+/// The quality of JPEG files made for viewing.
 const JPEG_QUALITY: u8 = 85;
 
 /// Decodes `picture` into `into`, whose buffer is reused.
 ///
-/// `target`: the size the picture will be scaled to next. A JPEG file that is at least twice as large in both
-/// directions is then scaled by a half, a quarter or an eighth while it is decoded, never below `target`, if
-/// the program was built with the feature `turbojpeg`.
+/// `target`: the size to which the picture will be scaled next. A JPEG file that is at least twice as large in both
+/// directions is then scaled by a half, a quarter or an eighth while it is decoded, never below `target`, if the
+/// program was built with the feature `turbojpeg`.
 ///
-/// Grey is luma as BT.601 weighs it, full range. Alpha is not looked at. Samples of 16 bits keep their
-/// upper eight.
+/// Grey is luma with the weights of BT.601, full range. Alpha is ignored. Samples of 16 bits keep their upper eight.
 ///
 /// # Errors
-/// [`FrameFault`] when a limit is exceeded or the picture is broken, also when only its end is missing.
-/// The pixels of `into` mean nothing then.
+/// [`FrameFault`] if a limit is exceeded or the picture is broken, even if only its end is missing. The pixels of
+/// `into` are then meaningless.
 pub fn decode(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -67,11 +66,11 @@ pub fn decode(
 /// A buffer is kept if it is at most this many times too large; otherwise its memory is released.
 const KEPT_TIMES: usize = 4;
 
-/// A buffer of this size is kept whatever it is needed for.
+/// A buffer of at most this many bytes is kept whatever it is needed for.
 const KEPT_BYTES: usize = 16 << 20;
 
-/// Makes `buffer` as long as a picture needs it. After one huge picture the memory is given back; where there is none
-/// for this one, only this one is lost.
+/// Makes `buffer` as long as a picture needs it. After one huge picture the memory is released; if there is none for
+/// this picture, only this one is lost.
 pub(super) fn make_room(buffer: &mut Vec<u8>, length: usize) -> Result<(), FrameFault> {
     if buffer.capacity() > KEPT_BYTES && buffer.capacity() / KEPT_TIMES > length {
         *buffer = Vec::new();
@@ -86,8 +85,8 @@ pub(super) fn make_room(buffer: &mut Vec<u8>, length: usize) -> Result<(), Frame
     Ok(())
 }
 
-/// Turns a panic of a third-party decoder into a fault: they are fed bytes from the network, and a bug
-/// that one odd picture finds must not end the service. What the closure leaves behind is pixels only.
+/// Turns a panic of a third-party decoder into a fault: decoders read bytes from the network, and a bug that one odd
+/// picture triggers must not end the service. The closure leaves only pixels behind.
 fn contain<T>(
     decoder: &str,
     decode: impl FnOnce() -> Result<T, FrameFault>,
@@ -99,11 +98,11 @@ fn contain<T>(
     })
 }
 
-/// Decodes `picture` in grey and halves it in each direction: every grey value is the mean of a square
-/// of four, rounded. An odd last row or column is left out.
+/// Decodes `picture` in grey and halves it in each direction: every grey value is the rounded mean of a square of four.
+/// An odd last row or column is dropped.
 ///
 /// # Errors
-/// As [`decode`], and for a picture with a side of one pixel, which has no half.
+/// As for [`decode`], and for a picture with a side of one pixel, which has no half.
 pub fn decode_grey_half(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -113,12 +112,12 @@ pub fn decode_grey_half(
     halve(into)
 }
 
-/// Decodes `picture` in grey at a whole fraction of its size (a half, a quarter, …), the smallest that leaves `width`
-/// columns; at its full size when it has less than twice as many. JPEG files are scaled while they are decoded, if the
+/// Decodes `picture` in grey at a fraction of its size (a half, a quarter, …), the smallest that leaves `width`
+/// columns; at its full size if it has fewer than twice as many. JPEG files are scaled while they are decoded, if the
 /// program was built with the feature `turbojpeg`.
 ///
 /// # Errors
-/// As [`decode`].
+/// As for [`decode`].
 pub fn decode_small_grey(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -143,7 +142,7 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
         )));
     }
     let (row, half_row) = (width as usize, half.width as usize);
-    // In place: a value is always written before, in memory, what is still to be read.
+    // Works in place: a value is always written below the addresses that are still to be read.
     for y in 0..half.height as usize {
         for x in 0..half_row {
             let at = 2 * y * row + 2 * x;
@@ -159,10 +158,10 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
     Ok(())
 }
 
-/// The picture as a JPEG file: as it came when it is one, else encoded with quality 85.
+/// Returns the picture as a JPEG file: unchanged if it is one, else encoded with quality 85.
 ///
 /// # Errors
-/// As [`decode`].
+/// As for [`decode`].
 pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, FrameFault> {
     if picture.format == PictureFormat::Jpeg {
         return Ok(picture.bytes.clone());

@@ -1,4 +1,4 @@
-//! JPEG files, by `zune-jpeg`.
+//! Decodes JPEG files with `zune-jpeg`.
 
 use super::header::check_jpeg_is_whole;
 use super::{EncodedPicture, FrameFault, MAX_SCANS, PixelLayout, decode_raw};
@@ -7,7 +7,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-/// Decodes into `pixels`, which have the length for `picture.size` and `layout`.
+/// Decodes into `pixels`, which has the length for `picture.size` and `layout`.
 pub(super) fn decode(
     picture: &EncodedPicture,
     layout: PixelLayout,
@@ -19,7 +19,7 @@ pub(super) fn decode(
     match (layout, decoder.input_colorspace()) {
         (PixelLayout::Rgb8, _) => {}
         (PixelLayout::Gray8, Some(ColorSpace::YCbCr | ColorSpace::Luma)) => {
-            // The chroma planes are then passed over, not reconstructed.
+            // The chroma planes are then skipped, not reconstructed.
             let options = decoder.options().jpeg_set_out_colorspace(ColorSpace::Luma);
             decoder.set_options(options);
         }
@@ -35,7 +35,7 @@ pub(super) fn decode(
 
 fn decoder(picture: &EncodedPicture, colors: ColorSpace) -> JpegDecoder<ZCursor<&[u8]>> {
     let options = DecoderOptions::default()
-        // Otherwise what cannot be decoded is filled with grey and called a success.
+        // Otherwise data that cannot be decoded is filled with grey and reported as a success.
         .set_strict_mode(true)
         .set_max_width(picture.size.width as usize)
         .set_max_height(picture.size.height as usize)
@@ -49,7 +49,7 @@ fn decode_headed(
     picture: &EncodedPicture,
     pixels: &mut [u8],
 ) -> Result<(), FrameFault> {
-    // A file may have more than one frame header; the one that was checked against the limits counts.
+    // A file may have more than one frame header; the one checked against the limits counts.
     let expected = (picture.size.width as usize, picture.size.height as usize);
     if decoder.dimensions() != Some(expected) || decoder.output_buffer_size() != Some(pixels.len())
     {

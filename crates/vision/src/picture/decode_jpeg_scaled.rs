@@ -1,12 +1,12 @@
-//! JPEG files at a half, a quarter or an eighth of their size, by libjpeg-turbo: its inverse transform makes the
-//! smaller picture directly.
+//! Decodes JPEG files at a half, a quarter or an eighth of their size with libjpeg-turbo, whose inverse transform makes
+//! the smaller picture directly.
 
 use super::header::check_jpeg_is_whole;
 use super::{EncodedPicture, FrameFault, MAX_SCANS, Picture, PixelLayout};
 use albireo_core::geometry::PictureSize;
 use turbojpeg::{Colorspace, Decompressor, Image, PixelFormat, ScalingFactor};
 
-/// A scale and what comes out at it.
+/// A scale and the resulting size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Scale {
     factor: ScalingFactor,
@@ -14,8 +14,8 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// The smallest scale at which a picture of size `source` is not smaller than `target`; `None` when that is
-    /// its full size.
+    /// The smallest scale at which a picture of size `source` is not smaller than `target`; `None` if that is its full
+    /// size.
     pub(super) fn towards(target: PictureSize, source: PictureSize) -> Option<Self> {
         [
             ScalingFactor::ONE_EIGHTH,
@@ -36,11 +36,11 @@ fn scaled(size: PictureSize, factor: ScalingFactor) -> PictureSize {
     PictureSize::new(side(size.width), side(size.height))
 }
 
-/// Decodes `picture` at `scale`; `false` for files of a kind that is not decoded here (CMYK, arithmetic coding,
+/// Decodes `picture` at `scale`; returns `false` for files of a kind that is not decoded here (CMYK, arithmetic coding,
 /// lossless).
 ///
 /// # Errors
-/// [`FrameFault`] when the file is broken.
+/// [`FrameFault`] if the file is broken.
 pub(super) fn decode(
     picture: &EncodedPicture,
     scale: Scale,
@@ -85,7 +85,7 @@ pub(super) fn decode(
             PixelLayout::Gray8 => PixelFormat::GRAY,
         },
     };
-    // A warning, such as of missing data that were filled with grey, is an error here too.
+    // A warning, such as of missing data that was filled with grey, is an error here too.
     decompressor
         .decompress(&picture.bytes, output)
         .map_err(broken)?;

@@ -1,4 +1,4 @@
-//! PNG files, by `png`: every colour type and depth, interlaced or not.
+//! Decodes PNG files with `png`: every colour type and depth, interlaced or not.
 
 use super::decode::make_room;
 use super::limits::decoded_bytes;
@@ -6,7 +6,7 @@ use super::{EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode_raw};
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 use std::io::Cursor;
 
-/// Decodes into `pixels`, which have the length for `picture.size` and `layout`.
+/// Decodes into `pixels`, which has the length for `picture.size` and `layout`.
 pub(super) fn decode(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -17,7 +17,7 @@ pub(super) fn decode(
         bytes: limits.max_decoded_bytes,
     };
     let mut decoder = Decoder::new_with_limits(Cursor::new(picture.bytes.as_ref()), memory);
-    // Palettes become colours, 16 bits become 8. Text and colour profiles are not looked at.
+    // Palettes become colours, 16 bits become 8. Text and colour profiles are ignored.
     decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);

@@ -1,9 +1,9 @@
-//! Raw pixels from one layout to another. Lengths have been checked.
+//! Converts raw pixels from one layout to another. Lengths have been checked.
 
 use super::{EncodedPicture, PictureFormat, PixelLayout};
 
-/// Converts into `pixels`, which have the length for `picture.size` and `layout`; `picture.bytes` have
-/// the length for its size and format.
+/// Converts into `pixels`, which has the length for `picture.size` and `layout`; `picture.bytes` has the length for its
+/// size and format.
 pub(super) fn decode(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
     let bytes = picture.bytes.as_ref();
     match (picture.format, layout) {
@@ -21,13 +21,13 @@ pub(super) fn decode(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut
     }
 }
 
-/// Luma of full-range red, green and blue with the weights of BT.601, in 16-bit fixed point.
+/// Returns the luma of full-range red, green and blue with the weights of BT.601, in 16-bit fixed point.
 fn luma(red: u8, green: u8, blue: u8) -> u8 {
     let sum = 19595 * u32::from(red) + 38470 * u32::from(green) + 7471 * u32::from(blue);
     ((sum + (1 << 15)) >> 16) as u8
 }
 
-/// Pixels of `N` bytes with red, green and blue at `order`.
+/// Converts pixels of `N` bytes with red, green and blue at `order`.
 pub(super) fn colours<const N: usize>(
     from: &[u8],
     order: [usize; 3],
@@ -51,12 +51,12 @@ pub(super) fn colours<const N: usize>(
     }
 }
 
-/// Red, green, blue to luma.
+/// Converts red, green, blue to luma.
 pub(super) fn rgb_to_grey(from: &[u8], to: &mut [u8]) {
     colours::<3>(from, [0, 1, 2], PixelLayout::Gray8, to);
 }
 
-/// Pixels of `N` bytes with luma first to red, green, blue.
+/// Converts pixels of `N` bytes with luma first to red, green, blue.
 pub(super) fn grey_to_rgb<const N: usize>(from: &[u8], to: &mut [u8]) {
     let (from, _) = from.as_chunks::<N>();
     let (to, _) = to.as_chunks_mut::<3>();
@@ -65,8 +65,8 @@ pub(super) fn grey_to_rgb<const N: usize>(from: &[u8], to: &mut [u8]) {
     }
 }
 
-/// NV12 in the limited range of BT.601 (ITU-R BT.601-7, section 2.5: black 16, white 235), each chroma
-/// pair used for its square of four pixels. Fixed-point factors: 298/256 = 255/219, and so on.
+/// Converts NV12 in the limited range of BT.601 (ITU-R BT.601-7, section 2.5: black 16, white 235); each chroma pair
+/// applies to its square of four pixels. Fixed-point factors: 298/256 = 255/219, and so on.
 fn nv12(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
     let width = picture.size.width as usize;
     let height = picture.size.height as usize;

@@ -1,24 +1,24 @@
-//! Why a frame that did arrive cannot be used.
+//! The reasons why a frame that arrived cannot be used.
 
-/// What was wrong with a frame. Each kind has its own counter.
+/// A fault of a frame. Each kind has its own counter.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameFault {
     /// The picture cannot be decoded, or contradicts its own header.
     #[error("undecodable picture: {reason}")]
     Undecodable {
-        /// What was wrong, for people.
+        /// The human-readable reason.
         reason: String,
     },
     /// Payload, picture or decoded size is above its limit.
     #[error("oversized frame: {reason}")]
     Oversized {
-        /// What was too large, and the limit.
+        /// The size that is too large, and the limit.
         reason: String,
     },
-    /// The payload is of a kind not known here, or the attachment cannot be read.
+    /// The payload is of an unknown kind, or the attachment cannot be read.
     #[error("unknown format: {reason}")]
     UnknownFormat {
-        /// What was found and what would do.
+        /// The format found, and those accepted.
         reason: String,
     },
 }
@@ -38,7 +38,7 @@ impl FrameFault {
         }
     }
 
-    /// A payload of no known kind.
+    /// A payload of an unknown kind.
     pub fn unknown_format(reason: impl Into<String>) -> Self {
         Self::UnknownFormat {
             reason: reason.into(),

@@ -1,12 +1,11 @@
-//! Pictures from files: which files of a folder are pictures, in which order, and one of them as a camera would
-//! send it.
+//! Pictures from files: finds and orders the pictures of a folder, and reads one of them as a camera would send it.
 
 use super::{EncodedPicture, FrameFault, FrameLimits, picture_of_file};
 use bytes::Bytes;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Why no picture can be read from a file or folder.
+/// The reason why no picture can be read from a file or folder.
 #[derive(Debug, Error)]
 pub enum PictureFileError {
     /// It cannot be read.
@@ -14,23 +13,23 @@ pub enum PictureFileError {
     Unreadable {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The folder has no pictures.
     #[error("{}: no .jpg, .jpeg or .png files in it", .0.display())]
     NoPictures(PathBuf),
-    /// The file holds nothing that a node takes.
+    /// The file contains nothing that a node accepts.
     #[error("{}: not a picture that can be sent", path.display())]
     NotAPicture {
         /// The file.
         path: PathBuf,
-        /// What a node would answer.
+        /// The fault that a node would report.
         source: FrameFault,
     },
 }
 
-/// Whether the file's name is that of a JPEG or PNG file.
+/// True if the file's name is that of a JPEG or PNG file.
 pub fn is_picture_file(path: &Path) -> bool {
     path.extension()
         .and_then(|extension| extension.to_str())
@@ -41,11 +40,11 @@ pub fn is_picture_file(path: &Path) -> bool {
         })
 }
 
-/// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`); or the
-/// one file that `path` is.
+/// Returns the JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`), or
+/// `path` itself if it is not a folder.
 ///
 /// # Errors
-/// When the folder cannot be read or has no pictures.
+/// If the folder cannot be read or has no pictures.
 pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
@@ -86,7 +85,7 @@ fn natural_key(file: &Path) -> (String, PathBuf) {
 /// Reads a file, and its header as a node would.
 ///
 /// # Errors
-/// When it cannot be read, or is not a picture that a node takes.
+/// If it cannot be read, or is not a picture that a node accepts.
 pub fn read_picture_file(path: &Path) -> Result<EncodedPicture, PictureFileError> {
     let bytes = std::fs::read(path).map_err(|source| PictureFileError::Unreadable {
         path: path.to_path_buf(),

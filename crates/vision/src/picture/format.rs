@@ -3,7 +3,7 @@
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 
-/// How the bytes of a picture are to be read.
+/// The encoding of a picture's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PictureFormat {
     /// A JPEG file (ITU-T T.81), baseline or progressive.
@@ -14,9 +14,9 @@ pub enum PictureFormat {
     Rgb8,
     /// Rows of blue, green, red, one byte each, without padding.
     Bgr8,
-    /// Rows of red, green, blue, alpha, one byte each, without padding. Alpha is not looked at.
+    /// Rows of red, green, blue, alpha, one byte each, without padding. Alpha is ignored.
     Rgba8,
-    /// Rows of blue, green, red, alpha, one byte each, without padding. Alpha is not looked at.
+    /// Rows of blue, green, red, alpha, one byte each, without padding. Alpha is ignored.
     Bgra8,
     /// Rows of luma, one byte each, without padding.
     Gray8,
@@ -40,7 +40,7 @@ impl PictureFormat {
         }
     }
 
-    /// The raw format of that name.
+    /// The raw format with this name.
     pub fn raw_from_name(name: &str) -> Option<Self> {
         [
             Self::Rgb8,
@@ -54,8 +54,8 @@ impl PictureFormat {
         .find(|format| format.as_str().eq_ignore_ascii_case(name))
     }
 
-    /// The number of bytes a raw picture of `size` has; `None` for the compressed formats and when the
-    /// number does not fit 64 bits.
+    /// The number of bytes of a raw picture of `size`; `None` for the compressed formats and if the number does not fit
+    /// in 64 bits.
     pub(crate) fn raw_bytes(self, size: PictureSize) -> Option<u64> {
         match self {
             Self::Jpeg | Self::Png => None,
@@ -70,10 +70,10 @@ impl PictureFormat {
     }
 }
 
-/// A picture as the camera sent it. Its size is known without decoding it.
+/// A picture as the camera sent it. Its size is known without decoding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EncodedPicture {
-    /// How to read the bytes.
+    /// The encoding of the bytes.
     pub format: PictureFormat,
     /// The bytes, shared with the network buffer they arrived in.
     pub bytes: Bytes,
@@ -81,7 +81,7 @@ pub struct EncodedPicture {
     pub size: PictureSize,
 }
 
-/// What one pixel of a decoded picture is.
+/// The layout of one pixel of a decoded picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PixelLayout {
     /// Red, green, blue, one byte each.
@@ -91,7 +91,7 @@ pub enum PixelLayout {
 }
 
 impl PixelLayout {
-    /// Bytes of one pixel.
+    /// The number of bytes per pixel.
     pub const fn channels(self) -> usize {
         match self {
             Self::Rgb8 => 3,
@@ -100,14 +100,14 @@ impl PixelLayout {
     }
 }
 
-/// A decoded picture. Kept and passed in again so that its buffer is reused.
+/// A decoded picture. Passed to the next decoding, so that its buffer is reused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// Size of the pixels.
+    /// The size of the picture in pixels.
     pub size: PictureSize,
-    /// Size of the frame they come from: larger than `size` when the picture was scaled down.
+    /// The size of the frame it comes from: larger than `size` if the picture was scaled down.
     pub source_size: PictureSize,
-    /// What one pixel is.
+    /// The layout of one pixel.
     pub layout: PixelLayout,
     /// `size.width * size.height * layout.channels()` bytes, row by row, without padding.
     pub pixels: Vec<u8>,

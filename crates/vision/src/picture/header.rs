@@ -12,7 +12,7 @@ const JPEG_SIGNATURE: &[u8] = &[0xFF, 0xD8, 0xFF];
 const START_OF_SCAN: u8 = 0xDA;
 const END_OF_IMAGE: u8 = 0xD9;
 
-/// JPEG or PNG, by the file's first bytes.
+/// Recognises JPEG or PNG by the file's first bytes.
 pub fn format_of(bytes: &[u8]) -> Option<PictureFormat> {
     if bytes.starts_with(JPEG_SIGNATURE) {
         Some(PictureFormat::Jpeg)
@@ -23,7 +23,7 @@ pub fn format_of(bytes: &[u8]) -> Option<PictureFormat> {
     }
 }
 
-/// The size a PNG file's `IHDR` chunk states (W3C PNG, section 11.2.1: always the first chunk).
+/// The size in a PNG file's `IHDR` chunk (W3C PNG, section 11.2.1: always the first chunk).
 pub(super) fn png_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
     let broken = |what: &str| FrameFault::undecodable(format!("the PNG file {what}"));
     let rest = bytes
@@ -48,7 +48,7 @@ fn big_endian_u16(bytes: &[u8], at: usize) -> Option<u16> {
     Some(u16::from_be_bytes(field.try_into().ok()?))
 }
 
-/// The size a JPEG file's frame header states (ITU-T T.81, B.2.2).
+/// The size in a JPEG file's frame header (ITU-T T.81, B.2.2).
 pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
     let mut segments = JpegSegments::new(bytes)?;
     while let Some((marker, content)) = segments.next()? {
@@ -88,9 +88,9 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
     ))
 }
 
-/// Checks that an end-of-image marker follows the pixels. Decoders fill what is missing with grey and
-/// call it a success; a detector would then look at a picture that never was. (Pixels that went missing
-/// before an end-of-image marker cannot be distinguished from grey pixels.)
+/// Checks that an end-of-image marker follows the pixels. Decoders fill missing data with grey and report success; a
+/// detector would then look at a picture that never existed. (Pixels missing before an end-of-image marker cannot be
+/// distinguished from grey pixels.)
 pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
     let mut segments = JpegSegments::new(bytes)?;
     while let Some((marker, _)) = segments.next()? {
@@ -130,12 +130,12 @@ impl<'a> JpegSegments<'a> {
         }
     }
 
-    /// What follows the last segment.
+    /// The bytes after the last segment.
     fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or_default()
     }
 
-    /// The next marker and the content of its segment; `None` at the end of the bytes.
+    /// Returns the next marker and the content of its segment; `None` at the end of the bytes.
     fn next(&mut self) -> Result<Option<(u8, &'a [u8])>, FrameFault> {
         loop {
             // Any number of 0xFF bytes may fill the space before a marker.
@@ -157,7 +157,7 @@ impl<'a> JpegSegments<'a> {
             };
             self.at += 1;
             match marker {
-                // Markers that stand alone.
+                // Markers without a segment.
                 0x01 | 0xD0..=0xD7 => continue,
                 END_OF_IMAGE => return Ok(None),
                 _ => {}
@@ -179,10 +179,10 @@ impl<'a> JpegSegments<'a> {
     }
 }
 
-/// A JPEG or PNG file as a picture: its header is read and its size checked.
+/// Makes a picture of a JPEG or PNG file: reads its header and checks its size.
 ///
 /// # Errors
-/// When it is neither, or above a limit.
+/// If it is neither, or exceeds a limit.
 pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPicture, FrameFault> {
     check_payload(bytes.len(), limits)?;
     let Some(format) = format_of(&bytes) else {
@@ -192,10 +192,10 @@ pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPict
     picture_of_kind(format, bytes, limits)
 }
 
-/// As [`picture_of_file`], for a file declared as `format`: JPEG or PNG.
+/// Like [`picture_of_file`], for a file declared as `format`: JPEG or PNG.
 ///
 /// # Errors
-/// When it is not, or above a limit.
+/// If it has another format, or exceeds a limit.
 pub fn picture_of_kind(
     format: PictureFormat,
     bytes: Bytes,

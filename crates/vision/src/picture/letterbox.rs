@@ -1,4 +1,4 @@
-//! From a decoded picture to the input tensor of a network, and the way back for what the network finds.
+//! Turns a decoded picture into the input tensor of a network, and maps the network's boxes back.
 
 use super::{Picture, PixelLayout};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
@@ -6,7 +6,7 @@ use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use serde::{Deserialize, Serialize};
 
-/// Order of the colour planes a network expects.
+/// The order of the colour planes that a network expects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -17,30 +17,30 @@ pub enum ColorOrder {
     Bgr,
 }
 
-/// How a picture is made to fit the network's input.
+/// The way a picture is fitted to the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// Aspect kept, in the top-left corner, the rest filled with grey of this value (YOLOX: 114).
+    /// Aspect ratio kept, in the top-left corner, the rest filled with grey of this value (YOLOX: 114).
     TopLeft(u8),
-    /// Aspect kept, in the middle, the rest filled with grey of this value (Ultralytics: 114).
+    /// Aspect ratio kept, in the middle, the rest filled with grey of this value (Ultralytics: 114).
     Centre(u8),
-    /// Both sides stretched to the input's.
+    /// Both sides stretched to those of the input.
     Stretch,
 }
 
-/// What becomes of pixel values from 0 to 255.
+/// The conversion of pixel values from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ValueRange {
-    /// They stay as they are.
+    /// Unchanged.
     To255,
-    /// They are divided by 255.
+    /// Divided by 255.
     ToOne,
-    /// They are divided by 255, less the mean of their colour in ImageNet, over its standard deviation.
+    /// Divided by 255, then normalised by the mean and standard deviation of their colour in ImageNet.
     ImageNet,
 }
 
 impl ValueRange {
-    /// For red, green and blue: what a value is multiplied by, and what is added then.
+    /// The factor of a value, and the offset added afterwards, for red, green and blue.
     fn factors(self) -> [(f32, f32); 3] {
         match self {
             Self::To255 => [(1.0, 0.0); 3],
@@ -52,27 +52,27 @@ impl ValueRange {
     }
 }
 
-/// Where the colours are in a network's input.
+/// The position of the colours in a network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TensorLayout {
-    /// Three planes, one after the other: `[1, 3, rows, columns]`.
+    /// Three planes, one after another: `[1, 3, rows, columns]`.
     Nchw,
     /// The three values of a pixel side by side: `[1, rows, columns, 3]`.
     Nhwc,
 }
 
-/// The input a network expects: one picture of `size`, float32.
+/// The input that a network expects: one picture of `size`, float32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputFormat {
     /// Columns and rows of a plane.
     pub size: PictureSize,
-    /// How the picture is made to fit.
+    /// The way the picture is fitted.
     pub fit: Fit,
-    /// Order of the planes.
+    /// The order of the planes.
     pub color_order: ColorOrder,
-    /// Range of the values.
+    /// The range of the values.
     pub value_range: ValueRange,
-    /// Where the colours are.
+    /// The position of the colours.
     pub layout: TensorLayout,
 }
 
@@ -86,14 +86,13 @@ impl InputFormat {
         }
     }
 
-    /// How large a picture of `source` is in the input, margins not counted: a decoder that scales need not
-    /// deliver more.
+    /// The size of a picture of `source` in the input, without margins: a decoder that scales need not deliver more.
     pub(crate) fn fitted(&self, source: PictureSize) -> PictureSize {
         let (placement, _) = place(source, *self);
         PictureSize::new(placement.width, placement.height)
     }
 
-    /// For each of the network's colour planes in order: which of red, green and blue it takes, the factor of its
+    /// For each of the network's colour planes in order: the index of its colour in red, green, blue, the factor of its
     /// values, and the offset.
     fn factors(&self) -> [(usize, f32, f32); 3] {
         let factors = self.value_range.factors();
@@ -105,7 +104,7 @@ impl InputFormat {
     }
 }
 
-/// The way back from the input's pixels to normalised coordinates of the source picture.
+/// The mapping from the input's pixels back to normalised coordinates of the source picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InputMapping {
     /// Input column of the picture's left edge.
@@ -130,20 +129,20 @@ impl InputMapping {
     }
 }
 
-/// Why a picture cannot become an input tensor.
+/// The reason why a picture cannot become an input tensor.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LetterboxError {
     /// The picture has no pixels.
     #[error("the picture is empty ({0})")]
     Empty(PictureSize),
-    /// The buffer does not have the bytes its size and layout say.
+    /// The length of the buffer does not match its size and layout.
     #[error("a {size} picture needs {expected} bytes and has {actual}")]
     WrongLength {
-        /// Size of the picture.
+        /// The size of the picture.
         size: PictureSize,
-        /// Bytes it should have.
+        /// The number of bytes it should have.
         expected: u64,
-        /// Bytes it has.
+        /// The number of bytes it has.
         actual: usize,
     },
     /// The resizer refused.
@@ -151,7 +150,7 @@ pub enum LetterboxError {
     Resize(String),
 }
 
-/// Where the resized picture lies in the input.
+/// The position of the resized picture in the input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Placement {
     left: u32,
@@ -160,18 +159,18 @@ struct Placement {
     height: u32,
 }
 
-/// Fills one network's input, keeping its buffers from picture to picture.
+/// Fills one network's input, reusing its buffers from picture to picture.
 pub struct Letterbox {
     format: InputFormat,
     resizer: Resizer,
     resized: Vec<u8>,
     tensor: Vec<f32>,
-    /// What the tensor's margin is filled for.
+    /// The placement for which the tensor's margin is filled.
     filled: Option<Placement>,
 }
 
 impl Letterbox {
-    /// For a network with that input.
+    /// A letterbox for a network with this input.
     pub fn new(format: InputFormat) -> Self {
         let plane = format.size.width as usize * format.size.height as usize;
         Self {
@@ -183,19 +182,19 @@ impl Letterbox {
         }
     }
 
-    /// The input, in the shape of the format. Its content is that of the last [`fill`](Self::fill).
+    /// The input, in the shape of the format, with the content of the last [`fill`](Self::fill).
     pub fn tensor(&self) -> &[f32] {
         &self.tensor
     }
 
-    /// Turns `picture` into the input and says how to come back. Bilinear without antialiasing, as the
-    /// networks were trained with (OpenCV's `INTER_LINEAR`).
+    /// Turns `picture` into the input and returns the mapping back. Bilinear without antialiasing, as in the training
+    /// of the networks (OpenCV's `INTER_LINEAR`).
     ///
     /// # Errors
-    /// When the picture is empty or its buffer does not fit its size.
+    /// If the picture is empty or its buffer does not fit its size.
     pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
         check(picture)?;
-        // By the size before the decoder scaled it, so that scaling moves nothing.
+        // Uses the size before the decoder scaled it, so that scaling moves nothing.
         let (placement, mapping) = place(picture.source_size, self.format);
         if self.filled != Some(placement) {
             self.fill_margin();
@@ -218,7 +217,7 @@ impl Letterbox {
         Ok(mapping)
     }
 
-    /// Gives every pixel the margin's value.
+    /// Sets every pixel to the margin's value.
     fn fill_margin(&mut self) {
         let fill = match self.format.fit {
             Fit::TopLeft(fill) | Fit::Centre(fill) => f32::from(fill),
@@ -270,7 +269,7 @@ impl Letterbox {
     }
 }
 
-/// From interleaved bytes to float32: to planes where values of a colour are `STEP` = 1 apart, else interleaved.
+/// Converts interleaved bytes to float32: to planes if values of a colour are `STEP` = 1 apart, else interleaved.
 fn convert<const CHANNELS: usize, const STEP: usize>(
     format: &InputFormat,
     placement: Placement,
@@ -316,7 +315,7 @@ fn check(picture: &Picture) -> Result<(), LetterboxError> {
     Ok(())
 }
 
-/// Where a picture of `size` goes in the input.
+/// Returns the position of a picture of `size` in the input, and the mapping back.
 fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
     let input = format.size;
     let (width, height) = (f64::from(size.width), f64::from(size.height));
@@ -326,8 +325,8 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
         Fit::Stretch => (columns, rows),
         Fit::TopLeft(_) | Fit::Centre(_) => (scale * width, scale * height),
     };
-    // Ultralytics rounds. YOLOX cuts the fraction off, of 415.999… too, which is what 720 columns at a scale
-    // of 416/720 come to: one column less moves boxes by up to 3 pixels and scores by 0.02, so it is kept.
+    // Ultralytics rounds. YOLOX truncates, even 415.999…, the result for 720 columns at a scale of 416/720: one column
+    // less moves boxes by up to 3 pixels and scores by 0.02, so truncation is kept.
     let whole = |value: f64, most: u32| {
         let value = match format.fit {
             Fit::Centre(_) => value.round(),
@@ -339,7 +338,7 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
         whole(scaled_width, input.width),
         whole(scaled_height, input.height),
     );
-    // An odd margin has its larger part at the right and bottom, as Ultralytics has it.
+    // An odd margin has its larger part at the right and bottom, as in Ultralytics.
     let (left, top) = match format.fit {
         Fit::Centre(_) => (
             (input.width - used_width) / 2,

@@ -1,22 +1,22 @@
-//! The checks that come before memory is taken.
+//! The checks made before memory is allocated.
 
 use super::{FrameFault, PictureFormat, PixelLayout};
 use albireo_core::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 
-/// Limits that are checked before memory is taken for a frame: the `[frame]` section.
+/// Limits checked before memory is allocated for a frame: the `[frame]` section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FrameLimits {
-    /// Largest payload, bytes.
+    /// The maximum size of a payload, in bytes.
     pub max_payload_bytes: usize,
-    /// Most columns of a picture.
+    /// The maximum number of columns of a picture.
     #[serde(skip)]
     pub max_width: u32,
-    /// Most rows of a picture.
+    /// The maximum number of rows of a picture.
     #[serde(skip)]
     pub max_height: u32,
-    /// Largest decoded picture, bytes.
+    /// The maximum size of a decoded picture, in bytes.
     #[serde(skip)]
     pub max_decoded_bytes: usize,
 }
@@ -35,7 +35,7 @@ impl Default for FrameLimits {
 /// Checks the length of a payload.
 ///
 /// # Errors
-/// When it is empty or too long.
+/// If it is empty or too long.
 pub fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), FrameFault> {
     if bytes == 0 {
         return Err(FrameFault::undecodable("the payload is empty"));
@@ -52,7 +52,7 @@ pub fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), FrameFaul
 /// Checks a picture's size, and that it fits `max_decoded_bytes` when decoded to RGB.
 ///
 /// # Errors
-/// When it is above a limit.
+/// If it exceeds a limit.
 pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), FrameFault> {
     if size.width == 0 || size.height == 0 {
         return Err(FrameFault::undecodable(format!(
@@ -68,7 +68,7 @@ pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), Fram
     decoded_bytes(size, PixelLayout::Rgb8.channels(), limits).map(|_| ())
 }
 
-/// Bytes of a picture of `size` with `bytes_per_pixel`, if within `max_decoded_bytes`.
+/// The number of bytes of a picture of `size` with `bytes_per_pixel`, if within `max_decoded_bytes`.
 pub(super) fn decoded_bytes(
     size: PictureSize,
     bytes_per_pixel: usize,
@@ -86,10 +86,10 @@ pub(super) fn decoded_bytes(
         })
 }
 
-/// Checks that a raw picture has exactly the bytes its size asks for.
+/// Checks that a raw picture has exactly the number of bytes that its size requires.
 ///
 /// # Errors
-/// When it has others.
+/// If it has another number.
 pub fn check_raw_length(
     format: PictureFormat,
     size: PictureSize,

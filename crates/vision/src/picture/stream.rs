@@ -1,34 +1,34 @@
-//! Cuts a stream of bytes, such as the output of ffmpeg, into pictures: parts of a multipart stream, PNG files, PPM files.
+//! Cuts a byte stream, such as ffmpeg's output, into pictures: parts of a multipart stream, PNG files, PPM files.
 
 use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture};
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 use std::io::{BufRead, Read};
 
-/// Why a stream cannot be cut any further.
+/// The reason why a stream cannot be cut any further.
 #[derive(Debug, thiserror::Error)]
 pub enum CutError {
     /// It cannot be read, or is cut short.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// It is not what was asked for.
+    /// It does not have the expected format.
     #[error("{0}")]
     Malformed(String),
-    /// A picture is larger than any that is taken.
+    /// A picture is larger than the maximum.
     #[error("a picture of {bytes} bytes is more than the {most} that are taken")]
     TooLarge {
-        /// Its length.
+        /// Its length in bytes.
         bytes: u64,
-        /// What is taken.
+        /// The maximum in bytes.
         most: u64,
     },
 }
 
-/// The next part of a multipart stream that has a `Content-length` in every part's head, as ffmpeg's `mpjpeg` and
-/// GStreamer's `multipartmux` write it; `None` at its end.
+/// Returns the next part of a multipart stream with a `Content-length` in the head of every part, as ffmpeg's `mpjpeg`
+/// and GStreamer's `multipartmux` write it; `None` at its end.
 ///
 /// # Errors
-/// When it is cut short, has no length, or more than `most` bytes.
+/// If it is cut short, has no length, or has more than `most` bytes.
 pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
     let mut length = None;
     let mut line = Vec::new();
@@ -66,10 +66,10 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>
     }
 }
 
-/// The next PNG file of a row of them; `None` at the end.
+/// Returns the next PNG file of a sequence; `None` at its end.
 ///
 /// # Errors
-/// When it is cut short, or has more than `most` bytes.
+/// If it is cut short, or has more than `most` bytes.
 pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
     if stream.fill_buf()?.is_empty() {
         return Ok(None);
@@ -92,10 +92,10 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>,
     }
 }
 
-/// The next PPM file of a row of them (`P6`, one byte a colour), as rows of red, green, blue; `None` at the end.
+/// Returns the next PPM file of a sequence (`P6`, one byte per colour), as rows of red, green, blue; `None` at its end.
 ///
 /// # Errors
-/// When it is cut short. A picture above `limits` is skipped and reported in the inner result.
+/// If it is cut short. A picture above `limits` is skipped and reported in the inner result.
 pub fn read_ppm(
     stream: &mut impl BufRead,
     limits: &FrameLimits,
@@ -135,7 +135,7 @@ pub fn read_ppm(
     })))
 }
 
-/// A number and the one blank behind it.
+/// Reads a number and the one blank after it.
 fn read_number(stream: &mut impl BufRead) -> Result<u32, CutError> {
     let mut text = String::new();
     for _ in 0..11 {
@@ -159,7 +159,7 @@ fn read_exactly(stream: &mut impl BufRead, length: u64, most: u64) -> Result<Vec
             most,
         });
     }
-    // Room for all of it at once; what never comes is not paid for beyond the limit.
+    // Reserves room for all bytes at once; for bytes that never arrive, at most up to the limit.
     let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or_default());
     stream.by_ref().take(length).read_to_end(&mut bytes)?;
     if bytes.len() as u64 != length {
