@@ -1,10 +1,10 @@
-//! One model on its own thread, shared by all cameras: a queue, a thread, and a deadline for each run.
+//! One model on its own thread, shared by all cameras: a queue, a thread, and a deadline per run.
 //!
-//! A task owns everything that changes: it takes requests from a channel, hands the thread one batch at a time, and
-//! waits for what comes back or for the deadline. A run that exceeds its deadline is answered with an error then; until
-//! it comes back nothing else is accepted, and then the session goes on. After a run that failed the session is built
-//! again, with growing pauses. A thread that is not back [`STUCK_AFTER`] its deadline cannot be repaired within the
-//! process: [`Worker::ended`] says so.
+//! A task owns all mutable state: it receives requests from a channel, hands the thread one batch at a time, and waits
+//! for the outcome or the deadline. A run that exceeds its deadline is answered with an error at that time; nothing
+//! else is accepted until the run comes back, and then the session goes on. After a failed run the session is rebuilt,
+//! with growing pauses. A thread that has not come back [`STUCK_AFTER`] its deadline cannot be repaired within the
+//! process: [`Worker::ended`] reports it.
 
 mod counters;
 mod queue;
@@ -26,76 +26,76 @@ use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::{CancellationToken, DropGuard};
 use tracing::{error, info, warn};
 
-/// From a failure to the first attempt to build a new session; doubles with each failure until a run ends well.
+/// The pause before the first attempt to rebuild a failed session; doubles with each failure until a run succeeds.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
-/// The longest of these pauses.
+/// The longest such pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
-/// How long after its deadline a run is waited for before its thread counts as stuck.
+/// The time after a run's deadline at which its thread counts as stuck.
 const STUCK_AFTER: Duration = Duration::from_secs(30);
 
-/// When the log first says that a model is still being built; then after twice that time, and so on. There is no limit:
-/// TensorRT builds engines for minutes.
+/// The time after which the log first reports that a model is still being built; doubles with each report. There is no
+/// limit: TensorRT builds engines for minutes.
 const STILL_BUILDING: Duration = Duration::from_secs(10);
 
-/// Something that answers pictures, built and used on one thread.
+/// A model that answers pictures, built and used on one thread.
 pub(crate) trait Model: 'static {
-    /// A picture as it takes it.
+    /// A picture in the form that the model accepts.
     type Input: Send + 'static;
-    /// What it finds in a picture.
+    /// The result for one picture.
     type Output: Send + 'static;
-    /// What its users rely on as long as the program runs: a model that is built again must have the same.
+    /// The facts that its users rely on as long as the program runs: a rebuilt model must have the same.
     type Facts: Clone + PartialEq + Send + 'static;
 
-    /// What its users rely on.
+    /// The facts that its users rely on.
     fn facts(&self) -> Self::Facts;
 
-    /// Answers pictures, at least one and at most the batch size of its worker: one output for each, in their order.
-    /// Blocks.
+    /// Runs on at least one picture and at most the worker's batch size; returns one output per picture, in their
+    /// order. Blocks.
     ///
     /// # Errors
-    /// When the run failed.
+    /// If the run failed.
     fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, InferenceError>;
 
-    /// What runs it.
+    /// The provider that runs the model.
     fn provider(&self) -> ExecutionProvider;
 }
 
-/// How a worker behaves.
+/// The settings of a worker.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WorkerSettings {
-    /// What it is called in logs; also the name of its thread.
+    /// Its name in logs; also the name of its thread.
     pub(crate) name: &'static str,
-    /// The longest a run may take.
+    /// The longest that a run may take.
     pub(crate) timeout: Duration,
-    /// The most pictures of a run, each of another camera.
+    /// The maximum number of pictures in a run, each from another camera.
     pub(crate) batch_size: usize,
-    /// How long a picture waits for those of other cameras to share its run, from being asked.
+    /// The longest that a picture waits for pictures of other cameras to share its run, from its request.
     pub(crate) batch_wait: Duration,
 }
 
 /// An answered picture.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Answer<T> {
-    /// What the model found.
+    /// The model's result.
     pub(crate) output: T,
-    /// From being asked to the start of the run.
+    /// The time from the request to the start of the run.
     pub(crate) queued: Duration,
-    /// From the start of the run to its end.
+    /// The duration of the run.
     pub(crate) took: Duration,
-    /// How many pictures the run looked at: this one's part of it is `took` divided by their number.
+    /// The number of pictures in the run: this picture's share of the run is `took` divided by it.
     pub(crate) pictures: u32,
 }
 
 /// A handle to a running worker, which stops when its last handle is dropped.
 pub(crate) struct Worker<I, T> {
     requests: mpsc::UnboundedSender<Request<I, T>>,
-    /// How the worker is doing, now and from now on.
+    /// The worker's status, updated as it changes.
     pub(crate) status: watch::Receiver<DetectorStatus>,
     idle: watch::Receiver<bool>,
     ended: watch::Receiver<Option<Result<(), String>>>,
-    /// Its counters for metrics: does not keep the worker running.
+    /// Counters for metrics; does not keep the worker running.
     pub(crate) meter: WorkerMeter,
     stop: Arc<(CancellationToken, DropGuard)>,
 }
@@ -114,11 +114,11 @@ impl<I, T> Clone for Worker<I, T> {
 }
 
 impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
-    /// Builds the model on its thread and waits for it; also says what its users may rely on. `build` is called again
-    /// after each failure. Needs a tokio runtime with timers.
+    /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
+    /// failure. Needs a tokio runtime with timers.
     ///
     /// # Errors
-    /// When the first model cannot be built.
+    /// If the first model cannot be built.
     pub(crate) async fn start<M: Model<Input = I, Output = T>>(
         settings: WorkerSettings,
         build: impl Fn() -> Result<M, StartError> + Send + 'static,
@@ -172,10 +172,10 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         Ok((worker, facts))
     }
 
-    /// Whether a picture would be taken now; a refusal is counted.
+    /// Checks that a picture would be accepted now; counts a refusal.
     ///
     /// # Errors
-    /// What [`run`](Self::run) would answer at once.
+    /// The error that [`run`](Self::run) would return at once.
     pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
         if self.stop.0.is_cancelled() {
             return Err(InferenceError::Stopped);
@@ -187,8 +187,8 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         Err(refusal)
     }
 
-    /// Has a camera's `picture` answered. Waits for its turn and for the run. When this returns `Ok`, the worker no
-    /// longer holds the picture.
+    /// Runs the model on a camera's `picture`. Waits for its turn and for the run. When this returns `Ok`, the worker
+    /// no longer holds the picture.
     ///
     /// # Errors
     /// See [`InferenceError`]; a run that takes too long is answered at its deadline, not later.
@@ -200,10 +200,10 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         self.ask(Some(camera), picture).await
     }
 
-    /// Has `picture` answered when no camera waits. May be given up at any time.
+    /// Runs the model on `picture` when no camera waits. May be cancelled at any time.
     ///
     /// # Errors
-    /// As of [`run`](Self::run).
+    /// As for [`run`](Self::run).
     pub(crate) async fn run_spare(&self, picture: I) -> Result<Answer<T>, InferenceError> {
         self.ask(None, picture).await
     }
@@ -225,24 +225,24 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         answer.await.unwrap_or(Err(InferenceError::Stopped))
     }
 
-    /// Returns when the model has nothing to do; `None` once the worker has been stopped.
+    /// Waits until the model has nothing to do; returns `None` once the worker has been stopped.
     pub(crate) async fn idle(&self) -> Option<()> {
         let mut idle = self.idle.clone();
         idle.wait_for(|idle| *idle).await.ok().map(|_| ())
     }
 
-    /// Takes no more pictures, turns away those that wait, and returns when the run in progress has ended or has taken
-    /// too long. Safe to call more than once.
+    /// Accepts no more pictures, refuses those that wait, and returns when the run in progress has ended or exceeded
+    /// its deadline. Safe to call more than once.
     pub(crate) async fn stop(&self) {
         self.stop.0.cancel();
         // A stuck thread is handled by the supervisor.
         let _ = self.ended().await;
     }
 
-    /// Returns when it has been stopped.
+    /// Returns when the worker has stopped.
     ///
     /// # Errors
-    /// When its thread is stuck: only a new process helps.
+    /// If its thread is stuck: only a new process helps.
     pub(crate) async fn ended(&self) -> Result<(), String> {
         let mut ended = self.ended.clone();
         match ended.wait_for(Option::is_some).await {
@@ -252,31 +252,31 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     }
 }
 
-/// Why a worker serves no longer.
+/// The reason why a worker no longer serves.
 enum End {
     Stopped,
-    /// Stopped during a run that exceeds its deadline and is not waited for.
+    /// Stopped during a run that exceeded its deadline; the run is not awaited.
     StoppedLate,
     Stuck(String),
 }
 
-/// What a task waits for.
+/// An event that a task waits for.
 enum Event<M: Model> {
-    /// A request came and was queued or refused.
+    /// A request arrived and was queued or refused.
     Request,
-    /// The thread has finished its job.
+    /// The thread has finished its command.
     Outcome(Outcome<M>),
-    /// The time has come.
+    /// The time limit of the wait has come.
     Time,
 }
 
-/// Everything that changes, owned by one task.
+/// All mutable state, owned by one task.
 struct Task<M: Model> {
     settings: WorkerSettings,
     thread: ModelThread<M>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
-    /// Whether every request is refused, since the worker was stopped.
+    /// True once the worker is stopped: every request is refused.
     is_stopping: bool,
     provider: ExecutionProvider,
     status: watch::Sender<DetectorStatus>,
@@ -300,7 +300,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// After the last run: waits until the thread has dropped its model, at most as long as a run may take.
+    /// Waits after the last run until the thread has dropped its model, at most as long as a run may take.
     async fn finish(mut self, served: Result<(), End>) -> Result<(), String> {
         self.close();
         match served {
@@ -317,10 +317,10 @@ impl<M: Model> Task<M> {
         Ok(())
     }
 
-    /// The next thing that happens, at the latest at `time`.
+    /// Returns the next event, at `time` at the latest.
     ///
     /// # Errors
-    /// When the worker should stop, which is reported once, or its thread has ended.
+    /// If the worker should stop, which is reported once, or if its thread has ended.
     async fn event(&mut self, time: Option<Instant>) -> Result<Event<M>, End> {
         tokio::select! {
             biased;
@@ -344,7 +344,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// The immediate answer to every request while no session can take pictures.
+    /// The immediate answer to every request while no session can accept pictures.
     fn refusal(&self) -> Option<InferenceError> {
         match self.is_stopping {
             true => Some(InferenceError::Stopped),
@@ -367,7 +367,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Runs the next pictures and answers them, at their deadline at the latest; says whether the model is gone.
+    /// Runs the next pictures and answers them, at their deadline at the latest; returns true if the model is gone.
     async fn run_batch(&mut self) -> Result<bool, End> {
         let started = Instant::now();
         let batch = self.queue.take_batch();
@@ -377,16 +377,16 @@ impl<M: Model> Task<M> {
             .into_iter()
             .map(|request| (request.picture, (request.reply, request.requested_at)))
             .unzip();
-        // A thread that is gone is found out below.
+        // If the thread is gone, `event` reports it below.
         let _ = self.thread.commands.send(Command::Run(pictures));
-        // None once they have been answered that the run takes too long.
+        // None once the askers got the timeout error.
         let mut waiting = Some(waiting);
         let mut deadline = started + self.settings.timeout;
         let result = loop {
             match self.event(Some(deadline)).await {
                 Ok(Event::Outcome(Outcome::Ran(result))) => break result,
                 Ok(Event::Outcome(Outcome::Built(_)) | Event::Request) => {}
-                // The run in progress is waited for.
+                // The run in progress may still end in time.
                 Err(End::Stopped) if waiting.is_some() => {}
                 Err(End::Stopped) => return Err(End::StoppedLate),
                 Ok(Event::Time) => {
@@ -423,11 +423,11 @@ impl<M: Model> Task<M> {
         let mut outputs = result.map(Vec::into_iter);
         for (reply, requested_at) in waiting {
             let answer = match &mut outputs {
-                // The thread has seen to it that there is an output for each.
+                // The thread ensures one output per picture.
                 Ok(outputs) => outputs.next().ok_or(InferenceError::Stopped),
                 Err(error) => Err(error.clone()),
             };
-            // The asker may have gone; that is its right.
+            // The asker may have given up.
             let _ = reply.send(answer.map(|output| Answer {
                 output,
                 queued: started.saturating_duration_since(requested_at),
@@ -441,7 +441,7 @@ impl<M: Model> Task<M> {
         Ok(has_failed)
     }
 
-    /// Counts and reports a run that ended well. The pictures of a run that returned too late do not count.
+    /// Counts and reports a successful run. The pictures of a run that returned too late do not count.
     fn ran_well(&mut self, pictures: u32, is_spare: bool) {
         self.open(DetectorStatus::Ready {
             provider: self.provider,
@@ -455,7 +455,7 @@ impl<M: Model> Task<M> {
         });
     }
 
-    /// Answers those who wait for a run that exceeds its deadline, and refuses others until it has come back.
+    /// Answers the askers of a run that exceeds its deadline, and refuses others until the run has come back.
     fn too_late(&mut self, waiting: Vec<Asker<M::Output>>) {
         let timeout = self.settings.timeout.as_millis();
         warn!(
@@ -473,7 +473,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Counts and reports a run that failed; returns whether the model is lost.
+    /// Counts and reports a failed run; returns true if the model is lost.
     fn failed(&mut self, error: &InferenceError) -> bool {
         let reason = error.to_string();
         self.meter.update(|counts| match error {
@@ -519,9 +519,9 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Has the thread build the model.
+    /// Builds the model on the thread.
     async fn build(&mut self) -> Result<Result<M::Facts, StartError>, End> {
-        // A thread that is gone is found out below.
+        // If the thread is gone, `event` reports it below.
         let _ = self.thread.commands.send(Command::Build);
         let (begun, mut patience) = (Instant::now(), STILL_BUILDING);
         loop {
@@ -546,7 +546,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// From now on pictures are taken, unless the worker is stopping.
+    /// Accepts pictures from now on, unless the worker is stopping.
     fn open(&mut self, status: DetectorStatus) {
         if !self.is_stopping {
             self.status.send_if_modified(|now| {
@@ -557,8 +557,8 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// From now on pictures are refused for this reason, unless the worker is stopping. The status says so first, so
-    /// that it is set when a caller gets the error.
+    /// Refuses pictures from now on for this reason, unless the worker is stopping. Sets the status first, so that a
+    /// caller that gets the error already sees it.
     fn degraded(&mut self, reason: String, lost: bool) {
         if self.is_stopping {
             return;
@@ -571,7 +571,7 @@ impl<M: Model> Task<M> {
         self.refuse_waiting();
     }
 
-    /// Refuses all waiting requests and all later ones: the worker stops.
+    /// Refuses all waiting and all later requests: the worker stops.
     fn close(&mut self) {
         self.is_stopping = true;
         self.refuse_waiting();
@@ -612,5 +612,5 @@ impl<M: Model> Task<M> {
     }
 }
 
-/// A request that waits for an answer, and since when.
+/// The channel for the answer to a request, and the time of the request.
 type Asker<T> = (oneshot::Sender<Result<Answer<T>, InferenceError>>, Instant);

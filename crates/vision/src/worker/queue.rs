@@ -1,4 +1,4 @@
-//! The pictures that wait for a run: cameras take turns, and a run takes one picture of each camera at most.
+//! The pictures that wait for a run: cameras take turns, and a run takes at most one picture per camera.
 
 use super::Answer;
 use crate::detector::{CameraSlot, InferenceError};
@@ -9,22 +9,22 @@ use tokio::time::Instant;
 
 /// A picture that waits for its run.
 pub(super) struct Request<I, T> {
-    /// Whose it is; `None` for one that runs only when no camera waits.
+    /// The camera that asked; `None` for a picture that runs only when no camera waits.
     pub(super) camera: Option<CameraSlot>,
     pub(super) picture: I,
     pub(super) requested_at: Instant,
     pub(super) reply: oneshot::Sender<Result<Answer<T>, InferenceError>>,
 }
 
-/// The requests that wait, in the order in which they came.
+/// The waiting requests, in order of arrival.
 pub(super) struct Queue<I, T> {
     waiting: Vec<Request<I, T>>,
-    /// Cameras that have ever asked: a batch cannot have more pictures.
+    /// All cameras that have ever asked: a batch cannot have more pictures.
     cameras: BTreeSet<CameraSlot>,
     last_served: Option<CameraSlot>,
-    /// The most pictures of a run.
+    /// The maximum number of pictures in a run.
     batch_size: usize,
-    /// How long a picture waits for those of other cameras, from being asked.
+    /// The longest that a picture waits for pictures of other cameras, from its request.
     batch_wait: Duration,
 }
 
@@ -44,7 +44,7 @@ impl<I, T> Queue<I, T> {
         self.waiting.push(request);
     }
 
-    /// How many pictures of cameras wait.
+    /// The number of waiting pictures of cameras.
     pub(super) fn waiting(&self) -> usize {
         self.of_cameras().count()
     }
@@ -53,15 +53,15 @@ impl<I, T> Queue<I, T> {
         (self.waiting.iter()).filter(|request| request.camera.is_some())
     }
 
-    /// Drops the requests whose requester gave up; says how many of them were cameras'.
+    /// Drops the requests whose requester gave up; returns how many of them came from cameras.
     pub(super) fn drop_cancelled(&mut self) -> usize {
         let before = self.waiting();
         self.waiting.retain(|request| !request.reply.is_closed());
         before - self.waiting()
     }
 
-    /// When the next run may begin: as soon as its pictures are there, or when the first of them has waited for others
-    /// long enough. `None` when nothing waits.
+    /// The time at which the next run may begin: as soon as its pictures are there, or once the first of them has
+    /// waited long enough for others. `None` if nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
         let Some(first) = self.of_cameras().map(|request| request.requested_at).min() else {
             return self.waiting.first().map(|request| request.requested_at);
@@ -74,7 +74,7 @@ impl<I, T> Queue<I, T> {
         }
     }
 
-    /// The pictures of the next run: of the next cameras round the circle, else one that is no camera's.
+    /// Takes the pictures of the next run: those of the next cameras in round-robin order, else one of no camera.
     pub(super) fn take_batch(&mut self) -> Vec<Request<I, T>> {
         let mut batch: Vec<Request<I, T>> = Vec::new();
         while batch.len() < self.batch_size {
@@ -94,7 +94,7 @@ impl<I, T> Queue<I, T> {
         batch
     }
 
-    /// All that wait.
+    /// Takes all waiting requests.
     pub(super) fn take_all(&mut self) -> Vec<Request<I, T>> {
         std::mem::take(&mut self.waiting)
     }

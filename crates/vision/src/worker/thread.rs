@@ -7,23 +7,23 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
-/// What the thread is to do next.
+/// A command to the thread.
 pub(super) enum Command<I> {
-    /// Build the model. There is none.
+    /// Build the model; none exists.
     Build,
     /// Run it on these pictures.
     Run(Vec<I>),
 }
 
-/// What became of a command.
+/// The result of a command.
 pub(super) enum Outcome<M: Model> {
-    /// What runs the model, and what its users rely on.
+    /// The provider that runs the model, and the facts that its users rely on.
     Built(Result<(ExecutionProvider, M::Facts), StartError>),
-    /// One output for each picture. After any error but [`InferenceError::Implausible`] the model is gone.
+    /// One output per picture. After any error but [`InferenceError::Implausible`] the model is gone.
     Ran(Result<Vec<M::Output>, InferenceError>),
 }
 
-/// The ends of the thread's two lines; it leaves when `commands` is dropped.
+/// The ends of the thread's two channels; the thread exits when `commands` is dropped.
 pub(super) struct ModelThread<M: Model> {
     pub(super) commands: Sender<Command<M::Input>>,
     pub(super) outcomes: UnboundedReceiver<Outcome<M>>,
@@ -73,12 +73,12 @@ fn work<M: Model>(
             Command::Run(pictures) => {
                 let ran = catch_unwind(AssertUnwindSafe(|| run(&mut model, &pictures)))
                     .unwrap_or_else(|panic| Err(InferenceError::Panicked(message(&*panic))));
-                // Before the answer goes out, so that the asker can use the buffers again.
+                // Before the answer is sent, so that the asker can reuse the buffers.
                 drop(pictures);
                 if let Err(error) = &ran
                     && !matches!(error, InferenceError::Implausible(_))
                 {
-                    // Its memory is free before a new one is built: a GPU may not have room for two.
+                    // Its memory must be free before a new model is built: a GPU may not have room for two.
                     let failed = model.take();
                     let _ = catch_unwind(AssertUnwindSafe(move || drop(failed)));
                 }
@@ -109,7 +109,7 @@ fn run<M: Model>(
     }
 }
 
-/// The text of a panic.
+/// The message of a panic.
 fn message(panic: &(dyn Any + Send)) -> String {
     panic
         .downcast_ref::<&str>()
