@@ -1,4 +1,4 @@
-//! The empty-scene screen: a small classifier that says whether anything is in view.
+//! The empty-scene screen: a small classifier that decides whether anything is in view.
 
 mod camera;
 mod config;

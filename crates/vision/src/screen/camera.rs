@@ -1,4 +1,4 @@
-//! The screen as one camera's loop asks it.
+//! One camera's view of the screen.
 
 use super::{EmptyRun, ScreenConfig, ScreenHandle};
 use crate::detector::CameraSlot;
@@ -6,8 +6,8 @@ use crate::picture::{InputFormat, Picture};
 use albireo_core::geometry::PictureSize;
 use std::sync::Arc;
 
-/// The size to which a picture of `source` may be decoded, for a detector and a screen with these inputs: both
-/// look at the same pixels.
+/// The size to which a picture of `source` may be decoded for a detector and a screen with these inputs: both look at
+/// the same pixels.
 pub fn decoding_target(
     detector: InputFormat,
     screen: Option<InputFormat>,
@@ -23,13 +23,13 @@ pub fn decoding_target(
 
 /// One camera's screen.
 pub struct CameraScreen {
-    /// The model that all cameras share, if there is one.
+    /// The model shared by all cameras, if there is one.
     model: Option<ScreenHandle>,
     run: EmptyRun,
 }
 
 impl CameraScreen {
-    /// A camera of which nothing is known yet; `model` is the one all cameras share, if there is one.
+    /// The screen of a new camera; `model` is the one shared by all cameras, if there is one.
     pub fn new(config: &ScreenConfig, model: Option<ScreenHandle>) -> Self {
         Self {
             model,
@@ -37,23 +37,23 @@ impl CameraScreen {
         }
     }
 
-    /// Whether there is nothing to ask.
+    /// True if there is no model.
     pub const fn is_none(&self) -> bool {
         self.model.is_none()
     }
 
-    /// The size to which a picture of `source` may be decoded, for this screen and a detector with that input.
+    /// The size to which a picture of `source` may be decoded for this screen and a detector with this input.
     pub fn decoding_target(&self, detector: InputFormat, source: PictureSize) -> PictureSize {
         let screen = self.model.as_ref().map(ScreenHandle::input_format);
         decoding_target(detector, screen, source)
     }
 
-    /// A new frame begins.
+    /// Begins a new frame.
     pub fn next_frame(&mut self) {
         self.run.next_frame();
     }
 
-    /// Whether nothing is in view in `picture`; `None` if the screen failed.
+    /// Returns true if nothing is in view in `picture`; `None` if the screen failed or there is none.
     pub async fn ask(&mut self, camera: CameraSlot, picture: &Arc<Picture>) -> Option<bool> {
         let model = self.model.as_ref()?;
         // The screen counts and logs its failures itself.
@@ -61,12 +61,12 @@ impl CameraScreen {
         Some(self.run.limit(verdict.empty))
     }
 
-    /// The detector ran on the frame.
+    /// Records that the detector ran on the frame.
     pub fn detector_ran(&mut self) {
         self.run.detector_ran();
     }
 
-    /// Whether the detector runs on this frame because the screen answered "empty" too often in a row.
+    /// True if the detector runs on this frame because the screen answered "empty" too often in a row.
     pub const fn is_overruled(&self) -> bool {
         self.run.is_overruled()
     }

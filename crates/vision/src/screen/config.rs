@@ -8,20 +8,20 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScreenConfig {
-    /// ONNX file of a two-class model with input `[1, 3, height, width]`, values 0 to 1; empty for no
-    /// screen: then the detector is asked whenever no object is active.
+    /// The ONNX file of a two-class model with input `[1, 3, height, width]`, values 0 to 1. If empty, there is no
+    /// screen: the detector is asked whenever no object is active.
     pub model: Option<PathBuf>,
-    /// Order of its colour planes.
+    /// The order of its colour planes.
     pub color_order: ColorOrder,
-    /// Whether the second of its two outputs means "empty", and not the first. No setting of a node, where it is the
+    /// True if the second of its two outputs means "empty", not the first. Not a node setting: on a node it is the
     /// first.
     #[serde(skip)]
     pub empty_is_second: bool,
-    /// A verdict that takes longer counts as "not empty". No setting of a node.
+    /// A verdict that takes longer counts as "not empty". Not a node setting.
     #[serde(skip)]
     pub timeout_ms: u64,
-    /// Frames in a row that may be called empty before the detector runs anyway; 0 for any number. No
-    /// setting of a node.
+    /// The number of consecutive frames that may be called empty before the detector runs anyway; 0 for no limit. Not a
+    /// node setting.
     #[serde(skip)]
     pub longest_empty_run: u32,
 }

@@ -1,17 +1,17 @@
 //! Limits the number of empty verdicts in a row.
 
-/// Counts a camera's empty verdicts in a row; the detector runs after the longest such run whatever the screen says. The
-/// paper has no such limit; a screen that is wrong about a scene is wrong about it for as long as the scene lasts.
+/// Counts a camera's consecutive empty verdicts; after the longest such run the detector runs whatever the screen
+/// reports. The paper has no such limit, but a screen that misjudges a scene does so for as long as the scene lasts.
 #[derive(Clone, Copy, Debug)]
 pub struct EmptyRun {
-    /// Longest run; 0 for no limit.
+    /// The longest run; 0 for no limit.
     longest: u32,
     run: u32,
     is_overruled: bool,
 }
 
 impl EmptyRun {
-    /// At most `longest` empty frames in a row, 0 for any number.
+    /// Allows at most `longest` consecutive empty frames; 0 for no limit.
     pub const fn new(longest: u32) -> Self {
         Self {
             longest,
@@ -20,12 +20,12 @@ impl EmptyRun {
         }
     }
 
-    /// A new frame begins.
+    /// Begins a new frame.
     pub fn next_frame(&mut self) {
         self.is_overruled = false;
     }
 
-    /// What counts of the screen's verdict `empty`: "not empty" when the run would be too long.
+    /// Limits the screen's verdict `empty`: returns false if the run would be too long.
     pub fn limit(&mut self, empty: bool) -> bool {
         self.is_overruled = empty && self.longest != 0 && self.run >= self.longest;
         let empty = empty && !self.is_overruled;
@@ -33,12 +33,12 @@ impl EmptyRun {
         empty
     }
 
-    /// The detector ran, for whatever reason: the run is over.
+    /// Ends the run, because the detector ran for whatever reason.
     pub fn detector_ran(&mut self) {
         self.run = 0;
     }
 
-    /// Whether the detector runs on this frame although the screen answered "empty".
+    /// True if the detector runs on this frame although the screen answered "empty".
     pub const fn is_overruled(&self) -> bool {
         self.is_overruled
     }

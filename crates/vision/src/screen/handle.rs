@@ -13,12 +13,12 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// What the screen says of one picture.
+/// The screen's verdict on one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScreenVerdict {
-    /// Nothing is in view.
+    /// True if nothing is in view.
     pub empty: bool,
-    /// The two outputs it was decided by.
+    /// The two outputs that the verdict is based on.
     pub logits: Logits,
 }
 
@@ -31,11 +31,11 @@ pub struct ScreenHandle {
 }
 
 impl ScreenHandle {
-    /// Loads the screen's model on its own thread, checks it and warms it up; `None` when the
-    /// configuration names no model. `onnxruntime` is the library, if it is named.
+    /// Loads the screen's model on its own thread, checks it and warms it up; returns `None` if the configuration names
+    /// no model. `onnxruntime` is the path of the library, if configured.
     ///
     /// # Errors
-    /// When the library or the model is not as configured.
+    /// If the library or the model is not as configured.
     pub async fn start(
         config: &ScreenConfig,
         onnxruntime: Option<&Path>,
@@ -60,15 +60,15 @@ impl ScreenHandle {
         }))
     }
 
-    /// What the model wants to see.
+    /// The input that the model expects.
     pub fn input_format(&self) -> InputFormat {
         self.preparation.format()
     }
 
-    /// Whether nothing is in view in `picture`. Equal outputs count as not empty.
+    /// Decides whether nothing is in view in `picture`. Equal outputs count as not empty.
     ///
     /// # Errors
-    /// See [`InferenceError`]. Whatever the error, the frame counts as not empty.
+    /// See [`InferenceError`]. After any error, the frame counts as not empty.
     pub async fn ask(
         &self,
         camera: CameraSlot,
@@ -84,25 +84,25 @@ impl ScreenHandle {
         Ok(ScreenVerdict { empty, logits })
     }
 
-    /// How the screen is doing, now and from now on.
+    /// The screen's status, updated as it changes.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
         self.worker.status.clone()
     }
 
-    /// Its counters for metrics: does not keep the screen running.
+    /// Counters for metrics; does not keep the screen running.
     pub fn meter(&self) -> WorkerMeter {
         self.worker.meter.clone()
     }
 
-    /// Returns when it has been stopped.
+    /// Returns when the screen has stopped.
     ///
     /// # Errors
-    /// When its thread is stuck: only a new process helps.
+    /// If its thread is stuck: only a new process helps.
     pub async fn ended(&self) -> Result<(), String> {
         self.worker.ended().await
     }
 
-    /// Takes no more pictures and returns when the run in progress has ended or has taken too long.
+    /// Accepts no more pictures and returns when the run in progress has ended or exceeded its deadline.
     pub async fn stop(&self) {
         self.worker.stop().await;
     }

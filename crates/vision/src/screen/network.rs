@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// The two outputs of the network, before any normalisation.
 pub type Logits = [f32; 2];
 
-/// What the network expects of a model, in words.
+/// The model that the network expects, in words.
 const EXPECTED: &str =
     "one picture input [1, 3, rows, columns] or [1, rows, columns, 3] and one output [1, 2]";
 
@@ -22,7 +22,7 @@ pub(super) struct ScreenNetwork {
 }
 
 impl ScreenNetwork {
-    /// Loads the model and runs it once, so that the first picture is not the slow one.
+    /// Loads the model and runs it once, so that the first picture is not slow.
     pub(super) fn open(
         model: &Path,
         config: &ScreenConfig,
