@@ -1,5 +1,5 @@
-//! Pixel work of all cameras, on blocking threads: decoding, grey, the detector's input. Buffers go round, and no more
-//! pictures are decoded for the detector at once than keep it busy.
+//! Decodes pictures, makes them grey and prepares the detector's input, for all cameras, on blocking threads. Buffers
+//! are reused, and no more pictures are decoded for the detector at once than keep it busy.
 
 mod picture_buffers;
 
@@ -15,7 +15,7 @@ use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// What is to be made of a picture.
+/// The result that a caller needs of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Grey at half its size.
@@ -29,7 +29,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Whether the picture is decoded as it is, and a place needed.
+    /// True if the picture is decoded in colour, which needs a [`Place`].
     pub const fn needs_place(self) -> bool {
         matches!(self, Self::Picture | Self::Prepared)
     }
@@ -38,24 +38,24 @@ impl Stage {
 /// One picture and how to decode it.
 #[derive(Clone)]
 pub struct Source {
-    /// The picture as it came.
+    /// The picture as received.
     pub encoded: EncodedPicture,
-    /// It may be decoded to fewer pixels, down to this.
+    /// The smallest size to which decoding may reduce it.
     pub target: PictureSize,
 }
 
-/// What has been made of one picture so far.
+/// The results made from one picture so far.
 #[derive(Default)]
 pub struct PreparedFrame {
     /// The decoded picture, if there is one.
     pub picture: Option<PooledPicture>,
     /// The detector's input, until it is taken.
     pub prepared: Option<PreparedPicture>,
-    /// The picture in grey, if there is one, and which of the grey pictures it is.
+    /// The grey picture, if there is one, and the stage that made it.
     grey: Option<(Stage, PooledPicture)>,
-    /// How long decoding took, grey included.
+    /// The time that decoding took, grey included.
     pub decode: Option<Duration>,
-    /// Its place among the pictures that are decoded at once, if it has one.
+    /// Its place among the pictures decoded at once, if it has one.
     pub place: Option<Place>,
 }
 
@@ -63,7 +63,7 @@ pub struct PreparedFrame {
 pub type Place = OwnedSemaphorePermit;
 
 impl PreparedFrame {
-    /// Whether nothing more has to be done for `stage`.
+    /// True if `stage` needs no more work.
     pub fn has(&self, stage: Stage) -> bool {
         match stage {
             Stage::Grey | Stage::SmallGrey(_) => {
@@ -74,7 +74,7 @@ impl PreparedFrame {
         }
     }
 
-    /// The picture in grey, if there is one.
+    /// The grey picture, if there is one.
     pub fn grey(&self) -> Option<&PooledPicture> {
         self.grey.as_ref().map(|(_, picture)| picture)
     }
@@ -97,7 +97,7 @@ impl PreparedFrame {
                     Stage::SmallGrey(width) => decode_small_grey(encoded, limits, width, &mut grey),
                     _ => decode_grey_half(encoded, limits, &mut grey),
                 };
-                // Also after a fault its buffer goes back.
+                // The buffer goes back even after a fault.
                 let grey = greys.pooled(grey);
                 made?;
                 self.grey = Some((stage, grey));
@@ -133,7 +133,7 @@ impl PreparedFrame {
     }
 }
 
-/// Where pictures are looked at. Clones share buffers and places.
+/// The pixel work of all cameras. Clones share buffers and places.
 #[derive(Clone)]
 pub struct PixelWork(Arc<State>);
 
@@ -144,15 +144,15 @@ struct State {
     pictures: PictureBuffers,
     /// Grey pictures, much smaller.
     greys: PictureBuffers,
-    /// One for each picture that is decoded for the detector, from before it is decoded until the detector has answered.
+    /// One permit per picture decoded for the detector, held from before decoding until the detector has answered.
     places: Arc<Semaphore>,
 }
 
 impl PixelWork {
-    /// For all cameras of one detector that runs on `batch_size` pictures at once, with inputs made by `preparation`.
+    /// The pixel work of a detector that runs on `batch_size` pictures at once, with inputs made by `preparation`.
     ///
-    /// At most 2 × `batch_size` + ⌈processors / 2⌉ pictures are decoded at once: those of the present run, of the next,
-    /// and those being prepared. The others wait encoded.
+    /// At most 2 × `batch_size` + ⌈processors / 2⌉ pictures are decoded at once: those of the current run, those of the
+    /// next, and those being prepared. The others wait encoded.
     pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
         let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
@@ -165,20 +165,20 @@ impl PixelWork {
         }))
     }
 
-    /// Number of idle picture buffers.
+    /// The number of idle picture buffers.
     pub fn idle(&self) -> usize {
         self.0.pictures.idle()
     }
 
-    /// Waits for a place: those who ask first get one first.
+    /// Waits for a place; places are granted in the order of the calls.
     pub async fn place(&self) -> Option<Place> {
         Arc::clone(&self.0.places).acquire_owned().await.ok()
     }
 
-    /// Makes of the picture what is missing in `frame`.
+    /// Makes the result of `stage` from the picture and adds it to `frame`.
     ///
     /// # Errors
-    /// [`FrameFault`] when it cannot be decoded; a panic in the work is a fault of the picture.
+    /// [`FrameFault`] if the picture cannot be decoded; a panic in the work counts as a fault of the picture.
     pub async fn look(
         &self,
         mut frame: PreparedFrame,
@@ -197,8 +197,8 @@ impl PixelWork {
         })
     }
 
-    /// The detector's input of a picture, decoded to no fewer pixels than `target`; `None` when it is broken. Takes no
-    /// place: call it only while no frame waits.
+    /// Returns the detector's input of a picture, decoded to no fewer pixels than `target`; `None` if the picture is
+    /// broken. Takes no place: call it only while no frame waits.
     pub async fn prepared(
         &self,
         encoded: EncodedPicture,

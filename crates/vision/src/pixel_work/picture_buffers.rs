@@ -1,40 +1,40 @@
-//! Buffers for decoded pictures, shared by all cameras: there are as many as pictures under way, not as cameras.
+//! Buffers for decoded pictures, shared by all cameras: one per picture in progress, not one per camera.
 
 use crate::picture::Picture;
 use parking_lot::Mutex;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// Buffers of this size are kept for the next picture, whatever that is.
+/// A buffer of at most this many bytes is kept whatever the size of the recent ones.
 const ALWAYS_KEPT: usize = 2 << 20;
 
-/// A larger one is kept when one of the pictures just before needed at least this part of it.
+/// A larger buffer is kept if it is at most this many times as large as the largest recent one.
 const KEPT_TIMES: usize = 4;
 
-/// How many pictures before are looked back at.
+/// The number of recent buffers that are considered.
 const LOOKED_BACK: usize = 8;
 
-/// Buffers that are used again. Clones share them.
+/// A pool of reusable buffers. Clones share it.
 #[derive(Clone)]
 pub(super) struct PictureBuffers(Arc<Mutex<Buffers>>);
 
 struct Buffers {
     idle: Vec<Picture>,
-    /// How many may lie idle.
+    /// The maximum number of idle buffers.
     most: usize,
-    /// What the last pictures' buffers came to, bytes, and which of them is the oldest.
+    /// The sizes of the most recent buffers in bytes, and the index of the oldest.
     recent: [usize; LOOKED_BACK],
     oldest: usize,
 }
 
-/// A picture whose buffer goes back where it came from when the picture is dropped.
+/// A picture whose buffer goes back to its pool when the picture is dropped.
 pub struct PooledPicture {
     picture: Arc<Picture>,
     buffers: PictureBuffers,
 }
 
 impl PictureBuffers {
-    /// Keeps at most `most` idle buffers.
+    /// A pool that keeps at most `most` idle buffers.
     pub(super) fn new(most: usize) -> Self {
         Self(Arc::new(Mutex::new(Buffers {
             idle: Vec::new(),
@@ -44,7 +44,7 @@ impl PictureBuffers {
         })))
     }
 
-    /// A picture that means nothing yet, to be decoded into: of the idle buffers the smallest that holds `bytes`, else
+    /// Returns a picture to decode into, with meaningless content: the smallest idle buffer that holds `bytes`, else
     /// the largest.
     pub(super) fn take(&self, bytes: usize) -> Picture {
         let idle = &mut self.0.lock().idle;
@@ -56,7 +56,7 @@ impl PictureBuffers {
         chosen.map_or_else(Picture::default, |index| idle.swap_remove(index))
     }
 
-    /// `picture`, to be given back by and by.
+    /// Wraps `picture`, so that its buffer comes back to this pool.
     pub(super) fn pooled(&self, picture: Picture) -> PooledPicture {
         PooledPicture {
             picture: Arc::new(picture),
@@ -64,13 +64,13 @@ impl PictureBuffers {
         }
     }
 
-    /// How many lie idle.
+    /// The number of idle buffers.
     pub(super) fn idle(&self) -> usize {
         self.0.lock().idle.len()
     }
 
-    /// Takes a buffer back. That of one giant picture among small ones is let go of at once: there may not be another
-    /// for minutes.
+    /// Takes a buffer back. A giant buffer among small ones is freed at once: the next giant picture may be minutes
+    /// away.
     pub(super) fn give_back(&self, picture: Picture) {
         let mut buffers = self.0.lock();
         let bytes = picture.pixels.capacity();
@@ -86,7 +86,7 @@ impl PictureBuffers {
 }
 
 impl PooledPicture {
-    /// To be shared: the buffer goes back only when this one is the last.
+    /// The picture, for sharing: its buffer goes back to the pool only if `self` is dropped last.
     pub const fn shared(&self) -> &Arc<Picture> {
         &self.picture
     }
