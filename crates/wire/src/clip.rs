@@ -6,10 +6,10 @@ use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
-/// Middle and tail of a set of durations, milliseconds.
+/// Mean and percentiles of a set of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Percentiles {
-    /// How many durations.
+    /// Number of durations.
     pub count: u64,
     /// Arithmetic mean.
     pub mean: f64,
@@ -21,7 +21,7 @@ pub struct Percentiles {
     pub p99: f64,
 }
 
-/// How far an energy figure can be trusted; the order is from most to least.
+/// The quality of an energy figure, from the most to the least reliable.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema,
 )]
@@ -29,17 +29,17 @@ pub struct Percentiles {
 pub enum EnergyQuality {
     /// Read from a meter over the whole clip.
     Measured,
-    /// Read from a meter, but parts of the clip have no samples.
+    /// Read from a meter, but samples are missing for parts of the clip.
     Partial,
-    /// Computed from utilisation; no meter was read.
+    /// Computed from utilisation without a meter.
     Estimated,
-    /// No figure at all, or of a quality that a later version knows.
+    /// No figure, or a quality that only a later version knows.
     #[default]
     #[serde(other)]
     Unavailable,
 }
 
-/// Share of a clip's time from which it counts as covered by samples.
+/// The smallest share of a clip's time that counts as full coverage by samples.
 pub const FULL_COVERAGE: f64 = 0.999;
 
 /// Energy of one domain of the board.
@@ -48,78 +48,78 @@ pub const FULL_COVERAGE: f64 = 0.999;
 pub struct DomainEnergy {
     /// `total`, `gpu`, `cpu`, `io_mem`.
     pub domain: String,
-    /// Joules, over the time that samples cover.
+    /// Joules over the time covered by samples.
     pub joules: f64,
-    /// Mean power over the time that samples cover, watts.
+    /// Mean power over the time covered by samples, watts.
     pub mean_watts: f64,
-    /// Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
-    /// without a sample inside the clip.
+    /// Highest sample, watts; if the source counts energy, the highest mean between two samples. Absent without a
+    /// sample inside the clip.
     pub peak_watts: Option<f64>,
 }
 
 /// Energy of one clip.
 ///
-/// Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
-/// extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
-/// compare such joules with others or divide them by the clip's duration. `edp` is then absent.
+/// Joules count only the time covered by samples; `coverage` is its share of the clip. They are never extrapolated, so
+/// with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not compare them with other
+/// joules or divide them by the clip's duration. `edp` is then absent.
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipEnergy {
-    /// Joules of this clip, its share by the time the detector ran for its camera; absent when
+    /// The clip's energy, joules: its share of `node_joules` by detector time used for its camera; absent if
     /// [`EnergyQuality::Unavailable`].
     pub joules: Option<f64>,
-    /// Joules of the whole node over the same time, of which `joules` is the clip's share. The same
-    /// number when the node has one camera.
+    /// Energy of the whole node over the same time, joules, including this clip's share `joules`. Equal to `joules` if
+    /// the node has one camera.
     pub node_joules: Option<f64>,
-    /// Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, at
-    /// most the detector's idle time, times the watts that a running detector adds on this machine. Absent until these
-    /// watts are known.
+    /// Estimated joules that this clip's avoided detector calls would have added: their run time, at most the
+    /// detector's idle time, times the watts that a running detector adds on this machine. Absent until those watts are
+    /// known.
     pub saved_joules_estimated: Option<f64>,
-    /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
-    /// without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
+    /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent without
+    /// frames and if samples do not cover the whole clip (`coverage` below 0.999).
     pub edp: Option<f64>,
     /// Quality of the figures.
     pub quality: EnergyQuality,
-    /// Where it comes from: `rapl`, `estimate`, …
+    /// Source of the figures: `rapl`, `estimate`, …
     pub source: String,
-    /// How `joules` of the total domain is computed: `input_rail`, `sum_of_rails`, or the estimate's
-    /// formula in words.
+    /// Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula in
+    /// words.
     pub total_from: String,
-    /// Samples inside the clip.
+    /// Number of samples inside the clip.
     pub samples: u64,
-    /// Share of the clip's time that samples cover, 0 to 1.
+    /// Share of the clip's time covered by samples, 0 to 1.
     pub coverage: f64,
-    /// Node energy by domain.
+    /// Energy of the node by domain.
     pub domains: Vec<DomainEnergy>,
 }
 
 impl ClipEnergy {
-    /// Whether samples cover the whole clip, so that its joules are all that it used.
+    /// True if samples cover the whole clip, so that its joules are complete.
     pub fn is_whole(&self) -> bool {
         self.coverage >= FULL_COVERAGE
     }
 
-    /// The joules, if they are all that the clip used.
+    /// Returns the clip's joules if they are complete.
     pub fn whole_joules(&self) -> Option<f64> {
         self.joules.filter(|_| self.is_whole())
     }
 }
 
-/// Why a clip ended.
+/// The reason why a clip ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipEnd {
-    /// The camera began another clip.
+    /// The camera started another clip.
     NextClip,
     /// The time window was full.
     Window,
-    /// No frame came for a while.
+    /// No frame arrived for a while.
     Silence,
     /// The node stopped.
     Shutdown,
-    /// It lasted longer than one report covers (`clip.longest_s`): its next part follows.
+    /// It reached the maximum length of one report (`clip.longest_s`); the next part follows.
     Length,
-    /// For another reason, which a later version knows.
+    /// A reason that only a later version knows.
     #[default]
     #[serde(other)]
     Other,
@@ -140,19 +140,19 @@ pub struct ClipReport {
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Number of this part, from 0: a long clip is reported in parts.
+    /// Part number, from 0: a long clip is reported in parts.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub part: u32,
     /// Running number of the node's reports: gaps show how many are missing. Absent if the node could not read the last
     /// number. The id does not depend on it.
     pub count: Option<u64>,
-    /// Why it ended.
+    /// The reason why the clip ended.
     pub ended_by: ClipEnd,
-    /// First frame's capture time, nanoseconds since the Unix epoch.
+    /// Capture time of the first frame, nanoseconds since the Unix epoch.
     pub started_ns: u64,
     /// Seconds from the first frame's arrival to the clip's end.
     pub duration_s: f64,
-    /// Frames processed; the five states add up to it.
+    /// Frames processed: the sum of the five states.
     pub frames: u64,
     /// Frame states.
     pub states: FrameStates,
@@ -164,50 +164,48 @@ pub struct ClipReport {
     pub dropped: DroppedFrames,
     /// Policy.
     pub policy: String,
-    /// Threshold at the end of the clip; absent when the policy has none.
+    /// Threshold at the end of the clip; absent if the policy has none.
     pub threshold: Option<Threshold>,
-    /// Every value in force during the clip, in order: the one at the start, then the changes.
+    /// All thresholds in force during the clip, in order: the initial one, then the changes.
     pub threshold_changes: Vec<ThresholdChange>,
-    /// Detector model: file name.
+    /// File name of the detector model.
     pub model: String,
-    /// Execution provider that ran it.
+    /// Execution provider that ran the model.
     pub provider: String,
     /// Latency from reception until the answer is handed to Zenoh.
     pub total_latency_ms: Percentiles,
-    /// Latency of the detector alone, over the frames where it ran.
+    /// Latency of the detector alone, over the frames on which it ran.
     pub detector_latency_ms: Percentiles,
-    /// Time the detector ran for this clip's frames, milliseconds, without waiting and audit. A run for several
-    /// pictures is divided evenly.
+    /// Detector run time for this clip's frames, milliseconds, excluding waiting and the audit. The time of a batched
+    /// run is divided evenly among its pictures.
     #[serde(default)]
     pub detector_used_ms: f64,
     /// Energy.
     pub energy: ClipEnergy,
     /// The state of the board during the clip; absent if the board does not report it.
     pub board: Option<BoardState>,
-    /// What the audit found on skipped frames; absent without an audit.
+    /// The results of the audit on skipped frames; absent without an audit.
     pub audit: Option<AuditReport>,
 }
 
-// A reference, as serde gives it.
+// Serde passes a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 const fn is_zero(number: &u32) -> bool {
     *number == 0
 }
 
-/// The state of the board during a clip, as far as the board reports it: the energy of a clip depends on
-/// it.
+/// The state of the board during a clip, as far as the board reports it. A clip's energy depends on it.
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct BoardState {
-    /// Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
-    /// changed.
+    /// Power mode: its `nvpmodel` name, else the ACPI platform profile. If it changed, all modes in order.
     pub power_mode: Option<String>,
     /// Highest temperature of any sensor, °C.
     pub hottest_celsius: Option<f64>,
-    /// The sensor that read it.
+    /// The sensor with the highest temperature.
     pub hottest_sensor: Option<String>,
-    /// Whether heat, current or power throttled the clocks at any time; absent if the board does not report it.
+    /// True if heat, current or power throttled the clocks at any time; absent if the board does not report it.
     pub throttled: Option<bool>,
     /// Mean clock of the CPU cores, MHz.
     pub cpu_mhz: Option<f64>,
@@ -216,8 +214,8 @@ pub struct BoardState {
 }
 
 impl ClipReport {
-    /// Rounds the figures: six significant digits of energies and times, four of latencies and watts. The digits
-    /// beyond are noise that compresses badly.
+    /// Rounds energies and times to six significant digits, latencies and watts to four. Further digits are noise that
+    /// compresses badly.
     pub fn round(&mut self) {
         let energy = &mut self.energy;
         let (total, detector) = (&mut self.total_latency_ms, &mut self.detector_latency_ms);
@@ -252,7 +250,7 @@ impl ClipReport {
     }
 }
 
-/// A number rounded to that many significant digits, for messages.
+/// Rounds a number for messages to `digits` significant digits.
 pub fn significant(value: f64, digits: usize) -> f64 {
     let rounded = format!("{value:.*e}", digits.saturating_sub(1)).parse();
     rounded.unwrap_or(value)

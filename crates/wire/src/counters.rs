@@ -1,4 +1,4 @@
-//! The counters of a camera, once per second.
+//! The counters of a camera, sent once per second.
 
 use crate::TargetReport;
 use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, Threshold};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
-/// The counters of a camera, once per second.
+/// The counters of a camera, sent once per second.
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CountersMessage {
@@ -30,19 +30,19 @@ pub struct CountersMessage {
     pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Threshold in force; absent when the policy has none.
+    /// Threshold in force; absent if the policy has none.
     pub threshold: Option<Threshold>,
-    /// Power now by domain, watts; empty without a source.
+    /// Current power by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
     /// Quality of the watts.
     pub power_quality: EnergyQuality,
     /// The target of the node; absent without a target.
     pub target: Option<TargetReport>,
-    /// What the audit has found since the node started; absent without an audit.
+    /// The results of the audit since the node started; absent without an audit.
     pub audit: Option<AuditFigures>,
 }
 
-/// Power of one domain now.
+/// The current power of one domain.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DomainWatts {
     /// `total`, `gpu`, `cpu`, `io_mem`.

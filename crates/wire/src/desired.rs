@@ -1,5 +1,5 @@
-//! The desired setting of a node. A node queries it (`{prefix}/@pull/{node}`) when it starts and after a notice
-//! (`{prefix}/@changed/{node}`), and also gets it in the answer to every batch of reports: a lost notice costs one period.
+//! The desired setting of a node. A node queries it (`{prefix}/@pull/{node}`) at start and after a notice
+//! (`{prefix}/@changed/{node}`), and receives it in the answer to every report batch: a lost notice costs one period.
 
 use crate::version::VERSION;
 use crate::{Target, Threshold};
@@ -11,9 +11,9 @@ use utoipa::ToSchema;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DesiredSetting {
-    /// A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off.
+    /// A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. It switches a target off.
     Threshold(Threshold),
-    /// A target: `{"target": {"skip_rate": 0.5}}`; `{"target": null}` switches it off, and the threshold stays where it is.
+    /// A target: `{"target": {"skip_rate": 0.5}}`; `{"target": null}` switches it off and keeps the threshold.
     Target(Option<Target>),
 }
 
@@ -24,7 +24,7 @@ impl From<Threshold> for DesiredSetting {
 }
 
 impl std::fmt::Display for DesiredSetting {
-    /// `u 3e-4`, `target skip_rate 0.5`, `no target`.
+    /// Examples: `u 3e-4`, `target skip_rate 0.5`, `no target`.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Threshold(threshold) => threshold.fmt(formatter),
@@ -48,7 +48,7 @@ pub struct ConfigChanged {
 pub struct PullRequest {
     /// Version.
     pub v: u32,
-    /// Revision it has, 0 for none.
+    /// Revision that the node has; 0 for none.
     pub revision: u64,
 }
 
@@ -58,20 +58,20 @@ pub struct PullRequest {
 pub struct Desired {
     /// Version.
     pub v: u32,
-    /// Number of the desired setting; a lower one never replaces a higher. 0 when there never was one.
+    /// Revision of the desired setting; a lower one never replaces a higher one. 0 if there has never been one.
     pub revision: u64,
-    /// The setting; absent when none is desired.
+    /// The setting; absent if none is desired.
     pub setting: Option<DesiredSetting>,
-    /// How much longer the node is watched, seconds: until then it sends counters once per second. Absent if it is not
-    /// watched.
+    /// Remaining time for which the node is watched, seconds: until then it sends counters once per second. Absent if
+    /// it is not watched.
     pub watched_for_s: Option<u32>,
-    /// The hub missed a status: send the full one.
+    /// True if the hub missed a status and the node must send the full one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub send_full_status: bool,
 }
 
 impl Desired {
-    /// No desired setting.
+    /// Returns an answer without a desired setting.
     pub const fn nothing() -> Self {
         Self {
             v: VERSION,

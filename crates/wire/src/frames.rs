@@ -1,4 +1,4 @@
-//! The messages of a frame: the attachment in, the detections out.
+//! The messages of a frame: the incoming attachment and the outgoing detections.
 
 use crate::Threshold;
 use albireo_core::detection::ObjectId;
@@ -7,35 +7,35 @@ use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
-/// What a camera may add to a frame, in the attachment of its sample.
+/// Metadata that a camera may add to a frame, in the attachment of its sample.
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAttachment {
     /// Version.
     pub v: u32,
-    /// Sequence number, one more for each frame. Without it frames are numbered by arrival.
+    /// Sequence number, incremented per frame. Without it, frames are numbered by arrival.
     pub seq: Option<u64>,
-    /// Numbering that `seq` belongs to: a sender that restarts uses another number, such as its start time in
-    /// nanoseconds, and then loses no frame.
+    /// Stream that `seq` belongs to: a sender that restarts uses another number, such as its start time in nanoseconds,
+    /// and so loses no frame.
     pub stream: Option<u64>,
-    /// Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
+    /// Capture time, nanoseconds since the Unix epoch. Without it, the sample's timestamp is used.
     pub t_ns: Option<u64>,
-    /// Clip the frame belongs to. Without it clips are fixed time windows.
+    /// Clip that the frame belongs to. Without it, clips are fixed time windows.
     pub clip: Option<String>,
-    /// Columns of a raw picture.
+    /// Width of a raw picture, pixels.
     pub width: Option<u32>,
-    /// Rows of a raw picture.
+    /// Height of a raw picture, pixels.
     pub height: Option<u32>,
 }
 
-/// The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
+/// The node's answer to a frame received as a query, sent when the frame's turn comes: the sender of a camera with
 /// `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAnswer {
     /// Version.
     pub v: u32,
-    /// Why the frame will not be processed; absent when it will be.
+    /// The reason why the frame will not be processed; absent if it will be.
     pub refused: Option<String>,
 }
 
@@ -52,23 +52,23 @@ pub struct BoxMessage {
     pub confidence: f32,
     /// Origin of the box.
     pub source: BoxSource,
-    /// Object the box belongs to.
+    /// Object that the box belongs to.
     pub object: Option<ObjectId>,
-    /// Whether the object is confirmed.
+    /// True if the object is confirmed.
     pub confirmed: bool,
 }
 
-/// Time of each step of one frame, milliseconds. A step that did not happen is absent.
+/// Duration of each step of one frame, milliseconds. A step that did not happen is absent.
 #[skip_serializing_none]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Latency {
-    /// From reception to the answer, before it is written as JSON and published; without the time in Zenoh.
+    /// From reception to the answer, excluding JSON serialization, publication and time in Zenoh.
     pub total: f64,
-    /// Waiting in the ring for the camera's loop.
+    /// Wait in the ring for the camera's loop.
     pub waiting: f64,
     /// Picture decoding.
     pub decode: Option<f64>,
-    /// The empty-scene screen, with its preprocessing.
+    /// The empty-scene screen, including its preprocessing.
     pub screen: Option<f64>,
     /// The detector: queue, letterbox, model and head.
     pub detector: Option<f64>,
@@ -86,33 +86,33 @@ pub struct DetectionsMessage {
     pub seq: u64,
     /// Capture time, nanoseconds since the Unix epoch.
     pub t_ns: u64,
-    /// Clip the frame belongs to.
+    /// Clip that the frame belongs to.
     pub clip: String,
     /// Frame state; `P` while the frame is pending.
     pub state: FrameState,
-    /// The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`.
+    /// True if the boxes are immediate predictions. Final state and boxes follow on the camera's `late` key.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub pending: bool,
-    /// The detector was needed but not available; the boxes are predictions.
+    /// True if the detector was needed but not available; the boxes are predictions.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
-    /// Why the detector was called, also if it was not available; absent on a frame that did not need it.
+    /// The reason for the detector call, also if the detector was not available; absent if the frame did not need it.
     pub cause: Option<CallCause>,
     /// Largest uncertainty τ before the decision; absent without objects.
     pub tau_max: Option<f64>,
-    /// Threshold in force; absent when the policy has none.
+    /// Threshold in force; absent if the policy has none.
     pub threshold: Option<Threshold>,
-    /// Columns of the picture.
+    /// Width of the picture, pixels.
     pub width: u32,
-    /// Rows of the picture.
+    /// Height of the picture, pixels.
     pub height: u32,
-    /// What is in view.
+    /// The boxes in view.
     pub boxes: Vec<BoxMessage>,
-    /// Time of each step.
+    /// Duration of each step.
     pub latency_ms: Latency,
 }
 
-/// The boxes of one frame for recordings: interpolated between two detector calls if the second came in time.
+/// The boxes of one frame for recordings, interpolated between two detector calls if the second came in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SettledMessage {
     /// Version.
@@ -121,16 +121,16 @@ pub struct SettledMessage {
     pub seq: u64,
     /// Capture time, nanoseconds since the Unix epoch.
     pub t_ns: u64,
-    /// Clip the frame belongs to.
+    /// Clip that the frame belongs to.
     pub clip: String,
     /// Frame state.
     pub state: FrameState,
-    /// False for a frame whose boxes are those it was answered with, because no later detector call came in time.
+    /// False if the boxes are those of the original answer because no later detector call came in time.
     pub settled: bool,
-    /// Columns of the picture.
+    /// Width of the picture, pixels.
     pub width: u32,
-    /// Rows of the picture.
+    /// Height of the picture, pixels.
     pub height: u32,
-    /// What is in view.
+    /// The boxes in view.
     pub boxes: Vec<BoxMessage>,
 }

@@ -1,6 +1,6 @@
 //! Key expressions: `{prefix}/{node}/{camera}/…`.
 
-/// Why a name cannot be part of a key expression.
+/// The error for a name that cannot be part of a key expression.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`{}",
@@ -13,11 +13,11 @@ pub struct KeyError {
     slashes: bool,
 }
 
-/// Checks that `name` can be one segment of a key expression.
+/// Checks that `name` is valid as one segment of a key expression.
 ///
 /// # Errors
-/// [`KeyError`] when it is empty or has a character that means something to Zenoh (`/ * $ # ? @`) or
-/// that is not plain text. A leading `@` is Zenoh's own (verbatim segments), so names may not have it.
+/// [`KeyError`] if it is empty, or has a character that is special to Zenoh (`/ * $ # ? @`) or not allowed in names. A
+/// leading `@` is reserved by Zenoh (verbatim segments), so names may not have it.
 pub fn check_segment(what: &'static str, name: &str) -> Result<(), KeyError> {
     check(what, name, false)
 }
@@ -43,8 +43,8 @@ fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> 
     })
 }
 
-/// The keys of one node. In those between it and a hub the kind comes before the node: with the node first, a router would
-/// match every message against all nodes.
+/// The keys of one node. In keys between a node and a hub, the kind precedes the node: with the node first, a router
+/// would match every message against all nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeKeys {
     prefix: String,
@@ -52,10 +52,10 @@ pub struct NodeKeys {
 }
 
 impl NodeKeys {
-    /// The keys of `node` under `prefix` (which may have several parts).
+    /// Returns the keys of `node` under `prefix`, which may have several parts.
     ///
     /// # Errors
-    /// [`KeyError`] when either name cannot be used.
+    /// [`KeyError`] if either name is invalid.
     pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
         check("prefix", prefix, true)?;
         check_segment("node name", node)?;
@@ -65,10 +65,10 @@ impl NodeKeys {
         })
     }
 
-    /// The keys of all nodes under `prefix`, as a hub subscribes to them.
+    /// Returns the keys of all nodes under `prefix`, for a hub's subscriptions.
     ///
     /// # Errors
-    /// [`KeyError`] when the prefix cannot be used.
+    /// [`KeyError`] if the prefix is invalid.
     pub fn all(prefix: &str) -> Result<Self, KeyError> {
         check("prefix", prefix, true)?;
         Ok(Self {
@@ -96,17 +96,18 @@ impl NodeKeys {
         self.key("@pull")
     }
 
-    /// [`ConfigChanged`](super::ConfigChanged)s of the hub.
+    /// [`ConfigChanged`](super::ConfigChanged)s from the hub.
     pub fn changed(&self) -> String {
         self.key("@changed")
     }
 
-    /// The liveliness token: there while the node lives.
+    /// The liveliness token, present while the node is alive.
     pub fn alive(&self) -> String {
         self.key("@alive")
     }
 
-    /// [`TargetMessage`](super::TargetMessage)s in by put and query, [`TargetReport`](super::TargetReport)s out by query.
+    /// [`TargetMessage`](super::TargetMessage)s in by put and query, [`TargetReport`](super::TargetReport)s out by
+    /// query.
     pub fn target(&self) -> String {
         format!("{}/{}/target", self.prefix, self.node)
     }
@@ -116,10 +117,10 @@ impl NodeKeys {
         format!("{}/{}/*/counters", self.prefix, self.node)
     }
 
-    /// The keys of the node's camera.
+    /// Returns the keys of the camera named `camera`.
     ///
     /// # Errors
-    /// [`KeyError`] when the name cannot be used.
+    /// [`KeyError`] if the name is invalid.
     pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
         check_segment("camera name", camera)?;
         Ok(CameraKeys {
@@ -127,8 +128,8 @@ impl NodeKeys {
         })
     }
 
-    /// The node that a key of this kind belongs to: its last part. `None` if that is not a valid node name, such as a
-    /// wildcard or a part with characters that no name has.
+    /// Returns the node of a key of this kind: its last part. `None` if that is not a valid node name, such as a
+    /// wildcard or a part with invalid characters.
     pub fn node_of(key: &str) -> Option<&str> {
         key.rsplit_once('/')
             .map(|(_, node)| node)
@@ -173,8 +174,8 @@ impl CameraKeys {
         format!("{}/counters", self.root)
     }
 
-    /// The newest picture as JPEG, by query; answered while somebody watches the node. The attachment is its sequence
-    /// number in decimal digits.
+    /// The newest picture as JPEG, by query, answered while the node is watched. The attachment is its sequence number
+    /// in decimal digits.
     pub fn picture(&self) -> String {
         format!("{}/picture", self.root)
     }
@@ -185,18 +186,18 @@ impl CameraKeys {
     }
 }
 
-/// Key of the liveliness token that a publisher of frames holds as long as it is there, so that a stream that follows
-/// its own is taken at once: `{frame key}/@stream/{stream}`.
+/// Returns the key of the liveliness token that a publisher of frames holds while it runs, so that the next stream is
+/// accepted at once: `{frame key}/@stream/{stream}`.
 pub fn stream_token(frame_key: &str, stream: u64) -> String {
     format!("{frame_key}/@stream/{stream}")
 }
 
-/// The tokens of all streams on a frame key.
+/// Returns the key expression of the tokens of all streams on a frame key.
 pub fn stream_tokens(frame_key: &str) -> String {
     format!("{frame_key}/@stream/*")
 }
 
-/// The stream of a [`stream_token`].
+/// Returns the stream of a [`stream_token`].
 pub fn stream_of_token(key: &str) -> Option<u64> {
     key.rsplit_once('/')?.1.parse().ok()
 }

@@ -1,9 +1,8 @@
-//! What goes over Zenoh: key expressions and the JSON messages on them. Node, hub and clients use these
-//! types and no others.
+//! The Zenoh protocol: key expressions and the JSON messages on them. Nodes, hubs and clients use only these types.
 //!
-//! On the local network: frames in, [`DetectionsMessage`], [`ClipReport`] and [`CountersMessage`] out, the
-//! threshold both ways. Between node and hub: [`ReportBatch`], the only way a report is delivered, [`StatusMessage`],
-//! and the desired settings that a node pulls from the hub ([`PullRequest`], [`Desired`]).
+//! On the local network: frames in; [`DetectionsMessage`], [`ClipReport`] and [`CountersMessage`] out; the threshold
+//! both ways. Between node and hub: [`ReportBatch`], the only way to deliver reports, [`StatusMessage`], and the
+//! desired settings that a node pulls from the hub ([`PullRequest`], [`Desired`]).
 
 mod audit;
 mod clip;

@@ -1,4 +1,4 @@
-//! Counts of frames: by frame state, and of those that were not processed.
+//! Counts of frames: processed frames by state and dropped frames by kind.
 
 use albireo_core::policy::{CallCause, FrameState};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -8,19 +8,19 @@ use utoipa::ToSchema;
 /// Number of frames in each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FrameStates {
-    /// Screen says empty, detector skipped.
+    /// The screen reported "empty"; the detector was skipped.
     #[serde(rename = "E")]
     pub e: u64,
-    /// Predicted boxes, detector skipped.
+    /// The boxes are predicted; the detector was skipped.
     #[serde(rename = "P")]
     pub p: u64,
-    /// Screen, then detector.
+    /// The screen reported "not empty"; the detector ran.
     #[serde(rename = "E+I")]
     pub ei: u64,
-    /// Detector.
+    /// The detector ran.
     #[serde(rename = "I")]
     pub i: u64,
-    /// Detector with at least one rescue.
+    /// The detector ran, and at least one object was rescued.
     #[serde(rename = "AI")]
     pub ai: u64,
 }
@@ -37,7 +37,7 @@ impl FrameStates {
         }
     }
 
-    /// The number of frames with `state`.
+    /// Returns the number of frames in `state`.
     pub fn get(&self, state: FrameState) -> u64 {
         match state {
             FrameState::E => self.e,
@@ -48,18 +48,18 @@ impl FrameStates {
         }
     }
 
-    /// All frames: the five add up to it.
+    /// Returns the number of all frames: the sum of the five states.
     pub fn frames(&self) -> u64 {
         self.e + self.p + self.ei + self.i + self.ai
     }
 
-    /// Frames that skipped the detector: state E or P without the `degraded` ones, which needed the detector
-    /// when it was not available.
+    /// Returns the number of frames that skipped the detector: state E or P without the `degraded` ones, which needed
+    /// the detector while it was not available.
     pub fn skipped(&self, degraded: u64) -> u64 {
         (self.e + self.p).saturating_sub(degraded)
     }
 
-    /// Share of frames that [`skipped`](Self::skipped) the detector; 0 without frames.
+    /// Returns the share of frames that [`skipped`](Self::skipped) the detector; 0 without frames.
     pub fn skip_rate(&self, degraded: u64) -> f64 {
         match self.frames() {
             0 => 0.0,
@@ -78,8 +78,8 @@ impl std::ops::AddAssign for FrameStates {
     }
 }
 
-/// Frames that the detector was called for, by cause. As JSON, the causes that there were with their numbers; a cause of a
-/// later version is left out when read.
+/// Frames that called the detector, by cause. In JSON, causes that occurred with their counts; unknown causes of a
+/// later version are ignored when read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DetectorCalls([u64; CallCause::ALL.len()]);
 
@@ -91,22 +91,22 @@ impl DetectorCalls {
         }
     }
 
-    /// The calls of that cause.
+    /// Returns the number of calls with `cause`.
     pub fn get(&self, cause: CallCause) -> u64 {
         self.0.get(cause as usize).copied().unwrap_or_default()
     }
 
-    /// All calls.
+    /// Returns the number of all calls.
     pub fn total(&self) -> u64 {
         self.0.iter().sum()
     }
 
-    /// Whether there was none.
+    /// True if there were no calls.
     pub fn is_empty(&self) -> bool {
         self.total() == 0
     }
 
-    /// Causes and numbers, in the order of [`CallCause::ALL`].
+    /// Iterates over causes and counts, in the order of [`CallCause::ALL`].
     pub fn by_cause(&self) -> impl Iterator<Item = (CallCause, u64)> + '_ {
         CallCause::ALL.into_iter().zip(self.0)
     }
@@ -138,32 +138,32 @@ impl std::ops::AddAssign<&Self> for DetectorCalls {
     }
 }
 
-/// Frames that were not processed, each kind under its own name.
+/// Frames that were not processed, by kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct DroppedFrames {
-    /// Never arrived: numbers missing in the sequence.
+    /// Never arrived: missing sequence numbers.
     pub lost: u64,
-    /// Pushed out of the ring by a newer one before its turn.
+    /// Replaced in the ring by a newer frame before their turn.
     pub overrun: u64,
-    /// Arrived after a later frame (first counted as lost).
+    /// Arrived after a later frame; first counted as lost.
     pub late: u64,
-    /// From another stream than the camera's current one: another publisher, or a number far off.
+    /// From a stream other than the camera's current one: another publisher, or a distant sequence number.
     pub stray: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
-    /// The picture could not be decoded, or contradicts its own header.
+    /// The picture cannot be decoded or contradicts its header.
     pub undecodable: u64,
-    /// Payload, picture or decompressed size above the limit.
+    /// The size of payload, picture or decompressed data exceeds the limit.
     pub oversized: u64,
-    /// A payload encoding that is not known, or an attachment that cannot be read.
+    /// The payload encoding is unknown, or the attachment is unreadable.
     pub unknown_format: u64,
-    /// Arrived or waited while the camera's loop was not running, after a failure or while stopping.
+    /// Arrived or waited while the camera's loop was not running, after a failure or during shutdown.
     pub stopped: u64,
 }
 
 impl DroppedFrames {
-    /// Names and numbers, in the order of the fields.
+    /// Returns names and counts, in the order of the fields.
     pub fn by_kind(&self) -> [(&'static str, u64); 9] {
         [
             ("lost", self.lost),
@@ -178,7 +178,7 @@ impl DroppedFrames {
         ]
     }
 
-    /// All of them.
+    /// Returns the number of all dropped frames.
     pub fn total(&self) -> u64 {
         self.by_kind().iter().map(|(_, n)| n).sum()
     }

@@ -1,4 +1,4 @@
-//! The status of a node, `{prefix}/@status/{node}`: in full when something changed, otherwise a heartbeat every 30 seconds.
+//! The status of a node on `{prefix}/@status/{node}`: in full on a change, otherwise a heartbeat every 30 seconds.
 
 use crate::version::{MessageError, VERSION, check_version};
 use crate::{EnergyQuality, NodeTarget, Threshold};
@@ -7,152 +7,152 @@ use serde_with::skip_serializing_none;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,
-/// the node sends a [`Heartbeat`] instead.
+/// A heartbeat, with the full status if it changed or was requested. If only the number of waiting reports changed, the
+/// node sends a [`Heartbeat`] instead.
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
     pub v: u32,
-    /// A random number of this run of the process: it distinguishes two runs, and two nodes with the same name.
+    /// A random number for this run of the process: it distinguishes two runs, and two nodes with the same name.
     pub run: u32,
-    /// When the process started, nanoseconds since the Unix epoch.
+    /// Start time of the process, nanoseconds since the Unix epoch.
     pub started_ns: u64,
-    /// Number of this message within the run, from 0; a gap makes the hub ask for the full status.
+    /// Number of this message within the run, from 0; after a gap the hub requests the full status.
     pub seq: u64,
     /// The node's clock, nanoseconds since the Unix epoch.
     pub t_ns: u64,
-    /// Whether it works as it should.
+    /// Health of the node.
     pub health: HealthState,
-    /// Reports that wait in the outbox.
+    /// Reports waiting in the outbox.
     pub waiting: u64,
-    /// Revision of the desired value that is in force; 0 when none is.
+    /// Revision of the desired value in force; 0 for none.
     pub revision: u64,
-    /// The full status, if something in it changed since the last message.
+    /// The full status, if it changed since the last message.
     pub full: Option<Box<NodeStatus>>,
 }
 
-/// A short message, sent twice per minute if only the number of waiting reports has changed since the last status: about
-/// twenty bytes. On the wire it is the array `[v, run, seq, waiting]`, on the key of the status.
+/// A short message, sent twice per minute if only the number of waiting reports has changed since the last status:
+/// about twenty bytes. On the wire it is the array `[v, run, seq, waiting]`, on the status key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// The run whose last status still holds.
     pub run: u32,
-    /// Number of this message within the run; statuses and heartbeats are counted together.
+    /// Number of this message within the run; statuses and heartbeats share one sequence.
     pub seq: u64,
-    /// Reports that wait in the outbox.
+    /// Reports waiting in the outbox.
     pub waiting: u64,
 }
 
 impl Heartbeat {
-    /// The bytes that are sent.
+    /// Returns the bytes to send.
     ///
     /// # Errors
-    /// None that can happen: numbers can always be written.
+    /// Never in practice: numbers can always be serialized.
     pub fn to_payload(&self) -> Result<Vec<u8>, serde_json::Error> {
         serde_json::to_vec(&(VERSION, self.run, self.seq, self.waiting))
     }
 
-    /// Reads one.
+    /// Reads a heartbeat.
     ///
     /// # Errors
-    /// [`MessageError`] when it is not an array of four numbers, or of another version.
+    /// [`MessageError`] if it is not an array of four numbers or has another version.
     pub fn read(payload: &[u8]) -> Result<Self, MessageError> {
         let (found, run, seq, waiting): (u32, u32, u64, u64) = serde_json::from_slice(payload)?;
         check_version(found)?;
         Ok(Self { run, seq, waiting })
     }
 
-    /// Whether a payload on the key of the status is one of these and not a [`StatusMessage`].
+    /// True if a payload on the status key is a heartbeat and not a [`StatusMessage`].
     pub fn is_one(payload: &[u8]) -> bool {
         payload.trim_ascii_start().first() == Some(&b'[')
     }
 }
 
-/// Whether a node works as it should.
+/// The health of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthState {
-    /// Every part works.
+    /// All parts work.
     Ready,
-    /// It answers frames, but a part does not work.
+    /// It answers frames, but a part has failed.
     Degraded,
-    /// It does not answer frames: it starts, or a part it cannot do without has failed.
+    /// It does not answer frames: it is starting, or an essential part has failed.
     NotReady,
 }
 
-/// Health with its reasons.
+/// The health of a node with the reasons.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct HealthStatus {
-    /// Whether it works as it should.
+    /// Health of the node.
     pub state: HealthState,
-    /// What is wrong, by part; empty when ready.
+    /// Problems by part; empty when ready.
     pub reasons: BTreeMap<String, String>,
 }
 
-/// Everything a hub shows of a node between reports.
+/// The full status that a hub shows of a node between reports.
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeStatus {
     /// Version of the program.
     pub version: String,
-    /// Labels of its configuration, for selecting nodes: `region = "north"`.
+    /// Labels from the configuration, for selecting nodes: `region = "north"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
     /// Cameras.
     pub cameras: Vec<CameraStatus>,
     /// Policy.
     pub policy: String,
-    /// Detector model: file name.
+    /// File name of the detector model.
     pub model: String,
-    /// Execution provider that really runs it; absent until the model is loaded.
+    /// Execution provider that actually runs the model; absent until the model is loaded.
     pub provider: Option<String>,
-    /// Where power figures come from: `rapl`, `estimate`, …
+    /// Source of the power figures: `rapl`, `estimate`, …
     pub power_source: String,
-    /// How far they can be trusted.
+    /// Quality of the power figures.
     pub power_quality: EnergyQuality,
     /// Health with its reasons.
     pub health: HealthStatus,
     /// The outbox.
     pub outbox: OutboxStatus,
-    /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
+    /// The desired value that the node refused, until it accepts a later one; absent if it refused none.
     pub refused: Option<RefusedDesired>,
-    /// Its target; absent without a target.
+    /// The node's target; absent without a target.
     pub target: Option<NodeTarget>,
-    /// Why it has no target any more, in words, if it had one since its start.
+    /// Human-readable reason why a target that the node had since its start was switched off.
     pub target_off: Option<String>,
 }
 
-/// A desired value that a node did not take.
+/// A desired value that a node refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RefusedDesired {
-    /// Its revision: greater than the one in force.
+    /// Revision of the value, greater than the one in force.
     pub revision: u64,
-    /// Why, in words: the policy has another threshold, or the value is outside of its range.
+    /// Human-readable reason: the policy has another threshold, or the value is out of range.
     pub reason: String,
 }
 
-/// Whether frames come from a camera.
+/// The state of a camera's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CameraState {
     /// Frames arrive.
     Live,
-    /// Frames arrived, but no longer do.
+    /// Frames arrived earlier, but no longer do.
     Stale,
     /// No frame has arrived since the start.
     NeverSeen,
 }
 
-/// Who set a threshold or a target.
+/// The origin of a threshold or a target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SettingSource {
     /// The configuration.
     Configuration,
-    /// Somebody at the node, by HTTP or Zenoh.
+    /// A user at the node, by HTTP or Zenoh.
     Local,
-    /// The hub, with the revision of the status.
+    /// The hub, with the revision in the status.
     Hub,
 }
 
@@ -160,27 +160,27 @@ pub enum SettingSource {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraStatus {
-    /// Its name.
+    /// Name of the camera.
     pub name: String,
-    /// Whether frames come.
+    /// State of its frames.
     pub state: CameraState,
     /// Threshold in force; absent when the policy has none.
     pub threshold: Option<Threshold>,
-    /// Who set it.
+    /// Origin of the threshold.
     pub threshold_source: SettingSource,
 }
 
 /// The outbox of a [`NodeStatus`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct OutboxStatus {
-    /// Reports that wait.
+    /// Reports waiting for delivery.
     pub waiting: u64,
-    /// Reports lost: the outbox was full or its disk broken.
+    /// Reports lost because the outbox was full or its disk failed.
     pub lost: u64,
-    /// Reports that the hub refused for good.
+    /// Reports that the hub refused permanently.
     #[serde(default)]
     pub undeliverable: u64,
-    /// Whether reports survive a power loss; `false` without a state directory or when its disk fails.
+    /// True if reports survive a power loss; false without a state directory or if its disk fails.
     pub durable: bool,
 }
 

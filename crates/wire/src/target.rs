@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
-/// A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for
-/// none.
+/// A target in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}`
+/// for none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TargetMessage {
-    /// Version; may be left out on the way in.
+    /// Version; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
-    /// The target; null for none: the threshold then stays where it is.
-    // It may be null and may not be missing.
+    /// The target; null for none, which keeps the threshold.
+    // It may be null but must be present.
     #[serde(deserialize_with = "Option::deserialize")]
     pub target: Option<Target>,
 }
@@ -30,36 +30,36 @@ pub struct TargetReport {
     /// The target; null for none.
     #[serialize_always]
     pub target: Option<Target>,
-    /// Who set it, or switched it off.
+    /// Origin of the target or of its removal.
     pub source: SettingSource,
-    /// Why there is none any more, in words.
+    /// Human-readable reason why there is no target any more.
     pub off: Option<String>,
-    /// The values between which the threshold is moved; absent without a target.
+    /// The range within which the threshold moves; absent without a target.
     pub range: Option<KnobRange>,
     /// The threshold in force; absent without a target.
     pub threshold: Option<Threshold>,
-    /// What is measured and why the threshold has its value; absent without a target and before the first second.
+    /// The measured value and the reason for the threshold; absent without a target and before the first second.
     pub state: Option<TargetState>,
-    /// The same in words.
+    /// The state, human-readable.
     pub why: Option<String>,
 }
 
-/// The target in a node's status, without the figures that change all the time.
+/// The target in a node's status, without the figures that change constantly.
 #[skip_serializing_none]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeTarget {
     /// The target.
     pub target: Target,
-    /// Who set it.
+    /// Origin of the target.
     pub source: SettingSource,
-    /// Why the threshold has its value; absent before the first second.
+    /// The reason for the threshold's value; absent before the first second.
     pub status: Option<TargetStatus>,
     /// The measured value when the status was created.
     pub actual: Option<f64>,
 }
 
 impl TargetReport {
-    /// For the status; `None` without a target.
+    /// Returns the target for the status; `None` without a target.
     pub fn status(&self) -> Option<NodeTarget> {
         Some(NodeTarget {
             target: self.target?,

@@ -10,8 +10,8 @@ use utoipa::ToSchema;
 /// The name of a threshold: `u`, `lambda`, `skip_rate`.
 pub type ThresholdName = ArrayString<24>;
 
-/// The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-/// under expected-loss. So one policy's value cannot be mistaken for another's.
+/// The value of a policy's threshold with the policy's name for it: `{"name": "u", "value": 3e-4}`, or `lambda` under
+/// expected-loss. The name prevents mistaking one policy's value for another's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Threshold {
     /// The threshold's name.
@@ -22,7 +22,7 @@ pub struct Threshold {
 }
 
 impl Threshold {
-    /// `value` of `name`; a longer name is cut.
+    /// Creates a threshold; a name that is too long is truncated.
     pub fn new(name: &str, value: f64) -> Self {
         let fits = name.floor_char_boundary(ThresholdName::new_const().capacity());
         Self {
@@ -31,10 +31,10 @@ impl Threshold {
         }
     }
 
-    /// The value, if it belongs to `knob`.
+    /// Returns the value if it belongs to `knob`.
     ///
     /// # Errors
-    /// [`OtherThreshold`] when it has another name.
+    /// [`OtherThreshold`] if it has another name.
     pub fn value_of(&self, knob: &Knob) -> Result<f64, OtherThreshold> {
         if self.name.as_str() == knob.name {
             Ok(self.value)
@@ -48,17 +48,17 @@ impl Threshold {
 }
 
 impl fmt::Display for Threshold {
-    /// `u 3e-4`, `lambda 0.3`.
+    /// Examples: `u 3e-4`, `lambda 0.3`.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{} {}", self.name, short(self.value))
     }
 }
 
-/// A threshold of another name than the policy's.
+/// The error for a threshold whose name is not the policy's.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("the threshold of the policy in use is `{wanted}`, not `{sent}`")]
 pub struct OtherThreshold {
-    /// The policy's name for it.
+    /// The policy's name for its threshold.
     pub wanted: &'static str,
     /// The name that was sent.
     pub sent: ThresholdName,
@@ -67,7 +67,7 @@ pub struct OtherThreshold {
 /// A change of the threshold during a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ThresholdChange {
-    /// First frame that it applies to.
+    /// First frame to which it applies.
     pub seq: u64,
     /// The new value.
     pub threshold: Threshold,
@@ -77,7 +77,7 @@ pub struct ThresholdChange {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ThresholdMessage {
-    /// Version; may be left out on the way in.
+    /// Version; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
     /// The threshold.

@@ -1,17 +1,17 @@
-//! The version that every message carries as `v`; an unknown one is refused.
+//! The version that every message carries as `v`; unknown versions are refused.
 
 use serde::Deserialize;
 
-/// The version this program writes and reads.
+/// The version that this program writes and reads.
 pub const VERSION: u32 = 1;
 
-/// Why a message cannot be taken.
+/// The error for a message that cannot be accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum MessageError {
-    /// Not the JSON expected.
+    /// The message is not the expected JSON.
     #[error("not a valid message: {0}")]
     Malformed(#[from] serde_json::Error),
-    /// A version this program does not know.
+    /// The version is unknown to this program.
     #[error("message version {found} is not known here; this program reads version {VERSION}")]
     Version {
         /// The version found.
@@ -22,7 +22,7 @@ pub enum MessageError {
 /// Reads a message of any type of this crate after checking its version.
 ///
 /// # Errors
-/// [`MessageError`] when the bytes are not JSON, have no `v`, have another version, or lack a field.
+/// [`MessageError`] if the bytes are not JSON, have no `v`, have another version, or lack a field.
 pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> {
     #[derive(Deserialize)]
     struct Versioned {
@@ -33,7 +33,7 @@ pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> 
     Ok(serde_json::from_slice(bytes)?)
 }
 
-/// Refuses a message of a version that this program does not know.
+/// Refuses a message whose version is unknown to this program.
 ///
 /// # Errors
 /// [`MessageError::Version`].

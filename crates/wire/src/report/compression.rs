@@ -1,19 +1,18 @@
-//! Compresses a batch with Zstandard and a dictionary that node and hub share, so that names and frequent words
-//! are not sent.
+//! Compresses batches with Zstandard and a dictionary shared by node and hub, so that names and frequent words are not
+//! sent.
 
 use super::{BatchError, LARGEST_BATCH_BYTES};
 use std::io::{Read, Write};
 use std::sync::LazyLock;
 use zstd::dict::{DecoderDictionary, EncoderDictionary};
 
-/// The dictionary of this program: the first byte of each payload.
+/// The dictionary of this program; its number is the first byte of each payload.
 pub const REPORT_DICTIONARY: u8 = 1;
 
-/// Dictionary 1: reports as several boards make them. Once released it is never changed; a better one gets the next
-/// number.
+/// Dictionary 1: typical reports of several boards. Once released it never changes; a better one gets the next number.
 static DICTIONARY: &[u8] = include_bytes!("dictionary-1.json");
 
-/// Largest window that is accepted of a sender, as a power of two: no more than a batch may hold.
+/// Maximum window size accepted from a sender, as a power of two: no more than a batch may hold.
 const WINDOW_LOG: u32 = LARGEST_BATCH_BYTES.ilog2();
 
 static BEST_ENCODER: LazyLock<EncoderDictionary<'static>> =
@@ -23,14 +22,14 @@ static QUICK_ENCODER: LazyLock<EncoderDictionary<'static>> =
 static DECODER: LazyLock<DecoderDictionary<'static>> =
     LazyLock::new(|| DecoderDictionary::copy(DICTIONARY));
 
-/// How much work goes into a batch.
+/// The effort of compressing a batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BatchCompression {
-    /// For a node: a batch is some ten kilobytes and goes out once in minutes, so that some milliseconds are nothing beside
-    /// a tenth of its bytes.
+    /// For a node: a batch of some ten kilobytes is sent once every few minutes, so saving a tenth of its bytes is
+    /// worth a few milliseconds.
     #[default]
     Best,
-    /// For a program that plays thousands of nodes: some 15 % larger, in a tenth of the time.
+    /// For a program that simulates thousands of nodes: some 15 % larger, in a tenth of the time.
     Quick,
 }
 
@@ -49,10 +48,10 @@ impl BatchCompression {
     }
 }
 
-/// The JSON of a batch's payload, at most [`LARGEST_BATCH_BYTES`].
+/// Returns the JSON of a batch's payload, at most [`LARGEST_BATCH_BYTES`].
 ///
 /// # Errors
-/// [`BatchError`] when it is not compressed with a dictionary known here, breaks off, or is too large.
+/// [`BatchError`] if it is not compressed with a known dictionary, is truncated, or is too large.
 pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, BatchError> {
     let (dictionary, compressed) = payload.split_first().unwrap_or((&0, &[]));
     if *dictionary != REPORT_DICTIONARY {
