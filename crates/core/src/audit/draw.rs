@@ -1,19 +1,19 @@
 //! Draws the frames to audit.
 
-/// Draws frames at random by a seed and the frame's number, never by what is in them.
+/// Draws frames at random by a seed and the frame's number, independently of their content.
 ///
-/// It keeps no state: the same seed draws the same numbers. A stream whose numbers begin at 0 again needs another seed, or
-/// the same numbers are drawn each time.
+/// It keeps no state: the same seed draws the same numbers. A stream whose numbers restart at 0 needs another seed;
+/// otherwise the same numbers are drawn each time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AuditDraw {
     seed: u64,
-    /// Hashes below this are drawn.
+    /// Hashes below this value are drawn.
     below: u64,
     all: bool,
 }
 
 impl AuditDraw {
-    /// Draws the share `share` of all frames, 0 to 1. A share outside that range counts as its nearest end, NaN as 0.
+    /// Draws `share` of all frames, 0 to 1. A share outside that range counts as its nearest end, NaN as 0.
     pub fn new(share: f64, seed: u64) -> Self {
         let share = if share.is_nan() {
             0.0
@@ -22,18 +22,18 @@ impl AuditDraw {
         };
         Self {
             seed,
-            // From a float the conversion saturates.
+            // The conversion from a float saturates.
             below: (share * 2f64.powi(64)) as u64,
             all: share >= 1.0,
         }
     }
 
-    /// Whether the frame with this number is drawn.
+    /// True if the frame with this number is drawn.
     pub const fn draw(&self, frame: u64) -> bool {
         self.all || mix(mix(self.seed) ^ frame) < self.below
     }
 
-    /// Whether no frame is ever drawn.
+    /// True if no frame is ever drawn.
     pub const fn is_off(&self) -> bool {
         self.below == 0
     }

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The quantile of the normal distribution for an interval of 95 %.
+/// The quantile of the normal distribution for a 95 % interval.
 const QUANTILE_95: f64 = 1.959_963_984_540_054;
 
-/// A share of boxes, with its interval at a confidence of 95 %.
+/// A share of boxes with its 95 % confidence interval.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AuditRate {
@@ -16,15 +16,15 @@ pub struct AuditRate {
     pub low: f64,
     /// Upper end of the interval: the same, with every box of the missed frames counted as a success.
     pub high: f64,
-    /// The compared boxes.
+    /// Number of compared boxes.
     pub boxes: u64,
-    /// How many independent boxes they are worth: the boxes of one frame are shown or missed together.
+    /// Equivalent number of independent boxes: the boxes of one frame are shown or missed together.
     pub independent: f64,
 }
 
 impl AuditRate {
-    /// The share `paired` of `boxes`, with the sums over frames of `paired²`, `boxes·paired` and `boxes²`. `None` without
-    /// boxes.
+    /// Returns the share `paired` of `boxes`, given the sums over frames of `paired²`, `boxes·paired` and `boxes²`.
+    /// `None` without boxes.
     pub(super) fn new([paired, boxes]: [u64; 2], squares: [u64; 3]) -> Option<Self> {
         if boxes == 0 {
             return None;
@@ -44,8 +44,8 @@ impl AuditRate {
         })
     }
 
-    /// The same with an interval that includes `missed` boxes of which nothing is known: all of them failures at its lower
-    /// end, all successes at its upper end (C. F. Manski, "Nonparametric bounds on treatment effects", 1990).
+    /// Returns the rate with an interval that includes `missed` unknown boxes: all are failures at its lower end and
+    /// successes at its upper end (C. F. Manski, "Nonparametric bounds on treatment effects", 1990).
     pub(super) fn widened(self, missed: u64) -> Self {
         let known = self.boxes as f64 / (self.boxes as f64 + missed as f64);
         Self {
@@ -63,16 +63,16 @@ pub(super) fn wilson(rate: f64, count: f64) -> (f64, f64) {
     let center = (rate + z2 / (2.0 * count)) / (1.0 + z2 / count);
     let reach = QUANTILE_95 / (1.0 + z2 / count)
         * (rate * (1.0 - rate) / count + z2 / (4.0 * count * count)).sqrt();
-    // At the ends rounding would leave a trace beside 0 and 1.
+    // Rounding would not give exactly 0 or 1 at the ends.
     let low = if rate <= 0.0 { 0.0 } else { center - reach };
     let high = if rate >= 1.0 { 1.0 } else { center + reach };
     (low.max(0.0), high.min(1.0))
 }
 
-/// The variance of the rate over that of independent boxes (L. Kish's design effect): frames are drawn, not boxes. The
-/// variance is that of a ratio over drawn frames.
+/// The variance of the rate relative to independent boxes (L. Kish's design effect), because frames are drawn, not
+/// boxes. The variance is that of a ratio over drawn frames.
 ///
-/// One frame more is assumed, half of it shown: a few frames that all agree are no certainty.
+/// One more frame is assumed, half of it shown: a few frames that all agree give no certainty.
 pub(super) fn design_effect(
     paired: f64,
     boxes: f64,

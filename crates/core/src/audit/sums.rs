@@ -1,4 +1,4 @@
-//! Counts of compared frames, which add up over clips, cameras and nodes.
+//! Counts of compared frames, which can be summed over clips, cameras and nodes.
 
 use super::AUDIT_OVERLAP;
 use super::rate::AuditRate;
@@ -8,36 +8,36 @@ use crate::objects::{ComponentSolver, Edge, is_usable};
 use crate::policy::OutputBox;
 use serde::{Deserialize, Serialize};
 
-/// Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes per frame, the
-/// one that audits the larger share of its frames weighs more.
+/// Sums over the drawn frames. A pooled rate covers all compared boxes: of two cameras with equally many boxes per
+/// frame, the one that audits the larger share of its frames weighs more.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct AuditSums {
-    /// Frames that were drawn and that the detector had no time for.
+    /// Drawn frames that the detector had no time for.
     #[serde(skip_serializing_if = "is_zero")]
     pub missed: u64,
-    /// Boxes that were shown on those, at least one per frame: what the missed frames weigh in an interval.
+    /// Boxes shown on the missed frames, at least one per frame: the weight of missed frames in an interval.
     #[serde(skip_serializing_if = "is_zero")]
     pub missed_boxes: u64,
-    /// Frames that were compared.
+    /// Frames compared.
     #[serde(skip_serializing_if = "is_zero")]
     pub frames: u64,
-    /// Boxes that the detector found on them.
+    /// Boxes that the detector found on the compared frames.
     #[serde(skip_serializing_if = "is_zero")]
     pub detected: u64,
-    /// Boxes that were shown on them.
+    /// Boxes shown on the compared frames.
     #[serde(skip_serializing_if = "is_zero")]
     pub shown: u64,
     /// Pairs of a detected and a shown box of the same object.
     #[serde(skip_serializing_if = "is_zero")]
     pub paired: u64,
-    /// How far the compared frames differ.
+    /// Sums of squares and products of the counts, for the intervals.
     #[serde(skip_serializing_if = "AuditSquares::is_empty")]
     pub squares: AuditSquares,
 }
 
-/// Sums over the compared frames of the squares and products of their counts, from which the intervals come.
+/// Sums over the compared frames of the squares and products of their counts, from which the intervals are computed.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
@@ -65,8 +65,8 @@ impl AuditSquares {
 }
 
 impl AuditSums {
-    /// Compares one frame that was answered without the detector: the boxes `shown` on it with those that the detector
-    /// finds in it. As many pairs are made as can be; classes are ignored. A box outside the picture does not count.
+    /// Compares one frame answered without the detector: the boxes `shown` with those `detected`. Makes as many pairs
+    /// as possible and ignores classes. Boxes outside the picture do not count.
     pub fn add(&mut self, shown: &[OutputBox], detected: &[Detection]) {
         let shown = visible(
             shown
@@ -94,14 +94,14 @@ impl AuditSums {
         });
     }
 
-    /// Counts a drawn frame that the detector had no time for, with the number of boxes `shown` on it.
+    /// Counts a drawn frame that the detector had no time for and that showed `shown` boxes.
     pub const fn add_missed(&mut self, shown: usize) {
         self.missed = self.missed.saturating_add(1);
         let boxes = if shown == 0 { 1 } else { shown as u64 };
         self.missed_boxes = self.missed_boxes.saturating_add(boxes);
     }
 
-    /// Adds the other's sums.
+    /// Adds the sums of `more`.
     pub const fn merge(&mut self, more: &Self) {
         const fn add(sum: &mut u64, more: u64) {
             *sum = sum.saturating_add(more);
@@ -120,28 +120,28 @@ impl AuditSums {
         add(&mut squares.shown_paired, more.shown_paired);
     }
 
-    /// Whether nothing was counted.
+    /// True if nothing was counted.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Frames that were drawn: compared or missed.
+    /// Returns the number of drawn frames, compared or missed.
     pub const fn drawn(&self) -> u64 {
         self.missed.saturating_add(self.frames)
     }
 
-    /// Share of the drawn frames that were missed, 0 to 1; 0 when none was drawn.
+    /// Returns the share of the drawn frames that were missed, 0 to 1; 0 if none was drawn.
     pub(crate) fn missed_share(&self) -> f64 {
         self.missed as f64 / self.drawn().max(1) as f64
     }
 
-    /// Recall against the detector: share of its boxes that were shown. The interval includes the missed frames.
-    /// `None` when the detector found nothing.
+    /// Returns the recall against the detector: the share of its boxes that were shown. The interval includes the
+    /// missed frames. `None` if the detector found nothing.
     pub fn recall(&self) -> Option<AuditRate> {
         Some(self.compared_recall()?.widened(self.missed_boxes))
     }
 
-    /// Recall of the compared frames alone, as if no frame had been missed.
+    /// Returns the recall of the compared frames alone, as if no frame had been missed.
     pub(crate) fn compared_recall(&self) -> Option<AuditRate> {
         let squares = &self.squares;
         AuditRate::new(
@@ -150,8 +150,8 @@ impl AuditSums {
         )
     }
 
-    /// Precision against the detector: share of the shown boxes that it confirms. The interval includes the missed frames.
-    /// `None` when nothing was shown.
+    /// Returns the precision against the detector: the share of the shown boxes that it confirms. The interval includes
+    /// the missed frames. `None` if nothing was shown.
     pub fn precision(&self) -> Option<AuditRate> {
         let squares = &self.squares;
         let compared = AuditRate::new(
@@ -162,13 +162,13 @@ impl AuditSums {
     }
 }
 
-/// The boxes as far as they lie in the picture, in normalised coordinates.
+/// Clips the boxes to the picture, in normalised coordinates, and drops empty ones.
 fn visible(boxes: impl Iterator<Item = BoundingBox>) -> Vec<Corners> {
     let clipped = boxes.map(|bounding_box| bounding_box.corners().clipped());
     clipped.filter(|corners| corners.area() > 0.0).collect()
 }
 
-/// How many pairs of boxes of the same object there are at most.
+/// Returns the maximum number of pairs of boxes of the same object.
 fn pairs(shown: &[Corners], detected: &[Corners]) -> u64 {
     let mut edges = Vec::new();
     for (row, shown) in (0..).zip(shown) {
