@@ -1,7 +1,7 @@
-//! How a box has moved: a grid of points, followed there and back.
+//! The motion of a box, from a grid of points followed forward and back.
 //!
-//! With p a point, d its shift, c the middle of the box, over the points whose way back ends within
-//! `largest_return` of where they started:
+//! With p a point, d its shift and c the centre of the box, over the points that return to within `largest_return` of
+//! their start:
 //!
 //! ```text
 //! scale s  = median over pairs of |p'ᵢ − p'ⱼ| / |pᵢ − pⱼ|
@@ -10,26 +10,26 @@
 //! spread   = median |residual| / smaller side of the box
 //! ```
 //!
-//! Median Flow takes the median of d itself. That is the shift of the points' middle, which is not that of the box
-//! where the points that were kept lie to one side and the box grows.
+//! Median Flow takes the median of d itself. That is the shift of the points' centre, which differs from the box's if
+//! the kept points lie to one side and the box grows.
 
 use super::median::median;
 use super::pyramid::Pyramid;
 use super::tracker::{Tracker, TrackerSettings};
 use crate::geometry::Corners;
 
-/// The settings of the grid and of what is believed.
+/// The settings of the grid and of its acceptance tests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoxFlowSettings {
     /// Points along each side of the grid, at most 16.
     pub grid: usize,
-    /// The share of the box's sides that the grid spans.
+    /// Share of the box's sides that the grid spans.
     pub inner: f32,
-    /// A point is kept when its way back ends so near to where it started, pixels.
+    /// Largest distance between a kept point's start and its return, pixels.
     pub largest_return: f32,
-    /// Points that must be kept.
+    /// Smallest number of kept points.
     pub least_points: usize,
-    /// The search for each.
+    /// Settings of the search for each point.
     pub tracker: TrackerSettings,
 }
 
@@ -46,7 +46,7 @@ impl Default for BoxFlowSettings {
 }
 
 impl BoxFlowSettings {
-    /// The default with this many points along each side of the grid and this many pyramid levels.
+    /// The default settings with this many points along each side of the grid and this many pyramid levels.
     pub fn of(grid: u32, levels: u32) -> Self {
         let standard = Self::default();
         Self {
@@ -63,32 +63,32 @@ impl BoxFlowSettings {
 /// Largest number of points along a side of the grid.
 const LARGEST_GRID: usize = 16;
 
-/// How a box has moved.
+/// The motion of a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoxMotion {
-    /// Of its centre, pixels.
+    /// Shift of the centre, pixels.
     pub shift: [f64; 2],
-    /// What its sides are multiplied by.
+    /// Scale factor of the sides.
     pub scale: f64,
-    /// Median distance between where points started and where their way back ended, pixels.
+    /// Median distance between the points' starts and returns, pixels.
     pub forward_backward: f64,
-    /// Median distance of the points from where shift and scale put them, in smaller sides of the box.
+    /// Median distance of the points from their positions by shift and scale, relative to the smaller side of the box.
     pub spread: f64,
 }
 
-/// What came of following a box.
+/// The result of following a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Followed {
-    /// Points of the grid inside of the picture.
+    /// Number of grid points inside the picture.
     pub points: usize,
-    /// Those that came back.
+    /// Number of points that returned.
     pub kept: usize,
-    /// The motion; `None` when too few came back.
+    /// The motion; `None` if too few points returned.
     pub motion: Option<BoxMotion>,
 }
 
 impl Followed {
-    /// Share of the points that came back; 0 without points.
+    /// Returns the share of the points that returned; 0 without points.
     pub fn agreement(&self) -> f64 {
         if self.points == 0 {
             0.0
@@ -98,14 +98,14 @@ impl Followed {
     }
 }
 
-/// A point of the grid and where it went.
+/// The start and end of a grid point.
 #[derive(Clone, Copy, Debug)]
 struct Pair {
     start: [f32; 2],
     end: [f32; 2],
 }
 
-/// Follows boxes.
+/// Follows boxes between pictures.
 #[derive(Clone, Debug)]
 pub struct BoxFlow {
     settings: BoxFlowSettings,
@@ -116,7 +116,7 @@ pub struct BoxFlow {
 }
 
 impl BoxFlow {
-    /// With these settings; a grid of more than 16 points a side is one of 16.
+    /// Creates a follower with these settings; a grid of more than 16 points per side is reduced to 16.
     pub fn new(settings: BoxFlowSettings) -> Self {
         let grid = settings.grid.min(LARGEST_GRID);
         let points = grid * grid;
@@ -134,8 +134,8 @@ impl BoxFlow {
         &self.settings
     }
 
-    /// Follows the box `area` of the picture `before`, in its pixels, into the picture `after`. The search begins
-    /// at `guess`, how far the box is thought to have moved, pixels.
+    /// Follows the box `area` of the picture `before`, in its pixels, into the picture `after`. The search begins at
+    /// `guess`, the expected shift of the box, pixels.
     pub fn follow(
         &mut self,
         before: &Pyramid,
@@ -153,7 +153,7 @@ impl BoxFlow {
         }
     }
 
-    /// Fills `pairs` and `returns`; returns how many points there are to follow.
+    /// Fills `pairs` and `returns`; returns the number of points to follow.
     fn track_points(
         &mut self,
         before: &Pyramid,
@@ -229,7 +229,7 @@ impl BoxFlow {
         (finite && motion.scale > 0.0).then_some(motion)
     }
 
-    /// The median ratio of distances after and before. The root of a median is the median of the roots.
+    /// Returns the median ratio of distances after and before. The root of a median is the median of the roots.
     fn scale(&mut self) -> Option<f32> {
         self.values.clear();
         for (index, a) in self.pairs.iter().enumerate() {
@@ -245,15 +245,15 @@ impl BoxFlow {
     }
 }
 
-/// Evenly spaced places along one axis, rounded to whole pixels.
+/// Evenly spaced positions along one axis, rounded to whole pixels.
 struct Grid {
     first: f32,
     distance: f32,
 }
 
 impl Grid {
-    /// The grid in the part of a side from `low` to `high` that lies in a picture of `length` pixels; `None` if
-    /// there is none.
+    /// Returns the grid in the part of a side from `low` to `high` inside a picture of `length` pixels; `None` if that
+    /// part is empty.
     fn along(low: f64, high: f64, length: usize, settings: &BoxFlowSettings) -> Option<Self> {
         let low = low.max(0.0);
         let high = high.min(length as f64 - 1.0);

@@ -1,7 +1,6 @@
-//! Medians of a buffer that may be put in another order.
+//! Medians of a buffer that may be reordered.
 
-/// The median of `values`; the mean of the two in the middle when there are as many above as below. 0
-/// without values.
+/// Returns the median of `values`: with an even count, the mean of the two middle values; 0 without values.
 pub(super) fn median(values: &mut [f32]) -> f32 {
     let middle = values.len() / 2;
     let even = values.len().is_multiple_of(2);

@@ -1,6 +1,6 @@
-//! Grey pictures at full size, half, a quarter and so on, each with a mirrored border around it.
+//! Grey pictures at full size, half, a quarter and so on, each with a mirrored border.
 
-/// A grey picture that lies somewhere else.
+/// A borrowed grey picture.
 #[derive(Clone, Copy, Debug)]
 pub struct GreyView<'a> {
     width: usize,
@@ -10,8 +10,8 @@ pub struct GreyView<'a> {
 }
 
 impl<'a> GreyView<'a> {
-    /// A picture of `width` columns and `height` rows whose rows begin every `stride` bytes. `None` when a
-    /// side is 0 or above 65,535, the stride is less than the width, or there are not bytes enough.
+    /// Creates a view of `width` columns and `height` rows that begin every `stride` bytes. `None` if a side is 0 or
+    /// above 65,535, the stride is less than the width, or there are too few bytes.
     pub fn new(width: usize, height: usize, stride: usize, bytes: &'a [u8]) -> Option<Self> {
         let sides = 1..=usize::from(u16::MAX);
         let needed = (height.checked_sub(1)?)
@@ -29,12 +29,12 @@ impl<'a> GreyView<'a> {
         })
     }
 
-    /// Columns.
+    /// Returns the width in pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Returns the height in pixels.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -44,10 +44,10 @@ impl<'a> GreyView<'a> {
     }
 }
 
-/// Pixels around each level. A window whose middle lies in the picture never leaves it.
+/// Border around each level, pixels. A window centred in the picture never leaves it.
 pub(super) const BORDER: usize = 16;
 
-/// One level: its pixels with the border around them.
+/// One level: its pixels and their border.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Level {
     pub width: usize,
@@ -64,13 +64,13 @@ impl Level {
         self.pixels.resize(self.stride * (height + 2 * BORDER), 0);
     }
 
-    /// The pixels of a row of the picture itself.
+    /// Returns the pixels of a row without the border.
     fn row_mut(&mut self, y: usize) -> &mut [u8] {
         &mut self.pixels[(y + BORDER) * self.stride + BORDER..][..self.width]
     }
 
-    /// `rows` rows from row `y` on, each with at least `columns` pixels from column `x` on. They may begin and end
-    /// in the border; `None` where they go beyond it.
+    /// Returns `rows` rows from row `y` on, each with at least `columns` pixels from column `x` on. They may begin and
+    /// end in the border; `None` if they exceed it.
     pub(super) fn rows(
         &self,
         x: i32,
@@ -113,7 +113,7 @@ impl Level {
     }
 }
 
-/// The place in a row of `length` that place `at` shows when the row is mirrored at its ends forever.
+/// Returns the index in a row of `length` for position `at`, with the row mirrored at its ends repeatedly.
 fn reflect(at: isize, length: usize) -> usize {
     let last = length as isize - 1;
     if last == 0 {
@@ -123,19 +123,19 @@ fn reflect(at: isize, length: usize) -> usize {
     folded.min(2 * last - folded) as usize
 }
 
-/// A picture at several sizes. Keeps its buffers when it is filled again.
+/// A picture at several sizes. Reuses its buffers when filled again.
 #[derive(Clone, Debug, Default)]
 pub struct Pyramid {
     levels: Vec<Level>,
     used: usize,
-    /// Weighted sums of five rows, with two more at either end.
+    /// Weighted sums of five rows, including border pixels at both ends.
     sums: Vec<u16>,
 }
 
 impl Pyramid {
-    /// Takes `picture`, with `levels` sizes at most: none is made that is no larger than a window. Each
-    /// is the one before behind the Gaussian (1 4 6 4 1)/16 in both directions, every second pixel of it,
-    /// rounded: the same numbers as OpenCV's `pyrDown` gives.
+    /// Fills the pyramid from `picture` with at most `levels` levels; the coarser ones are larger than a window. Each
+    /// is the previous level after the Gaussian (1 4 6 4 1)/16 in both directions, every second pixel, rounded: the
+    /// same numbers as from OpenCV's `pyrDown`.
     pub fn fill(&mut self, picture: GreyView<'_>, levels: usize) {
         if self.levels.is_empty() {
             self.levels.push(Level::default());
@@ -168,7 +168,7 @@ impl Pyramid {
         }
     }
 
-    /// Takes over the picture of `other`; the buffers stay.
+    /// Copies the picture of `other`; keeps the buffers.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.used = other.used;
         if self.levels.len() < other.used {
@@ -182,24 +182,24 @@ impl Pyramid {
         }
     }
 
-    /// Forgets the picture; the buffers stay.
+    /// Forgets the picture; keeps the buffers.
     pub fn clear(&mut self) {
         self.used = 0;
     }
 
-    /// Whether there is no picture.
+    /// True if there is no picture.
     pub fn is_empty(&self) -> bool {
         self.used == 0
     }
 
-    /// Columns and rows of the picture, or 0 without one.
+    /// Returns the width and height of the picture in pixels, or 0 without one.
     pub fn size(&self) -> (usize, usize) {
         self.levels()
             .first()
             .map_or((0, 0), |level| (level.width, level.height))
     }
 
-    /// The levels, the finest first.
+    /// Returns the levels, finest first.
     pub(super) fn levels(&self) -> &[Level] {
         self.levels.get(..self.used).unwrap_or_default()
     }
@@ -208,7 +208,7 @@ impl Pyramid {
 fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
     let width = larger.width;
     sums.clear();
-    // The border of two that the sums need is part of the rows' own border.
+    // The two border pixels that the sums need are part of the rows' border.
     sums.resize(width + 5, 0);
     for y in 0..smaller.height {
         let row = |offset: isize| {
@@ -226,7 +226,7 @@ fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
         let target = smaller.row_mut(y);
         for (pixel, five) in target.iter_mut().zip(sums.windows(5).step_by(2)) {
             let [a, b, c, d, e] = *five else { continue };
-            // At most 256 · 255: rounding overflows 16 bits by nothing but this half.
+            // At most 256 · 255, before rounding.
             let sum =
                 u32::from(a) + u32::from(e) + 4 * (u32::from(b) + u32::from(d)) + 6 * u32::from(c);
             *pixel = ((sum + 128) >> 8) as u8;

@@ -1,7 +1,8 @@
-//! One point from picture to picture, coarse to fine.
+//! Follows one point from picture to picture, coarse to fine.
 //!
-//! From the coarsest level on, the window around the point is searched for by Gauss-Newton steps
-//! `d ← d − G⁻¹ Σ (J(x + d) − I(x))·∇I`, `G = Σ ∇I ∇Iᵀ`; what is found begins the search one level finer, twice as far. A level without texture leaves the guess as it is, unless it is the finest.
+//! From the coarsest level on, Gauss-Newton steps search for the window around the point:
+//! `d ← d − G⁻¹ Σ (J(x + d) − I(x))·∇I`, `G = Σ ∇I ∇Iᵀ`. The result, doubled, is the guess for the next finer level. A
+//! level without texture leaves the guess unchanged, unless it is the finest.
 
 use super::pyramid::Pyramid;
 use super::window::{Template, inside};
@@ -9,14 +10,14 @@ use super::window::{Template, inside};
 /// The settings of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerSettings {
-    /// Sizes of the picture to search, the finest included.
+    /// Pyramid levels to search, including the finest.
     pub levels: usize,
-    /// Gauss-Newton steps on each level, at most.
+    /// Maximum Gauss-Newton steps per level.
     pub steps: u32,
-    /// A step of this length, pixels of its level, or less is the last.
+    /// A step of at most this length, pixels of its level, is the last.
     pub precision: f32,
-    /// Smallest texture of a window that can be found: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in
-    /// squared grey values a pixel.
+    /// Smallest texture of a window to search for: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey
+    /// values per pixel.
     pub least_texture: f32,
 }
 
@@ -26,22 +27,22 @@ impl Default for TrackerSettings {
             levels: 3,
             steps: 30,
             precision: 0.01,
-            // OpenCV's default of 1e-4, which is in units of 32².
+            // OpenCV's default of 1e-4, in its units of 32².
             least_texture: 0.1024,
         }
     }
 }
 
-/// Searches for points.
+/// Follows points between pictures.
 #[derive(Clone, Debug)]
 pub struct Tracker {
-    /// How.
+    /// The settings of the search.
     pub settings: TrackerSettings,
     template: Template,
 }
 
 impl Tracker {
-    /// A tracker with these settings.
+    /// Creates a tracker with these settings.
     pub const fn new(settings: TrackerSettings) -> Self {
         Self {
             settings,
@@ -49,8 +50,8 @@ impl Tracker {
         }
     }
 
-    /// How far what is at `point` of the picture `before` has moved in the picture `after`, searched for around the
-    /// shift `guess`. `None` when it lies outside of the pictures or leaves them, has no texture, or the pictures differ in
+    /// Returns the shift of `point` from the picture `before` to the picture `after`, searched for around the shift
+    /// `guess`. `None` if the point lies outside the pictures or leaves them, has no texture, or the pictures differ in
     /// size.
     pub fn track(
         &mut self,
@@ -91,7 +92,7 @@ impl Tracker {
                 if dx * dx + dy * dy <= self.settings.precision * self.settings.precision {
                     break;
                 }
-                // Back and forth over the same place: its middle.
+                // The steps oscillate around the same position: take its middle.
                 if step > 0 && (dx + last[0]).abs() < 0.01 && (dy + last[1]).abs() < 0.01 {
                     shift = [shift[0] - dx / 2.0, shift[1] - dy / 2.0];
                     break;
@@ -105,7 +106,7 @@ impl Tracker {
     }
 }
 
-/// 2 to the power of a level's number.
+/// Returns 2 to the power of a level's number.
 fn power(level: usize) -> f32 {
     (1u32 << level.min(31)) as f32
 }

@@ -1,36 +1,36 @@
-//! The window around a point: its pixels, their change along both axes, and how well a place in
-//! another picture agrees.
+//! The window around a point: its pixels, its gradients along both axes, and its comparison with a position in another
+//! picture.
 //!
-//! Pixels, gradients and their products are whole numbers, a row of the window worked on as sixteen of 16 bits at once;
-//! those behind the window count for nothing. Between pixels, values and gradients are mixed linearly.
+//! Pixels, gradients and their products are integers; a row of the window is processed as sixteen 16-bit lanes, and
+//! lanes beyond the window have no effect. Between pixels, values and gradients are interpolated linearly.
 
 use super::pyramid::Level;
 use wide::{f32x4, i16x8, i32x4, u8x16};
 
 /// Side of the window, pixels.
 pub(super) const SIDE: usize = 11;
-/// Pixels from the middle of the window to its edge.
+/// Pixels from the centre of the window to its edge.
 const HALF: i32 = (SIDE / 2) as i32;
-/// Gradients are in grey values a pixel times so much.
+/// Scale of the gradients, which are in grey values per pixel times this factor.
 const STEEPNESS: f32 = 64.0;
-/// The window's own values are grey values times so much.
+/// Scale of the window's own values, which are grey values times this factor.
 const FINENESS: i32 = 8;
-/// Places nearer to a pixel than this are taken to be on it.
+/// Positions nearer to a pixel than this count as on it.
 const ON_A_PIXEL: f32 = 1.0 / 1024.0;
 
 /// A row of the window and its padding.
 type Row = [i16x8; 2];
 
-/// Whether the point lies in the picture.
+/// True if the point lies in the picture.
 pub(super) fn inside(level: &Level, x: f32, y: f32) -> bool {
-    // Written so that NaN lies nowhere.
+    // Written so that NaN is outside.
     x >= 0.0 && y >= 0.0 && x <= (level.width - 1) as f32 && y <= (level.height - 1) as f32
 }
 
-/// What is searched for, a window with its gradients, and where the search is.
+/// The window to search for with its gradients, and the position of the search.
 ///
-/// What a Gauss-Newton step needs, `Σ (J(x + d) − I(x))·∇I`, is linear in the shares that the four pixels around a
-/// place have in J: one pass over the window gives the sums for all places between the same pixels, and further
+/// The sum that a Gauss-Newton step needs, `Σ (J(x + d) − I(x))·∇I`, is linear in the weights of the four pixels around
+/// a position in J: one pass over the window gives the sums for all positions between the same pixels, and further
 /// steps among these cost nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Template {
@@ -40,14 +40,14 @@ pub(super) struct Template {
     squares: [f32; 3],
     /// Sums of I·dx and I·dy.
     own: [i32; 2],
-    /// Sums of (J − I)·dx and (J − I)·dy for the four pixels around the place of the last step.
+    /// Sums of (J − I)·dx and (J − I)·dy for the four pixels around the position of the last step.
     differences: [[f32; 2]; 4],
-    /// Where the window has its first pixel there.
+    /// Position of the window's first pixel there.
     at: Option<(i32, i32)>,
 }
 
 impl Template {
-    /// No window yet.
+    /// Creates a template without a window.
     pub(super) const fn empty() -> Self {
         Self {
             dx: [[i16x8::ZERO; 2]; SIDE],
@@ -59,8 +59,8 @@ impl Template {
         }
     }
 
-    /// Takes the window around (x, y), which must lie in the picture; `None` if it does not. The gradients are Scharr's,
-    /// and zero outside of the picture.
+    /// Takes the window around (x, y); `None` if that point is outside the picture. The gradients are Scharr's, and
+    /// zero outside the picture.
     pub(super) fn take(&mut self, level: &Level, x: f32, y: f32) -> Option<()> {
         self.at = None;
         let (column, right) = split(x);
@@ -74,15 +74,15 @@ impl Template {
         }
     }
 
-    /// Takes the window whose first pixel is (left, top), or lies by the shares of a pixel to the right of it and below
-    /// it if `BETWEEN`.
+    /// Takes the window whose first pixel is (left, top), or, if `BETWEEN`, lies right of and below it by the given
+    /// shares of a pixel.
     fn fill<const BETWEEN: bool>(
         &mut self,
         level: &Level,
         (left, top): (i32, i32),
         [right, below]: [i16; 2],
     ) -> Option<()> {
-        // One pixel more on every side.
+        // One extra pixel on every side.
         let count = SIDE + 2 + usize::from(BETWEEN);
         let mut rows = level.rows(left - 1, top - 1, count, 16 + 3)?;
         let columns = columns_inside(left, level.width);
@@ -92,7 +92,7 @@ impl Template {
         let mut next = || {
             let below = Slopes::of::<BETWEEN>(rows.next()?, right)?;
             let row_inside = i16x8::splat(-i16::from((0..level.height as i32).contains(&y)));
-            // Not `map`, which is not inlined reliably; so throughout.
+            // Not `map`, which is not reliably inlined; likewise below.
             let inside = [columns[0] & row_inside, columns[1] & row_inside];
             let steepness = Steepness::between(&above, &middle, &below, inside);
             above = std::mem::replace(&mut middle, below);
@@ -121,7 +121,7 @@ impl Template {
                 own[1] += row.values[half].dot(down);
             }
             (*dx, *dy) = (row.across, row.down);
-            // More than a few rows of the steepest squares would not fit.
+            // The steepest squares of more than a few rows would overflow.
             for (sum, row) in squares.iter_mut().zip(row_squares) {
                 *sum += row.round_float();
             }
@@ -132,16 +132,16 @@ impl Template {
         Some(())
     }
 
-    /// The smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey values a pixel: how well the window can be
-    /// located in the direction it is least textured in.
+    /// Returns the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey values per pixel: how well the window
+    /// can be located in its least textured direction.
     pub(super) fn texture(&self) -> f32 {
         let [xx, xy, yy] = self.squares;
         let root = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
         (xx + yy - root) / (2.0 * (SIDE * SIDE) as f32 * STEEPNESS * STEEPNESS)
     }
 
-    /// The Gauss-Newton step from (x, y) towards where the window is found in `level`, the same one since the
-    /// window was taken. `None` outside of the picture or without texture.
+    /// Returns the Gauss-Newton step from (x, y) towards the window's position in `level`, which must be the same level
+    /// for all steps of a window. `None` outside the picture or without texture.
     pub(super) fn step(&mut self, level: &Level, x: f32, y: f32) -> Option<[f32; 2]> {
         let (column, right) = split(x);
         let (row, below) = split(y);
@@ -172,8 +172,8 @@ impl Template {
         })
     }
 
-    /// Fills `differences` for the places between the pixel `(x, y)`, with the window's first pixel there, and the
-    /// next ones to the right and below.
+    /// Fills `differences` for the positions between pixel `(x, y)`, the window's first one, and the next pixels right
+    /// and below.
     fn compare(&mut self, level: &Level, (x, y): (i32, i32)) -> Option<()> {
         let mut rows = level.rows(x, y, SIDE + 1, 16 + 1)?;
         let mut sums = [[i32x4::ZERO; 2]; 4];
@@ -190,7 +190,7 @@ impl Template {
             above = below;
         }
         for (difference, sums) in self.differences.iter_mut().zip(sums) {
-            // Of eleven times eleven products of 11 and 14 bits at most: they fit.
+            // Sums of 11 × 11 products of at most 11 and 14 bits: they fit.
             let axis = |axis: usize| {
                 let sum = FINENESS * sums[axis].reduce_add() - self.own[axis];
                 sum as f32 / FINENESS as f32
@@ -201,20 +201,20 @@ impl Template {
     }
 }
 
-/// The whole number below a number above −8, and how far it lies below.
+/// Splits a number above −8 into the integer below it and the remainder.
 fn split(value: f32) -> (i32, f32) {
-    // Not `floor`, which older processors have no instruction for.
+    // Not `floor`, for which older processors have no instruction.
     let whole = (value + 8.0) as i32 - 8;
     (whole, value - whole as f32)
 }
 
-/// A share of a pixel, 0 to 1, in units of 2⁻¹⁴.
+/// Converts a share of a pixel, 0 to 1, to units of 2⁻¹⁴.
 fn fourteen_bits(share: f32) -> i16 {
     ((share * 16_384.0 + 0.5) as i16).clamp(0, 16_383)
 }
 
-/// Which of the sixteen places from column `left` on belong to the window and to a picture of this width: all bits
-/// or none.
+/// Returns a mask of the sixteen positions from column `left` on that belong to the window and to a picture of this
+/// width: all bits or none.
 fn columns_inside(left: i32, width: usize) -> Row {
     if left >= 0 && left + SIDE as i32 <= width as i32 {
         const { assert!(SIDE == 11) };
@@ -232,17 +232,17 @@ fn columns_inside(left: i32, width: usize) -> Row {
     [place(0), place(1)]
 }
 
-/// What a row of pixels has to give to values and gradients, from its second pixel on; in eighths of grey values.
+/// The contribution of a row of pixels to values and gradients, from its second pixel on, in eighths of grey values.
 struct Slopes {
     values: Row,
-    /// The pixel to the right less the one to the left.
+    /// The right pixel minus the left one.
     steep: Row,
-    /// Pixels mixed with those beside them.
+    /// Pixels smoothed with their neighbours.
     smooth: Row,
 }
 
 impl Slopes {
-    /// For places this many 2⁻¹⁴ of a pixel to the right of the pixels, if `BETWEEN`.
+    /// Computes the slopes, if `BETWEEN` for positions `right` · 2⁻¹⁴ of a pixel to the right of the pixels.
     #[inline(always)]
     fn of<const BETWEEN: bool>(row: &[u8], right: i16) -> Option<Self> {
         let row = row.first_chunk::<19>()?;
@@ -278,7 +278,7 @@ struct Steepness {
 }
 
 impl Steepness {
-    /// Of the row in the `middle`, where it lies `inside` of window and picture.
+    /// Computes values and gradients of the `middle` row; gradients outside the mask `inside` are zero.
     #[inline(always)]
     fn between(above: &Slopes, middle: &Slopes, below: &Slopes, inside: Row) -> Self {
         let across =
@@ -291,7 +291,7 @@ impl Steepness {
         }
     }
 
-    /// Mixed with the row below, which has a weight of this many 2⁻¹⁴.
+    /// Interpolates with the row below, whose weight is `share` · 2⁻¹⁴.
     #[inline(always)]
     fn mixed(&self, below: &Self, share: i16) -> Self {
         let fine = i16x8::splat(share);
@@ -315,37 +315,37 @@ impl Steepness {
     }
 }
 
-/// Pixels in eighths of grey values.
+/// Converts pixels to eighths of grey values.
 #[inline(always)]
 fn eighths(pixels: Row) -> Row {
     [pixels[0] << 3u32, pixels[1] << 3u32]
 }
 
-/// The same for places between these pixels and those to their right, which have a weight of this many 2⁻¹⁴.
+/// Interpolates between these pixels and those to their right, whose weight is `share` · 2⁻¹⁴, in eighths.
 #[inline(always)]
 fn between(left: Row, right: Row, share: i16x8) -> Row {
     let half = |half: usize| {
-        // 128·255 is the most that fits; 32 times the step comes out.
+        // 128·255 is the maximum that fits; the result is 32 times the step.
         let step = ((right[half] - left[half]) << 7u32).mul_keep_high(share);
         (left[half] << 3u32) + ((step + i16x8::splat(2)) >> 2u32)
     };
     [half(0), half(1)]
 }
 
-/// Scharr's mixture, times 16.
+/// Scharr's smoothing, times 16.
 #[inline(always)]
 fn smooth(before: i16x8, middle: i16x8, after: i16x8) -> i16x8 {
     (before + after) * i16x8::splat(3) + middle * i16x8::splat(10)
 }
 
-/// Sixteen pixels from the first and from the second on.
+/// Returns sixteen pixels from the first and from the second on.
 #[inline(always)]
 fn side_by_side(row: &[u8]) -> Option<[Row; 2]> {
     let row = row.first_chunk::<17>()?;
     Some([sixteen(row, 0)?, sixteen(row, 1)?])
 }
 
-/// Sixteen pixels from place `at` on.
+/// Returns sixteen pixels from position `at` on.
 #[inline(always)]
 fn sixteen(row: &[u8], at: usize) -> Option<Row> {
     let pixels = u8x16::new(*row.get(at..)?.first_chunk()?);
