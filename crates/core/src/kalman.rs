@@ -1,8 +1,8 @@
-//! The Kalman filter of one object: a box that moves with constant acceleration and whose size changes
-//! with constant velocity, in normalised coordinates; its uncertainty τ and its distance to a detection.
+//! The Kalman filter of one object: a box whose centre moves with constant acceleration and whose size changes with
+//! constant velocity, in normalised coordinates; its uncertainty τ and its distance to a detection.
 //!
-//! [`Filter`] is what runs. `dense` is the same filter as a textbook prints it, with full matrices:
-//! slower, easier to read, and the measure of the first.
+//! [`Filter`] is the production filter. `dense` is the same filter in textbook form, with full matrices: slower, easier
+//! to read, and the reference for the first.
 
 #[cfg(test)]
 mod dense;

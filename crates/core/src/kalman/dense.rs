@@ -1,5 +1,5 @@
-//! The filter as a textbook prints it: full matrices, no structure used. Not for the live path: it is
-//! what [`Filter`](super::Filter) is tested against, and the one to read first.
+//! The filter in textbook form: full matrices without structure. Not for the live path: [`Filter`](super::Filter) is
+//! tested against it, and it is the one to read first.
 //!
 //! State `x`, covariance `P`; one frame is the unit of time.
 //!
@@ -30,7 +30,7 @@ pub(crate) struct DenseFilter<const N: usize> {
 }
 
 impl DenseFilter<10> {
-    /// The paper's filter: constant acceleration of the centre, constant velocity of the size.
+    /// Creates the paper's filter: constant acceleration of the centre, constant velocity of the size.
     pub(crate) fn constant_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         let mut filter = Self::with_acceleration(model, bounding_box);
         for axis in 0..2 {
@@ -43,15 +43,15 @@ impl DenseFilter<10> {
 }
 
 impl DenseFilter<8> {
-    /// The ablation's filter: constant acceleration of the centre, a size without velocity.
+    /// Creates the ablation's filter: constant acceleration of the centre, a size without velocity.
     pub(crate) fn constant_size(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         Self::with_acceleration(model, bounding_box)
     }
 }
 
 impl<const N: usize> DenseFilter<N> {
-    /// Centre, size, and the centre's velocity and acceleration, which both filters have; any further components stand
-    /// still and are certain.
+    /// Creates a filter with centre, size, and the centre's velocity and acceleration, as in both filters; any further
+    /// components have zero mean and variance.
     fn with_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         let diagonal = |d: &Deviations| {
             let mut full = SMatrix::<f64, N, N>::zeros();
@@ -93,8 +93,8 @@ impl<const N: usize> DenseFilter<N> {
             self.transition * self.covariance * self.transition.transpose() + self.process_noise;
     }
 
-    /// Takes a measured box. `None`, with nothing changed, if S cannot be inverted, which happens only
-    /// without measurement noise.
+    /// Applies a measured box. `None`, with nothing changed, if S cannot be inverted, which happens only without
+    /// measurement noise.
     pub(crate) fn update(&mut self, measured: BoundingBox) -> Option<()> {
         let inverse = self.innovation_covariance().try_inverse()?;
         let gain = self.covariance * self.observation.transpose() * inverse;
@@ -104,19 +104,19 @@ impl<const N: usize> DenseFilter<N> {
         Some(())
     }
 
-    /// τ.
+    /// Returns τ.
     pub(crate) fn tau(&self) -> f64 {
         (self.observation * self.covariance * self.observation.transpose()).trace()
     }
 
-    /// Squared Mahalanobis distance of a measured box; `None` if S cannot be inverted.
+    /// Returns the squared Mahalanobis distance of a measured box; `None` if S cannot be inverted.
     pub(crate) fn squared_distance(&self, measured: BoundingBox) -> Option<f64> {
         let innovation = measurement(measured) - self.observation * self.mean;
         let inverse = self.innovation_covariance().try_inverse()?;
         Some((innovation.transpose() * inverse * innovation)[0])
     }
 
-    /// S.
+    /// Returns S.
     fn innovation_covariance(&self) -> SMatrix<f64, 4, 4> {
         self.observation * self.covariance * self.observation.transpose() + self.measurement_noise
     }

@@ -1,11 +1,11 @@
-//! The filter that runs: the ten-dimensional filter with its covariance kept as two small blocks.
+//! The production filter: the ten-dimensional filter with its covariance kept as two small blocks.
 //!
-//! The matrices F, Q, H, R and the initial P link no component of one axis to the other axis, nor the
-//! centre to the size. So P stays block diagonal forever: a 3x3 block (centre, velocity, acceleration)
-//! and a 2x2 block (size, velocity) for each axis. As both axes have the same noise, their blocks are
-//! equal numbers, and one of each is enough: 13 numbers in place of 100, and no matrix inverse, since
-//! each block is measured by one component. Leaving out the zeros changes no sum, and the sums are taken
-//! in the order of a matrix product: every number equals the full matrices' to the last bit.
+//! The matrices F, Q, H, R and the initial P link no component of one axis to the other axis, nor the centre to the
+//! size. So P always stays block diagonal: a 3x3 block (centre, velocity, acceleration) and a 2x2 block (size,
+//! velocity) for each axis. As both axes have the same noise, their blocks are equal, and one of each suffices: 13
+//! numbers instead of 100, and no matrix inverse, since each block is measured by one component. Leaving out the zeros
+//! changes no sum, and the sums have the order of a matrix product: every number equals the full matrices' to the last
+//! bit.
 
 use super::FilterModel;
 use crate::geometry::{BoundingBox, Corners};
@@ -13,9 +13,8 @@ use nalgebra::SVector;
 
 /// Covariance of one axis of the centre over position (0), velocity (1) and acceleration (2).
 ///
-/// Both triangles are kept: P ← (I − K H) P rounds them differently, and with both every number equals, to
-/// the last bit, the one that full matrices give. Average precision ranks boxes by confidences that differ
-/// in no more than such bits.
+/// Both triangles are kept: P ← (I − K H) P rounds them differently, and with both every number equals, to the last
+/// bit, the one from full matrices. Average precision ranks boxes by confidences, which may differ only in such bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct CenterCovariance([[f64; 3]; 3]);
 
@@ -37,7 +36,7 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// A new object seen at `bounding_box`, at rest.
+    /// Creates a filter for an object first seen at `bounding_box`, at rest.
     pub fn new(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         let initial = model.initial;
         Self {
@@ -65,7 +64,7 @@ impl Filter {
             self.size[axis] += self.size_velocity[axis];
         }
         let process = &model.process;
-        // F P, then (F P) Fᵀ, with F = [1 1 ½; 0 1 1; 0 0 1]; sums in the order of the columns.
+        // F P, then (F P) Fᵀ, with F = [1 1 ½; 0 1 1; 0 0 1]; sums in column order.
         let p = &mut self.center_covariance.0;
         let [position, velocity, acceleration] = &mut *p;
         for ((x, v), a) in position.iter_mut().zip(velocity).zip(acceleration) {
@@ -91,7 +90,7 @@ impl Filter {
         p[1][1] += process.size_velocity;
     }
 
-    /// Takes a measured box: the usual update with gain K = P Hᵀ (H P Hᵀ + R)⁻¹ and P ← (I − K H) P.
+    /// Applies a measured box: the usual update with gain K = P Hᵀ (H P Hᵀ + R)⁻¹ and P ← (I − K H) P.
     #[inline]
     pub fn update(&mut self, model: &FilterModel, measured: BoundingBox) {
         let p = &mut self.center_covariance.0;
@@ -127,14 +126,14 @@ impl Filter {
         }
     }
 
-    /// Keeps the sides from falling below `width` and `height`; velocities stay.
+    /// Limits the sides to at least `width` and `height`; keeps the velocities.
     #[inline]
     pub(crate) fn clamp_size(&mut self, width: f64, height: f64) {
         self.size[0] = self.size[0].max(width);
         self.size[1] = self.size[1].max(height);
     }
 
-    /// The estimated box.
+    /// Returns the estimated box.
     #[inline]
     pub fn bounding_box(&self) -> BoundingBox {
         BoundingBox::new(
@@ -145,14 +144,14 @@ impl Filter {
         )
     }
 
-    /// The uncertainty τ = trace(H P Hᵀ) (paper): the summed variances of cx, cy, w and h.
+    /// Returns the uncertainty τ = trace(H P Hᵀ) (paper): the summed variances of cx, cy, w and h.
     #[inline]
     pub fn tau(&self) -> f64 {
         let (center, size) = (self.center_covariance.0[0][0], self.size_covariance.0[0][0]);
         center + center + size + size
     }
 
-    /// What a measured box is compared with: see `Gauge::squared_distance`.
+    /// Returns the gauge for comparison with measured boxes: see `Gauge::squared_distance`.
     #[inline]
     pub fn gauge(&self, model: &FilterModel) -> Gauge {
         Gauge {
@@ -162,12 +161,12 @@ impl Filter {
         }
     }
 
-    /// Squared Mahalanobis distance of `measured`, with S = H P Hᵀ + R.
+    /// Returns the squared Mahalanobis distance of `measured`, with S = H P Hᵀ + R.
     pub(crate) fn squared_distance(&self, model: &FilterModel, measured: BoundingBox) -> f64 {
         self.gauge(model).squared_distance(measured)
     }
 
-    /// The mean as a vector, in the order of the state.
+    /// Returns the mean as a vector, in state order.
     pub fn mean(&self) -> SVector<f64, 10> {
         let mut mean = SVector::zeros();
         for axis in 0..2 {
@@ -180,7 +179,7 @@ impl Filter {
         mean
     }
 
-    /// The full 10x10 covariance, in the order of the state.
+    /// Returns the full 10x10 covariance, in state order.
     #[cfg(test)]
     pub(crate) fn covariance(&self) -> nalgebra::SMatrix<f64, 10, 10> {
         let (center, size) = (&self.center_covariance.0, &self.size_covariance.0);
@@ -201,7 +200,7 @@ impl Filter {
     }
 }
 
-/// Where one object expects its next measurement, and how surely.
+/// An object's expected next measurement and its precision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gauge {
     /// The expected box.
@@ -213,7 +212,7 @@ pub struct Gauge {
 }
 
 impl Gauge {
-    /// Squared Mahalanobis distance of `measured`. S is diagonal, as H picks one component a block.
+    /// Returns the squared Mahalanobis distance of `measured`. S is diagonal, as H selects one component per block.
     #[inline]
     pub(crate) fn squared_distance(&self, measured: BoundingBox) -> f64 {
         let (dx, dy) = (
@@ -227,8 +226,8 @@ impl Gauge {
         (dx * dx + dy * dy) * self.center + (dw * dw + dh * dh) * self.size
     }
 
-    /// Where the centres lie of all boxes within the squared distance `gate`, and of some beyond it: what rounding
-    /// could do, in the distance or here, is added.
+    /// Returns an area that contains the centres of all boxes within the squared distance `gate`, with a margin for
+    /// rounding errors, both in the distance and here.
     pub(crate) fn reach(&self, gate: f64) -> Corners {
         let side = 2.0 * (gate / self.center).sqrt() * (1.0 + 1e-9) + 1e-12;
         let BoundingBox {

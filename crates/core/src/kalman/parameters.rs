@@ -1,58 +1,57 @@
-//! The numbers of the filter, and what they come to for a picture of a given size.
+//! The parameters of the filter, and their values for a picture of a given size.
 
 use crate::geometry::PictureSize;
 
-/// Standard deviations of the components of the state, per frame, in normalised coordinates. Both axes
-/// share them: that is what lets the filter keep one covariance for both.
+/// Standard deviations of the components of the state, per frame, in normalised coordinates. Both axes share them, so
+/// that the filter can keep one covariance for both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deviations {
-    /// Of the centre.
+    /// Standard deviation of the centre.
     pub center: f64,
-    /// Of the width and the height.
+    /// Standard deviation of width and height.
     pub size: f64,
-    /// Of the centre's velocity.
+    /// Standard deviation of the centre's velocity.
     pub center_velocity: f64,
-    /// Of the velocity of width and height.
+    /// Standard deviation of the velocity of width and height.
     pub size_velocity: f64,
-    /// Of the centre's acceleration.
+    /// Standard deviation of the centre's acceleration.
     pub acceleration: f64,
 }
 
-/// How an object is taken to move and to grow.
+/// The assumed motion and growth of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionModel {
     /// Ten dimensions: the centre has an acceleration and the size a velocity (the paper's filter).
     #[default]
     ConstantAcceleration,
-    /// Eight dimensions: the centre has an acceleration and the size no velocity (the paper's ablation, "8D CA").
-    /// The paper names its filter so and does not say what its noise is; the published code does not contain it.
-    /// Taken here: the same noise on the components that remain. Ten dimensions whose size velocity starts at
-    /// zero with zero variance and gets no process noise are exactly this filter, for that velocity then stays
-    /// zero and correlates with nothing.
+    /// Eight dimensions: the centre has an acceleration and the size no velocity (the paper's ablation, "8D CA"). The
+    /// paper names its filter so but does not specify its noise; the published code does not contain it. Assumed here:
+    /// the same noise on the remaining components. Ten dimensions whose size velocity starts at zero with zero variance
+    /// and no process noise are exactly this filter, because that velocity stays zero and correlates with nothing.
     ConstantSize,
 }
 
-/// What a measurement's standard deviation is counted in.
+/// The unit of a measurement's standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementUnit {
-    /// Pixels, divided by the longer side of the picture after both sides are rounded up to a multiple
-    /// of 32 (published code). The noise, and with it τ, then depends on the picture's size.
+    /// Pixels, divided by the longer side of the picture after both sides are rounded up to a multiple of 32 (published
+    /// code). The noise, and with it τ, then depends on the picture's size.
     PaddedPixels,
-    /// Shares of the picture, whatever its size.
+    /// Shares of the picture, independent of its size.
     Normalised,
 }
 
-/// Noise of a measured box, the same on all four components.
+/// Noise of a measured box, the same for all four components.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementNoise {
     /// Standard deviation, in `unit`.
     pub deviation: f64,
-    /// What it is counted in.
+    /// Unit of `deviation`.
     pub unit: MeasurementUnit,
 }
 
 impl MeasurementNoise {
-    /// The variance, in normalised coordinates, in a picture of `size`.
+    /// Returns the variance, in normalised coordinates, in a picture of `size`.
     pub fn variance(self, size: PictureSize) -> f64 {
         let deviation = match self.unit {
             MeasurementUnit::Normalised => self.deviation,
@@ -65,15 +64,15 @@ impl MeasurementNoise {
     }
 }
 
-/// All numbers of the filter. The defaults are those of the published code; the paper gives none of
-/// them ("fixed implementation parameters").
+/// All parameters of the filter. The defaults are those of the published code; the paper gives none of them ("fixed
+/// implementation parameters").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterParameters {
-    /// How the centre moves.
+    /// Motion model.
     pub motion: MotionModel,
-    /// Process noise Q added by each predicted frame.
+    /// Process noise Q, added per predicted frame.
     pub process: Deviations,
-    /// Covariance P of a new object.
+    /// Initial covariance P of an object.
     pub initial: Deviations,
     /// Measurement noise R.
     pub measurement: MeasurementNoise,
@@ -105,8 +104,7 @@ impl Default for FilterParameters {
     }
 }
 
-/// [`FilterParameters`] squared and brought to one picture size: what [`Filter`](super::Filter) computes
-/// with.
+/// The squared [`FilterParameters`] for one picture size, as used by [`Filter`](super::Filter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterModel {
     /// Variances of the process noise Q.
@@ -118,7 +116,7 @@ pub struct FilterModel {
 }
 
 impl FilterModel {
-    /// The model for pictures of `size`.
+    /// Creates the model for pictures of `size`.
     pub fn new(parameters: &FilterParameters, size: PictureSize) -> Self {
         let variances = |deviations: Deviations| Deviations {
             center: deviations.center.powi(2),
