@@ -1,9 +1,8 @@
-//! Object states: what is remembered of each object in view, how they are matched with detections, and
-//! when they are created, confirmed, rescued and removed.
+//! Object states: the state of each object in view, its matching with detections, and its creation, confirmation,
+//! rescue and removal.
 //!
-//! `ObjectStates` is the collection a policy keeps. It advances by frames (`ObjectStates::predict`)
-//! and takes detections (`ObjectStates::observe`); the matching is `Matcher`'s, the rules of birth
-//! and death are [`LifeCycle`]'s.
+//! `ObjectStates` is the collection that a policy keeps. It advances by frames (`ObjectStates::predict`) and receives
+//! detections (`ObjectStates::observe`); `Matcher` matches them, and [`LifeCycle`] holds the rules of birth and death.
 
 mod assignment;
 mod collection;

@@ -1,17 +1,16 @@
 //! The optimal assignment of rows to columns at minimum total cost, for any rectangle.
 //!
-//! The shortest augmenting path algorithm (D. F. Crouse, "On implementing 2D rectangular assignment
-//! algorithms", IEEE Transactions on Aerospace and Electronic Systems 52(4), 2016), with the order of
-//! search, the tie-breaking and the transposition of tall matrices that SciPy's
-//! `linear_sum_assignment` has. The published code uses that function, so only with its ties can its
-//! traces be reproduced.
+//! The shortest augmenting path algorithm (D. F. Crouse, "On implementing 2D rectangular assignment algorithms", IEEE
+//! Transactions on Aerospace and Electronic Systems 52(4), 2016), with the search order, tie-breaking and transposition
+//! of tall matrices of SciPy's `linear_sum_assignment`. The published code uses that function, so its traces can only
+//! be reproduced with the same ties.
 
-/// Largest magnitude of a cost: sums of costs must not overflow.
+/// Largest magnitude of a cost, so that sums of costs do not overflow.
 pub(crate) const LARGEST_COST: f64 = 1e100;
 
 const NONE: usize = usize::MAX;
 
-/// The solver with its buffers, which are kept from call to call.
+/// The solver with its buffers, which are reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AssignmentSolver {
     transposed_cost: Vec<f64>,
@@ -28,9 +27,9 @@ pub(crate) struct AssignmentSolver {
 }
 
 impl AssignmentSolver {
-    /// Assigns `min(rows, columns)` pairs so that their summed cost is smallest. `cost` is the matrix
-    /// row by row. The pairs are `(row, column)` in order of rows; there are none when the matrix has another number of
-    /// entries, or a cost is not a number or beyond [`LARGEST_COST`].
+    /// Returns the `min(rows, columns)` pairs with the smallest total cost. `cost` is the matrix in row order. The
+    /// pairs are `(row, column)` in row order; there are none if the matrix has another number of entries, or if a cost
+    /// is not a number or exceeds [`LARGEST_COST`].
     pub(crate) fn solve(&mut self, rows: usize, columns: usize, cost: &[f64]) -> &[(usize, usize)] {
         self.pairs.clear();
         let is_matrix = rows.checked_mul(columns) == Some(cost.len());
@@ -75,9 +74,8 @@ impl AssignmentSolver {
         }
     }
 
-    /// Dijkstra's search from the free `start` row to the nearest free column, over reduced costs.
-    /// Returns that column and its distance. There always is one, as costs are finite and columns not
-    /// fewer than rows.
+    /// Dijkstra's search over reduced costs from the free `start` row to the nearest free column. Returns that column
+    /// and its distance. One always exists, as costs are finite and there are at least as many columns as rows.
     fn shortest_augmenting_path(
         &mut self,
         start: usize,
@@ -85,7 +83,7 @@ impl AssignmentSolver {
         cost: &[f64],
     ) -> (usize, f64) {
         self.remaining.clear();
-        // From the last column to the first: with ties, this order decides.
+        // From the last column to the first: this order decides ties.
         self.remaining.extend((0..columns).rev());
         self.row_visited.fill(false);
         self.column_visited.fill(false);
@@ -99,14 +97,14 @@ impl AssignmentSolver {
             let mut lowest = f64::INFINITY;
             let mut nearest = 0;
             for (index, &column) in self.remaining.iter().enumerate() {
-                // The order of these operations is part of the tie-breaking too.
+                // The order of these operations also affects ties.
                 let reduced = distance + row_cost[column] - row_dual - self.column_dual[column];
                 if reduced < self.shortest[column] {
                     self.previous_row[column] = row;
                     self.shortest[column] = reduced;
                 }
                 let shortest = self.shortest[column];
-                // Of equally near columns a free one ends the search soonest.
+                // Among equally near columns, a free one ends the search soonest.
                 if shortest < lowest || (shortest == lowest && self.row_of_column[column] == NONE) {
                     lowest = shortest;
                     nearest = index;
@@ -136,7 +134,7 @@ impl AssignmentSolver {
         }
     }
 
-    /// Turns over the pairs along the path that ends in `sink`.
+    /// Flips the pairs along the path that ends in `sink`.
     fn augment(&mut self, start: usize, sink: usize) {
         let mut column = sink;
         loop {

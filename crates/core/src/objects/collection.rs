@@ -6,16 +6,16 @@ use crate::detection::ObjectId;
 use crate::geometry::PictureSize;
 use crate::kalman::{FilterModel, FilterParameters};
 
-/// Frames lost in a row after which all objects are forgotten. Neither paper nor code lose frames.
+/// Consecutive lost frames above which all objects are forgotten. Neither the paper nor the code loses frames.
 const LONGEST_GAP: u32 = 300;
 
 /// Smallest side of an estimated box, pixels. Not in the paper.
 const LEAST_SIDE: f64 = 1.0;
 
-/// Everything that governs object states.
+/// All settings of object states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectSettings {
-    /// The filter's numbers.
+    /// The parameters of the filter.
     pub filter: FilterParameters,
     /// The rules of matching.
     pub association: Association,
@@ -23,18 +23,18 @@ pub struct ObjectSettings {
     pub life_cycle: LifeCycle,
 }
 
-/// What became of one detection of the last [`ObjectStates::observe`].
+/// The result for one detection of the last [`ObjectStates::observe`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Sighting {
-    /// False for a detection that was refused: it must not be reported either.
+    /// False for a refused detection, which must not be reported either.
     pub usable: bool,
-    /// The object it matched or created.
+    /// The object that it matched or created.
     pub object: Option<ObjectId>,
-    /// Whether that object is confirmed now.
+    /// True if that object is now confirmed.
     pub confirmed: bool,
 }
 
-/// The object states of one stream, in order of their creation. Buffers are kept from frame to frame.
+/// The object states of one stream, in order of creation. Buffers are reused between frames.
 #[derive(Clone, Debug)]
 pub(crate) struct ObjectStates {
     settings: ObjectSettings,
@@ -49,7 +49,7 @@ pub(crate) struct ObjectStates {
 }
 
 impl ObjectStates {
-    /// No objects yet.
+    /// Creates an empty collection.
     pub(crate) fn new(settings: ObjectSettings) -> Self {
         let picture = PictureSize::new(1, 1);
         let mut objects = Self {
@@ -67,8 +67,8 @@ impl ObjectStates {
         objects
     }
 
-    /// Advances by `frames`, of which all but the last were lost, for pictures of size `picture`; and
-    /// removes the objects that left the picture on the way.
+    /// Advances by `frames`, all but the last of which were lost, for pictures of size `picture`, and removes the
+    /// objects that left the picture.
     pub(crate) fn predict(&mut self, picture: PictureSize, frames: u32) {
         if picture != self.picture {
             self.set_picture(picture);
@@ -88,9 +88,9 @@ impl ObjectStates {
         });
     }
 
-    /// Takes what the detector found: matches, updates, lets `missed` decide on each object without a
-    /// detection, and creates objects from unmatched detections. So does the published code on every detector frame; the
-    /// paper says it of `E+I` frames only, under which nothing that enters a busy scene would ever be followed.
+    /// Processes the detections: matches, updates, lets `missed` decide on each object without a detection, and creates
+    /// objects from unmatched detections. The published code does so on every detector frame; the paper only on `E+I`
+    /// frames, so that an object entering a busy scene would never be followed.
     pub(crate) fn observe(
         &mut self,
         detections: &[Detection],
@@ -109,7 +109,7 @@ impl ObjectStates {
         let mut detection_of = detection_of.iter();
         let sightings = &mut self.sightings;
         self.states.retain_mut(|state| {
-            // One entry a state, in the same order.
+            // One entry per state, in the same order.
             if let Some(&Some(index)) = detection_of.next() {
                 state.update(&detections[index as usize], hits_to_confirm, model);
                 state.filter.clamp_size(width, height);
@@ -123,7 +123,7 @@ impl ObjectStates {
         self.create(detections);
     }
 
-    /// Notes which detections can be taken, and counts the others.
+    /// Records which detections are usable and counts the others.
     fn screen(&mut self, detections: &[Detection]) {
         self.sightings.clear();
         for detection in detections {
@@ -152,33 +152,33 @@ impl ObjectStates {
         }
     }
 
-    /// The objects, oldest first.
+    /// Returns the objects, oldest first.
     pub(crate) fn states(&self) -> &[ObjectState] {
         &self.states
     }
 
-    /// What became of each detection of the last [`observe`](Self::observe), in the detector's order.
+    /// Returns the results for the detections of the last [`observe`](Self::observe), in the detector's order.
     pub(crate) fn sightings(&self) -> &[Sighting] {
         &self.sightings
     }
 
-    /// The settings in force.
+    /// Returns the settings.
     #[cfg(test)]
     pub(crate) fn settings(&self) -> &ObjectSettings {
         &self.settings
     }
 
-    /// The filter's numbers for the present picture size.
+    /// Returns the filter model for the current picture size.
     pub(crate) fn model(&self) -> &FilterModel {
         &self.model
     }
 
-    /// Detections refused so far because a filter could not digest them.
+    /// Returns the number of detections refused so far because a filter could not use them.
     pub(crate) fn rejected_detections(&self) -> u64 {
         self.rejected
     }
 
-    /// Takes over the objects of `other`, which has the same settings. Allocates only while buffers grow.
+    /// Copies the objects of `other`, which has the same settings. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         let Self {
             settings: _,
@@ -200,7 +200,7 @@ impl ObjectStates {
         self.rejected = *rejected;
     }
 
-    /// Forgets all objects; numbers start from 0 again. The count of refused detections stays.
+    /// Forgets all objects; numbers restart from 0. Keeps the count of refused detections.
     pub(crate) fn clear(&mut self) {
         self.states.clear();
         self.sightings.clear();

@@ -1,9 +1,8 @@
-//! The optimal assignment when most pairs are forbidden: each connected component is solved alone.
+//! The optimal assignment when most pairs are forbidden: each connected component is solved separately.
 //!
-//! A pair that passes its gate is an edge between an object and a detection. Objects and detections
-//! that no edge links, directly or through others, cannot influence each other, and in real scenes most
-//! components are one object and one detection. Within a component as many pairs as can be are made,
-//! and of all ways to do so the one with the smallest total cost.
+//! A pair that passes its gate is an edge between an object and a detection. Objects and detections that no edges
+//! connect, directly or through others, cannot influence each other, and in real scenes most components are one object
+//! and one detection. Each component gets as many pairs as possible, at the smallest total cost.
 
 use super::AssignmentSolver;
 
@@ -18,17 +17,17 @@ pub(crate) struct Edge {
 
 const NONE: u32 = u32::MAX;
 
-/// The solver with its buffers, which are kept from call to call.
+/// The solver with its buffers, which are reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ComponentSolver {
     dense: AssignmentSolver,
-    /// For each row another one of its component; itself where it stands for the component.
+    /// For each row, another row of its component; the row itself if it represents the component.
     parent: Vec<u32>,
-    /// For each column the first row with an edge to it; then its place within its component.
+    /// For each column, the first row with an edge to it; later its position within its component.
     of_column: Vec<u32>,
-    /// The edges, each with the row that stands for its component.
+    /// The edges, each with the row that represents its component.
     sorted: Vec<(u32, Edge)>,
-    /// For each component the place of its next edge in `sorted`.
+    /// For each component, the position of its next edge in `sorted`.
     place_of: Vec<usize>,
     rows: Vec<u32>,
     columns: Vec<u32>,
@@ -36,7 +35,7 @@ pub(crate) struct ComponentSolver {
 }
 
 impl ComponentSolver {
-    /// Appends the pairs `(row, column)` to `pairs`. `edges` are in order of rows, without repetition.
+    /// Appends the pairs `(row, column)` to `pairs`. `edges` are in row order without duplicates.
     pub(crate) fn solve(
         &mut self,
         rows: usize,
@@ -68,7 +67,7 @@ impl ComponentSolver {
         self.sorted = sorted;
     }
 
-    /// The edges by component, each with its root; those of a component in the order given.
+    /// Returns the edges grouped by component, each with its root; within a component they keep their order.
     fn sorted_by_root(&mut self, rows: usize, edges: &[Edge]) -> Vec<(u32, Edge)> {
         self.place_of.clear();
         self.place_of.resize(rows + 1, 0);
@@ -111,7 +110,7 @@ impl ComponentSolver {
             }
             self.columns.push(edge.column);
         }
-        // In order, so that among equal costs the order of the edges decides nothing.
+        // Sorted, so that the order of the edges does not decide among equal costs.
         self.columns.sort_unstable();
         self.columns.dedup();
         for (place, column) in (0..).zip(&self.columns) {
@@ -124,7 +123,7 @@ impl ComponentSolver {
             pairs.extend(cheapest.map(|(_, edge)| (edge.row, edge.column)));
             return;
         }
-        // One forbidden pair more must cost more than all that choosing other edges can save.
+        // One more forbidden pair must cost more than any other choice of edges can save.
         let forbidden = (largest + 1.0) * (rows.min(columns) + 1) as f64;
         self.matrix.clear();
         self.matrix.resize(rows * columns, forbidden);

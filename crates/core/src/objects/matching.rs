@@ -1,4 +1,4 @@
-//! Which detection belongs to which object: first by overlap, then by statistical distance.
+//! Matching of detections with objects: first by overlap, then by statistical distance.
 
 use super::pairing::{Pairing, by_overlap, overlaps};
 use super::{AssignmentSolver, ObjectState};
@@ -6,41 +6,41 @@ use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 use crate::kalman::FilterModel;
 
-/// When pairs beyond the gate are ruled out.
+/// The time at which pairs beyond the gate are excluded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GateOrder {
-    /// Before the assignment: only pairs within the gate compete. As many as can be are made, at the
-    /// smallest total cost.
+    /// Before the assignment: only pairs within the gate compete. Makes as many pairs as possible at the smallest total
+    /// cost.
     BeforeAssignment,
-    /// After it (published code): all pairs compete, and those beyond the gate are undone. A hopeless
-    /// pair may so displace a good one. Costs the full matrix.
+    /// After it (published code): all pairs compete, and those beyond the gate are then discarded. A hopeless pair may
+    /// thus displace a good one. Costs the full matrix.
     AfterAssignment,
 }
 
-/// The rules of matching. The class plays no part: the published code takes over that of the detection, and the paper does
-/// not say.
+/// The rules of matching. The class is ignored: the published code adopts the detection's class, and the paper does not
+/// say.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Association {
-    /// Stage 1 accepts intersection over union of this or more. Not in the paper.
+    /// Stage 1 accepts an intersection over union of at least this. Not in the paper.
     pub iou_gate: f64,
-    /// Stage 1 takes objects updated at most this many frames ago, this one included; older ones have
+    /// Stage 1 considers objects updated at most this many frames ago, including this one; older ones take part in
     /// stage 2 only. Not in the paper.
     pub iou_frames: u32,
-    /// Stage 2 accepts squared Mahalanobis distances below this (the 95 % quantile of χ² with four
-    /// degrees of freedom). Not in the paper.
+    /// Stage 2 accepts squared Mahalanobis distances below this (the 95 % quantile of χ² with four degrees of freedom).
+    /// Not in the paper.
     pub mahalanobis_gate: f64,
-    /// When the gates are applied.
+    /// The time at which the gates apply.
     pub gate: GateOrder,
 }
 
 /// Cost in stage 2 of a pair beyond the gate (published code).
 const BEYOND_GATE: f64 = 1e9;
 
-/// The two-stage matcher with its buffers, which are kept from call to call.
+/// The two-stage matcher with its buffers, which are reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Matcher {
     pairing: Pairing,
-    /// What it takes to let all pairs compete: objects and detections that may be paired, and their costs.
+    /// Buffers for the case that all pairs compete: the candidate objects and detections, and their costs.
     full: AssignmentSolver,
     rows: Vec<usize>,
     columns: Vec<usize>,
@@ -48,8 +48,8 @@ pub(crate) struct Matcher {
 }
 
 impl Matcher {
-    /// Matches `states`, predicted to this frame, with those of `detections` that are `usable`. Returns for each state
-    /// the index of its detection.
+    /// Matches `states`, predicted to this frame, with the `usable` ones of `detections`. Returns the index of each
+    /// state's detection.
     pub(crate) fn associate(
         &mut self,
         settings: &Association,
@@ -78,13 +78,13 @@ impl Matcher {
         self.pairing.detection_of()
     }
 
-    /// Whether each detection is usable and was not matched by the last [`associate`](Self::associate).
+    /// True for each detection that is usable and was not matched by the last [`associate`](Self::associate).
     pub(crate) fn is_free(&self) -> &[bool] {
         self.pairing.is_free()
     }
 
-    /// One stage: `of` and `within` are what [`Pairing::stage`] needs, and `competing` is what a cost counts when all pairs
-    /// compete.
+    /// Runs one stage: `of` and `within` are those of [`Pairing::stage`], and `competing` maps a cost to its value when
+    /// all pairs compete.
     fn stage<C: Fn(BoundingBox) -> f64>(
         &mut self,
         order: GateOrder,
@@ -112,7 +112,7 @@ impl Matcher {
             }
         }
         let (rows, columns) = (&self.rows, &self.columns);
-        // Usable detections and live filters give finite costs. Others would mean no pairs.
+        // Usable detections and live filters give finite costs; others would give no pairs.
         for &(row, column) in (self.full).solve(rows.len(), columns.len(), &self.matrix) {
             if within(self.matrix[row * columns.len() + column]) {
                 self.pairing.pair(rows[row], columns[column]);

@@ -1,23 +1,23 @@
-//! Pairs of objects and detections within a gate, made in stages: what a stage pairs is gone for the next.
+//! Pairs of objects and detections within a gate, made in stages: a later stage pairs only those still free.
 
 use super::components::{ComponentSolver, Edge};
 use super::sweep::Sweep;
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 
-/// What [`Pairing::stage`] needs of an object to pair by overlap: the area that every box overlaps whose intersection over
-/// union with `own` is `gate` or more, and the cost of a box, 1 − intersection over union.
+/// Returns an object's arguments for [`Pairing::stage`] to pair by overlap: the area that overlaps every box whose
+/// intersection over union with `own` is at least `gate`, and the cost of a box, 1 − intersection over union.
 pub(crate) fn by_overlap(own: Corners, gate: f64) -> (Corners, impl Fn(BoundingBox) -> f64) {
     let cost = move |other: BoundingBox| 1.0 - own.intersection_over_union(other.corners());
     (own.core(gate), cost)
 }
 
-/// Whether a box of that cost overlaps enough. One that only touches does not, whatever the gate.
+/// True if a box with this cost overlaps enough. A box that only touches does not, for any gate.
 pub(crate) fn overlaps(cost: f64, gate: f64) -> bool {
     1.0 - cost >= gate && cost < 1.0
 }
 
-/// The pairs of a frame, with buffers that are kept from call to call.
+/// The pairs of a frame, with buffers that are reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pairing {
     solver: ComponentSolver,
@@ -29,7 +29,7 @@ pub(crate) struct Pairing {
 }
 
 impl Pairing {
-    /// Begins with `objects` objects and those of `detections` that are `usable`.
+    /// Begins with `objects` objects and the `usable` ones of `detections`.
     pub(crate) fn begin(
         &mut self,
         objects: usize,
@@ -46,9 +46,9 @@ impl Pairing {
             .fill(usable.map(|((detection, place), _)| (detection.bounding_box.corners(), place)));
     }
 
-    /// Makes as many pairs as can be of objects and detections that are free, at the smallest total cost. `of` says for an
-    /// object, if it takes part, which area the boxes of its detections overlap, and what a box costs; a pair is allowed
-    /// where that is `within` the gate.
+    /// Makes as many pairs of free objects and detections as possible, at the smallest total cost. For an object that
+    /// takes part, `of` returns the area that its detections' boxes overlap, and the cost of a box; a pair is allowed
+    /// if its cost is `within` the gate.
     pub(crate) fn stage<C: Fn(BoundingBox) -> f64>(
         &mut self,
         detections: &[Detection],
@@ -79,18 +79,18 @@ impl Pairing {
         }
     }
 
-    /// Pairs an object and a detection, both of them free.
+    /// Pairs a free object with a free detection.
     pub(crate) fn pair(&mut self, object: usize, detection: usize) {
         self.detection_of[object] = Some(detection as u32);
         self.is_free[detection] = false;
     }
 
-    /// The detection of each object, by index.
+    /// Returns the index of each object's detection.
     pub(crate) fn detection_of(&self) -> &[Option<u32>] {
         &self.detection_of
     }
 
-    /// Whether each detection is usable and not paired.
+    /// True for each detection that is usable and not paired.
     pub(crate) fn is_free(&self) -> &[bool] {
         &self.is_free
     }

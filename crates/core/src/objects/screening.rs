@@ -1,13 +1,13 @@
-//! Which detections are let in. One bad number would stay in a filter forever.
+//! Screening of detections: one invalid number would stay in a filter forever.
 
 use crate::detection::Detection;
 
-/// How far from the picture, counted in pictures, a box may lie and how large it may be. Beyond it lies
-/// no view of anything, and areas and distances would overflow.
+/// Largest distance from the picture and largest size of a box, in picture sizes. Larger values show nothing real, and
+/// areas and distances would overflow.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e3;
 
-/// Whether a detection can be taken: its numbers are finite, its sides above zero, its box not absurdly
-/// far or large, its confidence from 0 to 1.
+/// True if a detection is usable: finite numbers, sides above zero, a box that is not absurdly far or large, and a
+/// confidence from 0 to 1.
 pub(crate) fn is_usable(detection: &Detection) -> bool {
     let b = &detection.bounding_box;
     let inside = |value: f64| value.abs() <= LARGEST_COORDINATE;

@@ -8,30 +8,30 @@ use crate::kalman::{Filter, FilterModel};
 /// The state of one object in view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectState {
-    /// Its number in the stream.
+    /// Number in the stream.
     pub id: ObjectId,
-    /// Class of its last detection.
+    /// Class of the last detection.
     pub class: ClassId,
-    /// Tentative until enough detections matched it, then confirmed for good.
+    /// False while the object is tentative; true permanently once enough detections have matched it.
     pub confirmed: bool,
-    /// Confidence of its last detection.
+    /// Confidence of the last detection.
     pub confidence: f64,
-    /// Box of its last detection.
+    /// Box of the last detection.
     pub detected: BoundingBox,
-    /// Detections matched so far, the one that created it included.
+    /// Detections matched so far, including the one that created the object.
     pub hits: u32,
-    /// Frames since its last detection.
+    /// Frames since the last detection.
     pub since_update: u32,
-    /// Frames since the detector last measured or missed it: its age under T_max (paper, ΔT).
+    /// Frames since the detector last measured or missed the object: its age under T_max (paper, ΔT).
     pub since_infer: u32,
-    /// Detector frames in a row that missed it and that it survived: a confirmed object's rescues.
+    /// Consecutive detector frames that missed the object and that it survived: a confirmed object's rescues.
     pub misses: u32,
-    /// Where it is, and how surely.
+    /// Filter with the object's estimated box and its uncertainty.
     pub filter: Filter,
 }
 
 impl ObjectState {
-    /// A new object from the detection that no other object wanted.
+    /// Creates an object from an unmatched detection.
     pub fn new(
         id: ObjectId,
         detection: &Detection,
@@ -60,7 +60,7 @@ impl ObjectState {
         self.since_infer = self.since_infer.saturating_add(1);
     }
 
-    /// Takes the detection it was matched with.
+    /// Updates the object with its matched detection.
     #[inline]
     pub fn update(&mut self, detection: &Detection, hits_to_confirm: u32, model: &FilterModel) {
         self.filter.update(model, detection.bounding_box);

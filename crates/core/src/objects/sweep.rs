@@ -1,10 +1,10 @@
-//! Which of many boxes may overlap one, without looking at each: so that matching need not compute all pairs to find the
-//! few within its gate.
+//! Finds the boxes that may overlap a given one without testing each, so that matching need not compute all pairs to
+//! find the few within its gate.
 
 use crate::geometry::Corners;
 use wide::f64x4;
 
-/// The boxes in order of their left sides. Its buffer is kept from call to call.
+/// Boxes in order of their left sides. The buffer is reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sweep {
     boxes: Vec<Swept>,
@@ -14,13 +14,13 @@ pub(crate) struct Sweep {
 #[derive(Clone, Copy, Debug)]
 struct Swept {
     left: f64,
-    /// Right side, bottom, and the negative of the top: all must be above limits, which is one comparison.
+    /// Right side, bottom and negated top: all must exceed their limits, which takes one comparison.
     others: f64x4,
     place: u32,
 }
 
 impl Sweep {
-    /// Takes `boxes`, each with its place, instead of the previous ones. Their sides are numbers.
+    /// Replaces the boxes by `boxes`, each with its index. Their sides are not NaN.
     pub(crate) fn fill(&mut self, boxes: impl Iterator<Item = (Corners, u32)>) {
         self.boxes.clear();
         self.boxes.extend(boxes.map(|(corners, place)| Swept {
@@ -29,12 +29,12 @@ impl Sweep {
             place,
         }));
         let widths = (self.boxes.iter()).map(|swept| swept.others.to_array()[0] - swept.left);
-        // A little more, so that rounding leaves out none.
+        // Slightly more, so that rounding excludes no box.
         self.widest = widths.fold(0.0, f64::max) * (1.0 + 1e-9) + 1e-9;
         (self.boxes).sort_unstable_by(|a, b| a.left.total_cmp(&b.left));
     }
 
-    /// Calls `visit` for the place of each box that overlaps `area`.
+    /// Calls `visit` with the index of each box that overlaps `area`.
     #[inline]
     pub(crate) fn visit(&self, area: Corners, mut visit: impl FnMut(u32)) {
         let from = area.x1 - self.widest;
