@@ -1,11 +1,11 @@
-//! Targets instead of a fixed threshold: a slow controller moves a policy's knob until the measured value reaches the target.
+//! Targets instead of a fixed threshold: a slow controller moves a policy's knob until the target is met.
 //!
-//! [`TargetController::step`] takes the measurements once per second and returns the knob's value and the reason. It is
-//! an integral controller in the logarithm of the knob. The knob's value *is* the integral and never leaves its range, so
-//! nothing winds up while a target cannot be met, and the controller reacts at once when it can.
+//! [`TargetController::step`] receives the measurements once per second and returns the knob's value and the reason. It
+//! is an integral controller in the logarithm of the knob. The knob's value *is* the integral and never leaves its
+//! range, so it does not wind up while a target cannot be met, and reacts at once when it can.
 //!
-//! The load targets ([`Target::SkipRate`], [`Target::Watts`]) settle within a minute. [`Target::Recall`] goes by the audit ([`crate::audit`]) and moves only when enough boxes have been
-//! compared since it moved last.
+//! The load targets ([`Target::SkipRate`], [`Target::Watts`]) settle within a minute. [`Target::Recall`] follows the
+//! audit ([`crate::audit`]) and moves only after enough boxes have been compared since its last move.
 
 mod load;
 mod recall;
@@ -18,12 +18,12 @@ use load::LoadControl;
 use recall::RecallControl;
 use serde::{Deserialize, Serialize};
 
-/// What is to be held. As JSON one field: `{"skip_rate": 0.5}`.
+/// The target to hold. In JSON, one field: `{"skip_rate": 0.5}`.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Target {
-    /// Recall against the detector: the lower end of its interval is held at this.
+    /// Recall against the detector: the lower end of its interval is held at this value.
     Recall(f64),
     /// Share of frames that skip the detector.
     SkipRate(f64),
@@ -32,10 +32,10 @@ pub enum Target {
 }
 
 impl Target {
-    /// The names of all.
+    /// The names of all targets.
     pub const NAMES: [&'static str; 3] = ["recall", "skip_rate", "watts"];
 
-    /// Its name.
+    /// Returns the target's name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Recall(_) => "recall",
@@ -44,14 +44,14 @@ impl Target {
         }
     }
 
-    /// Its value.
+    /// Returns the target's value.
     pub const fn value(self) -> f64 {
         match self {
             Self::Recall(value) | Self::SkipRate(value) | Self::Watts(value) => value,
         }
     }
 
-    /// The target of that name and value; `None` where there is none of that name.
+    /// Returns the target with `name` and `value`; `None` if the name is unknown.
     pub fn named(name: &str, value: f64) -> Option<Self> {
         let all = [
             Self::Recall(value),
@@ -61,10 +61,10 @@ impl Target {
         all.into_iter().find(|target| target.name() == name)
     }
 
-    /// Itself, if its value is one that could be held.
+    /// Returns the target if its value can be held.
     ///
     /// # Errors
-    /// [`TargetError::Value`] otherwise, NaN and infinities included.
+    /// [`TargetError::Value`] otherwise, including NaN and infinities.
     pub fn check(self) -> Result<Self, TargetError> {
         let (least, most) = match self {
             Self::Recall(_) => (0.1, 0.999),
@@ -87,28 +87,28 @@ impl Target {
 }
 
 impl std::fmt::Display for Target {
-    /// `skip_rate 0.5`.
+    /// Example: `skip_rate 0.5`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} {}", self.name(), short(self.value()))
     }
 }
 
-/// Why a target cannot be held.
+/// The reason why a target cannot be held.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TargetError {
-    /// Its value makes no sense.
+    /// The target's value is invalid.
     #[error("`{name}` must be a number from {} to {}, not {value}", short(*.least), short(*.most))]
     Value {
         /// The target's name.
         name: &'static str,
-        /// Least value.
+        /// Smallest value.
         least: f64,
         /// Largest value.
         most: f64,
-        /// What was given.
+        /// The value given.
         value: f64,
     },
-    /// The policy has no knob that a controller could turn.
+    /// The policy has no knob that a controller can move.
     #[error(
         "a target moves `u` or `lambda`, and policy `{policy}` has {}",
         knob.map_or_else(|| "nothing to turn".to_owned(), |knob| format!("`{knob}`"))
@@ -116,10 +116,10 @@ pub enum TargetError {
     Policy {
         /// The policy.
         policy: String,
-        /// Its knob.
+        /// The policy's knob.
         knob: Option<&'static str>,
     },
-    /// The range is none within the knob's.
+    /// The range is invalid or not within the knob's.
     #[error("the range of `{name}` must lie within {} to {}, and its ends apart", short(*.least), short(*.most))]
     Range {
         /// The knob's name.
@@ -131,23 +131,23 @@ pub enum TargetError {
     },
 }
 
-/// Between which values a controller moves a knob.
+/// The range within which a controller moves a knob.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KnobRange {
     /// Smallest value: the most accurate one.
     pub least: f64,
-    /// Largest value: what accuracy still allows.
+    /// Largest value that accuracy still allows.
     pub most: f64,
 }
 
 impl KnobRange {
-    /// The range in which a controller moves `knob`: between the ends given, each by default the end of what costs little
-    /// accuracy: `u` 1.5e-4 to 2e-3, `lambda` 0.05 to 1.2 (on the recorded sequences `expected-loss` loses 2.4 points of
-    /// AP@50 to a detector on every frame there, and `albireo` 3.3 at 1e-3).
+    /// Returns the range within which a controller moves `knob`: the given ends, or by default the range that costs
+    /// little accuracy: `u` 1.5e-4 to 2e-3, `lambda` 0.05 to 1.2 (on the recorded sequences `expected-loss` loses 2.4
+    /// points of AP@50 there against a detector on every frame, and `albireo` 3.3 at 1e-3).
     ///
     /// # Errors
-    /// [`TargetError`] when the knob is none that a controller turns, or the range does not lie within the knob's.
+    /// [`TargetError`] if a controller cannot move the knob, or the range is not within the knob's.
     pub fn of(
         policy: &str,
         knob: Option<&Knob>,
@@ -185,22 +185,22 @@ impl KnobRange {
     }
 }
 
-/// What was measured since the step before.
+/// Measurements since the previous step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// How long that was, seconds.
+    /// Time since the previous step, seconds.
     pub seconds: f64,
-    /// Frames.
+    /// Number of frames.
     pub frames: u64,
-    /// Those of them that skipped the detector.
+    /// Frames that skipped the detector.
     pub skipped: u64,
-    /// Mean power of the node, watts; `None` without a figure.
+    /// Mean power of the node, watts; `None` if unknown.
     pub watts: Option<f64>,
-    /// What the audit has compared.
+    /// Results of the audit.
     pub audit: AuditSums,
 }
 
-/// Why the knob has its value.
+/// The reason for the knob's value.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -213,18 +213,18 @@ pub enum TargetStatus {
     Held,
     /// The target is exceeded, and the knob is at the end of its range.
     MoreThanKept,
-    /// It cannot be met inside the range: the knob is at the end.
+    /// The target cannot be met inside the range: the knob is at the end.
     CannotBeMet,
     /// No frames arrive.
     NoFrames,
-    /// There is no figure of power.
+    /// Power is unknown.
     NoPower,
-    /// Nothing is audited, so that no recall is known.
+    /// Nothing is audited, so the recall is unknown.
     NoAudit,
 }
 
 impl TargetStatus {
-    /// All of them.
+    /// All statuses.
     pub const ALL: [Self; 8] = [
         Self::Measuring,
         Self::Moving,
@@ -236,7 +236,7 @@ impl TargetStatus {
         Self::NoAudit,
     ];
 
-    /// Its name, as in messages.
+    /// Returns the name used in messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Measuring => "measuring",
@@ -250,7 +250,7 @@ impl TargetStatus {
         }
     }
 
-    /// In words.
+    /// Returns the human-readable form.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Measuring => "too little has been measured yet",
@@ -269,39 +269,39 @@ impl TargetStatus {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetState {
-    /// What is measured of it; for recall the lower end of its interval. Absent before anything is.
+    /// The measured value; for recall, the lower end of its interval. Absent before the first measurement.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actual: Option<f64>,
-    /// The knob's value in force.
+    /// The knob's current value.
     pub knob: f64,
-    /// Why it has that value.
+    /// The reason for that value.
     pub status: TargetStatus,
-    /// Seconds in which the target could not be met inside the range.
+    /// Time during which the target could not be met inside the range, seconds.
     pub unmet_s: f64,
-    /// How often that began.
+    /// Number of times that this began.
     pub unmet: u64,
-    /// For recall, the boxes that the figure rests on.
+    /// For recall, the number of boxes behind the measured value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boxes: Option<u64>,
 }
 
-/// The knob as a controller has it.
+/// The state of the knob in a controller.
 #[derive(Clone, Copy, Debug)]
 struct Lever {
     /// Logarithm of the value.
     x: f64,
     least: f64,
     most: f64,
-    /// The value: to the last digit what was given, where it has not moved, and the ends of the range.
+    /// The value: exactly the given one before the first move, and exact at the ends of the range.
     value: f64,
     range: KnobRange,
 }
 
 impl Lever {
-    /// At the value `knob`, or the end of the range that is nearer.
+    /// Creates a lever at `knob`, clamped to the range.
     fn new(range: KnobRange, knob: f64) -> Self {
         let (least, most) = range.logarithms();
-        // No number is at no end; the accurate one is the safe one.
+        // NaN and non-positive values have no logarithm; the accurate end is the safe one.
         let value = if knob > 0.0 { knob } else { range.least };
         let value = value.clamp(range.least, range.most);
         Self {
@@ -313,7 +313,7 @@ impl Lever {
         }
     }
 
-    /// Moves by `by`, as far as the range goes.
+    /// Moves by `by`, clamped to the range.
     fn push(&mut self, by: f64) {
         self.x = (self.x + by).clamp(self.least, self.most);
         self.value = if self.is_at_least() {
@@ -334,7 +334,7 @@ impl Lever {
     }
 }
 
-/// What a rule of control made of a step.
+/// The result of a control step.
 #[derive(Clone, Copy, Debug)]
 struct Verdict {
     actual: Option<f64>,
@@ -360,10 +360,10 @@ pub struct TargetController {
 }
 
 impl TargetController {
-    /// A controller that begins at the value `knob`, moved into the range where it lies outside.
+    /// Creates a controller that begins at the value `knob`, clamped to the range.
     ///
     /// # Errors
-    /// [`TargetError::Value`] when the target's value makes no sense.
+    /// [`TargetError::Value`] if the target's value is invalid.
     pub fn new(target: Target, range: KnobRange, knob: f64) -> Result<Self, TargetError> {
         Ok(Self {
             target: target.check()?,
@@ -378,18 +378,18 @@ impl TargetController {
         })
     }
 
-    /// What it holds.
+    /// The target to hold.
     pub const fn target(&self) -> Target {
         self.target
     }
 
-    /// The knob's value.
+    /// The knob's current value.
     pub const fn knob(&self) -> f64 {
         self.lever.value
     }
 
-    /// Takes what was measured since the last step and moves the knob. Once a second, about; a step over no time, or over
-    /// none that is a number, changes nothing.
+    /// Processes the measurements since the last step and moves the knob. Call it about once per second; a step whose
+    /// time is not positive and finite changes nothing.
     pub fn step(&mut self, measured: &Measured) -> TargetState {
         let seconds = if measured.seconds > 0.0 && measured.seconds.is_finite() {
             measured.seconds

@@ -1,47 +1,47 @@
 //! The load targets: skip rate and power.
 //!
-//! All are brought to one measure, the logarithm of the load over the load wanted, whose answer to the knob hardly depends
-//! on the scene: where a share `d` of frames takes the detector, a knob larger by a factor e takes about 0.22 off `d` (the
-//! recorded sequences, `u` and `lambda` alike).
+//! Both are controlled by one quantity, the logarithm of the load over the wanted load, whose response to the knob
+//! hardly depends on the scene: if a share `d` of frames uses the detector, a knob larger by a factor e reduces `d` by
+//! about 0.22 (the recorded sequences, `u` and `lambda` alike).
 
 use super::{Lever, Measured, Target, TargetStatus, Verdict};
 use std::collections::VecDeque;
 
-/// Seconds over which the load is measured for the controller; longer where frames are few.
+/// Seconds over which the load is measured for the controller; longer if frames are few.
 const WINDOW_S: f64 = 5.0;
 
-/// Fewest frames in that time: with fewer, the share is mostly chance.
+/// Minimum number of frames in that time: with fewer, the share is mostly chance.
 const WINDOW_FRAMES: u64 = 50;
 
 /// Seconds over which the load is reported and compared with the target: the pauses between calls vary, so over five
-/// seconds it fluctuates by about ten per cent by itself.
+/// seconds it fluctuates by about ten per cent.
 const REPORTED_S: f64 = 20.0;
 
-/// Fewest frames of that time.
+/// Minimum number of frames in that time.
 const REPORTED_FRAMES: u64 = 200;
 
-/// Longest time that is looked back for frames, seconds.
+/// Maximum length of a window with few frames, seconds.
 const LONGEST_S: f64 = 60.0;
 
-/// Time constant of the loop, seconds: slow beside the window, and settled after four of them.
+/// Time constant of the loop, seconds: slow compared with the window, and settled after four of them.
 const LOOP_S: f64 = 10.0;
 
-/// Longest step, seconds: after a pause of the machine one old measurement does not turn the knob for all of it.
+/// Longest step, seconds: after a pause of the machine, one old measurement does not move the knob for all of it.
 const LONGEST_STEP_S: f64 = 2.0;
 
-/// What a knob larger by a factor e takes off the share of frames with the detector.
+/// Reduction of the share of frames with the detector for a knob larger by a factor e.
 const STEEPNESS: f64 = 0.22;
 
-/// Largest error that is acted on: a knob does not run away over one strange window.
+/// Largest error that the controller uses, so that the knob does not run away after one unusual window.
 const LARGEST_ERROR: f64 = 1.0;
 
-/// Below this share of the load wanted, up or down, the knob rests.
+/// The knob does not move for an error up to this share of the wanted load.
 const DEAD_BAND: f64 = 0.01;
 
-/// Within this share of the target it is held.
+/// The target counts as held within this share of it.
 const HELD: f64 = 0.05;
 
-/// Seconds over which the answer of the power to the detector is learnt.
+/// Seconds over which the power's response to the detector is learnt.
 const MEMORY_S: f64 = 120.0;
 
 #[derive(Clone, Debug)]
@@ -50,7 +50,7 @@ pub(super) struct LoadControl {
     window: Window,
     reported: Window,
     power: PowerAnswer,
-    /// Seconds at the end of the range that the target lies beyond.
+    /// Time for which the target has been beyond the end of the range, seconds.
     beyond_s: f64,
 }
 
@@ -98,15 +98,15 @@ impl LoadControl {
             };
         }
         let error = error.clamp(-LARGEST_ERROR, LARGEST_ERROR);
-        // Frames without the detector become rarer the slower the fewer there are left.
-        // And what is measured over a longer time is acted on more slowly.
+        // A step of the knob changes the logarithm of the share by `STEEPNESS / share`, so the gain grows with the
+        // share. A longer window slows the controller down.
         let constant = LOOP_S.max(2.0 * lately.seconds);
         let gain = (share / STEEPNESS / constant).clamp(0.01, 0.35);
         if error.abs() > DEAD_BAND {
             lever.push(gain * error * seconds.min(LONGEST_STEP_S));
         }
         let is_held = (actual / wanted - 1.0).abs() <= HELD;
-        // At an end for a moment says nothing: the window is still of the values before.
+        // The status waits at an end, because the window still contains earlier knob values.
         let beyond = !is_held
             && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
         self.beyond_s = if beyond { self.beyond_s + seconds } else { 0.0 };
@@ -126,9 +126,9 @@ impl LoadControl {
         }
     }
 
-    /// What is wanted, and the logarithm of the load over the load wanted.
+    /// Returns the wanted value, and the logarithm of the load over the wanted load.
     fn error(&self, load: &Load) -> Option<(f64, f64)> {
-        // A window without a single call is no load of nothing.
+        // A window without a detector call does not mean a load of zero.
         const LEAST: f64 = 0.005;
         let ratio = |load: f64, wanted: f64| (load.max(LEAST * wanted) / wanted).ln();
         let share = load.share?.max(LEAST);
@@ -145,7 +145,7 @@ impl LoadControl {
     }
 }
 
-/// The last seconds.
+/// A sliding window over the last measurements.
 #[derive(Clone, Debug)]
 struct Window {
     length: f64,
@@ -163,7 +163,7 @@ struct Load {
 }
 
 impl Window {
-    /// Of at least that length and that many frames.
+    /// Creates a window of at least this length and number of frames.
     const fn new(length: f64, frames: u64) -> Self {
         Self {
             length,
@@ -206,7 +206,7 @@ impl Window {
 }
 
 impl Load {
-    /// The measured value for a target.
+    /// Returns the measured value for a target.
     fn of(&self, target: Target) -> Option<f64> {
         match target {
             Target::SkipRate(_) => self.share.map(|share| 1.0 - share),
@@ -216,8 +216,8 @@ impl Load {
     }
 }
 
-/// How the node's power answers to the share of frames with the detector: a straight line through what was measured, that
-/// forgets. Before the two have moved together, half of the power is taken to be the detector's.
+/// The response of the node's power to the share of frames with the detector: a straight line through the measurements,
+/// with exponential forgetting. Until both have varied together, half of the power is assumed to be the detector's.
 #[derive(Clone, Copy, Debug, Default)]
 struct PowerAnswer {
     weight: f64,
@@ -228,7 +228,7 @@ struct PowerAnswer {
 }
 
 impl PowerAnswer {
-    /// Variance of the share from which what was measured counts as much as what was taken for granted.
+    /// Variance of the share at which the measurements weigh as much as the assumption.
     const GRANTED: f64 = 2e-3;
 
     fn learn(&mut self, share: f64, watts: f64, seconds: f64) {
@@ -247,7 +247,7 @@ impl PowerAnswer {
         self.weight = weight;
     }
 
-    /// Watts that all frames with the detector cost more than none.
+    /// Returns the watts that the detector adds on all frames compared with none.
     fn slope(&self, watts: f64) -> f64 {
         let granted = 0.5 * watts;
         let slope = (self.covariance + granted * Self::GRANTED) / (self.variance + Self::GRANTED);

@@ -1,48 +1,48 @@
 //! The recall target: holds the lower end of the recall's interval.
 //!
-//! It goes by the boxes that the audit compares, so that it is as fast as they come: the knob moves whenever
-//! [`ENOUGH`] independent boxes have been compared since it moved last. At 2 % of the skipped frames of 10 a second with
-//! five boxes each that is every minute or two.
+//! It uses the boxes that the audit compares, and so is as fast as they arrive: the knob moves whenever [`ENOUGH`]
+//! independent boxes have been compared since its last move. If 2 % of 10 skipped frames per second are drawn, with
+//! five boxes each, that is every minute or two.
 
 use super::{Lever, Measured, TargetStatus, Verdict};
 use crate::audit::AuditSums;
 use std::collections::VecDeque;
 
-/// Independent boxes of the detector from which the knob is moved. At a recall of 0.9 the interval then reaches 0.09
-/// down, and 0.03 over all that is kept.
+/// Number of independent boxes of the detector after which the knob moves. At a recall of 0.9 the interval then reaches
+/// 0.1 below it, and 0.03 over all lots kept.
 const ENOUGH: f64 = 60.0;
 
-/// Comparisons made at a knob this far from the current one (in its logarithm) are not used.
+/// Comparisons at a knob further than this from the current one (in its logarithm) are not used.
 const NEAR: f64 = 0.4;
 
-/// Largest share of the drawn frames that may be missed. A detector has no time where most happens, so the rest would be
-/// the easier frames: the knob stays where it is.
+/// Largest share of the drawn frames that may be missed. A detector has no time in the busiest scenes, so the rest
+/// would be the easier frames: the knob does not move.
 const MOST_MISSED: f64 = 0.2;
 
-/// Most lots that are kept.
+/// Maximum number of lots kept.
 const MOST_LOTS: usize = 8;
 
-/// Change of the knob's logarithm for a recall that is off by one; a factor e of the knob costs about 0.05.
+/// Change of the knob's logarithm for a recall error of one; a factor e of the knob costs about 0.05.
 const GAIN: f64 = 10.0;
 
-/// Largest change at once.
+/// Largest single change.
 const LARGEST: f64 = 0.5;
 
-/// Within so much it is held.
+/// The target counts as held within this distance.
 const HELD: f64 = 0.01;
 
 #[derive(Clone, Debug)]
 pub(super) struct RecallControl {
     wanted: f64,
-    /// Compared since the knob moved last.
+    /// Comparisons since the knob last moved.
     lot: AuditSums,
-    /// The lots before, with the knob's logarithm then.
+    /// The previous lots, each with the logarithm of its knob.
     lots: VecDeque<(f64, AuditSums)>,
     verdict: Verdict,
     without_audit_s: f64,
 }
 
-/// Seconds with skipped frames and none drawn after which there is no audit.
+/// Seconds with skipped frames and none drawn after which the status is "no audit".
 const LONG: f64 = 600.0;
 
 impl RecallControl {
@@ -103,7 +103,7 @@ impl RecallControl {
             return;
         };
         let off = recall.low - self.wanted;
-        // Upward, where accuracy is given away, with half the courage.
+        // Half the gain upward, where accuracy is given away.
         let push = if off > 0.0 { GAIN / 2.0 } else { GAIN } * off;
         if off.abs() > HELD {
             lever.push(push.clamp(-LARGEST, LARGEST));
