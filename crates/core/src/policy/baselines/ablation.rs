@@ -1,28 +1,28 @@
 //! The paper's ablations: Albireo without some of its parts.
 //!
-//! The paper names them and says how many dimensions their filters have; the code published with it
-//! does not contain them. What is assumed here:
+//! The paper names them and gives the dimensions of their filters; the code published with it does not contain them.
+//! Assumptions:
 //!
-//! - "KILL": that code calls it an immediate kill when the first detector frame that misses an object
-//!   removes it, and sets it against the rescue. So all three go without rescues (R_max = 0), which is
-//!   also the only difference left between `kill+erd-10d` and the full system. The trigger on
-//!   uncertainty, T_max and the periodic cap stay.
+//! - "KILL": that code uses "immediate kill" for the removal of an object by the first detector frame that misses it,
+//!   and contrasts it with the rescue. So all three have no rescues (R_max = 0), which is also the only remaining
+//!   difference between `kill+erd-10d` and the full system. The trigger on uncertainty, T_max and the periodic cap
+//!   remain.
 //! - "ERD" is the empty-scene screen. `kill-only` has none: without active objects the detector runs.
-//! - The eight dimensions, which the paper's table calls "CA" for constant acceleration, are those of a size without
-//!   velocity: [`MotionModel::ConstantSize`] says with which noise. On 17 recordings this is the reading under which ten
-//!   dimensions bring what the paper says of them (mAP +3.1 here, +5.2 there; without acceleration it would be +0.4).
+//! - The eight dimensions, which the paper's table calls "CA" for constant acceleration, have a size without velocity:
+//!   [`MotionModel::ConstantSize`] specifies the noise. On 17 recordings this is the reading under which ten dimensions
+//!   have the effect that the paper reports (mAP +3.1 here, +5.2 there; without acceleration it would be +0.4).
 
 use crate::kalman::MotionModel;
 use crate::policy::AlbireoSettings;
 
-/// Which parts are left.
+/// The parts that remain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ablation {
-    /// The trigger alone, on a filter of eight dimensions.
+    /// The trigger alone, with the eight-dimensional filter.
     KillOnly,
     /// The same with the empty-scene screen.
     KillErd,
-    /// The same on the filter of ten dimensions; the full system has the rescue in addition.
+    /// The same with the ten-dimensional filter; the full system adds the rescue.
     KillErd10d,
 }
 
@@ -36,7 +36,7 @@ impl Ablation {
         }
     }
 
-    /// Takes the parts out of `settings`. It is done last: no single setting brings one back.
+    /// Removes the parts from `settings`. Done last: no single setting restores one.
     pub(crate) fn apply(self, settings: &mut AlbireoSettings) {
         settings.life_cycle.r_max = 0;
         settings.asks_screen = self != Self::KillOnly;

@@ -1,29 +1,29 @@
 //! The largest connected region of changed pixels between two grey pictures.
 //!
-//! The pictures are read once, row by row. Changed pixels of a row form runs; a run belongs with every
-//! run of the row above that shares a column with it (4-connectivity). Only the runs of two rows and
-//! the sizes of the regions they belong to are remembered, in a disjoint-set forest over these runs: a
-//! region that the row above ends in can grow no more.
+//! The pictures are read once, row by row. Changed pixels of a row form runs; a run is connected to every run of the
+//! row above that shares a column with it (4-connectivity). Only the runs of two rows and the sizes of their regions
+//! are kept, in a disjoint-set forest over these runs: a region that does not reach the current row cannot grow any
+//! more.
 
 /// A maximal run of changed pixels in one row: columns `start..end`.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     start: u32,
     end: u32,
-    /// Its region: an index into `regions` of the row it belongs to.
+    /// Region of the run: an index into `regions` of its row.
     region: u32,
 }
 
 /// A node of the forest.
 #[derive(Clone, Copy, Debug)]
 struct Region {
-    /// Another region of the same list that it was merged into, or itself.
+    /// Region of the same list that this one was merged into, or itself.
     parent: u32,
-    /// Pixels so far; true of roots only.
+    /// Pixels so far; valid for roots only.
     pixels: u64,
 }
 
-/// The search with its buffers, which are kept from call to call and never outgrow a picture's row.
+/// The search with its buffers, which are reused between calls and never outgrow a picture's row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ChangedRegion {
     changed: Vec<u8>,
@@ -31,7 +31,7 @@ pub(super) struct ChangedRegion {
     row: Vec<Run>,
     /// Regions of the row above, then those that begin in the current row.
     regions: Vec<Region>,
-    /// New index of each region that the current row belongs to.
+    /// New index of each region that reaches the current row.
     renumbered: Vec<u32>,
     kept: Vec<Region>,
 }
@@ -39,8 +39,8 @@ pub(super) struct ChangedRegion {
 const NONE: u32 = u32::MAX;
 
 impl ChangedRegion {
-    /// Whether more than `size` pixels in one piece differ by `difference` or more between `before` and
-    /// `after`, two pictures of the same size with `width` pixels in a row.
+    /// True if more than `size` connected pixels differ by `difference` or more between `before` and `after`, two
+    /// pictures of the same size with `width` pixels per row.
     pub(crate) fn exceeds(
         &mut self,
         width: usize,
@@ -52,7 +52,7 @@ impl ChangedRegion {
         self.search(width, before, after, difference, size) > size
     }
 
-    /// Pixels of the largest region, or of the first one found to have more than `enough`.
+    /// Returns the pixels of the largest region, or of the first one found with more than `enough`.
     fn search(
         &mut self,
         width: usize,
@@ -63,7 +63,7 @@ impl ChangedRegion {
     ) -> u64 {
         self.prepare(width);
         let mut largest = 0;
-        // A width of 0 means no pixels; chunks of 0 would not do.
+        // A width of 0 means no pixels, but chunks of 0 would panic.
         let rows = before
             .chunks_exact(width.max(1))
             .zip(after.chunks_exact(width.max(1)));
@@ -89,7 +89,7 @@ impl ChangedRegion {
         if self.changed.len() != width {
             self.changed.clear();
             self.changed.resize(width, 0);
-            // A row has at most every other pixel as a run.
+            // At most every other pixel of a row is a run.
             let most = width.div_ceil(2);
             self.above.reserve(most);
             self.row.clear();
@@ -112,7 +112,7 @@ impl ChangedRegion {
         if any == 0 {
             return;
         }
-        // Runs lie between the places where the row turns from unchanged to changed and back.
+        // Runs lie between the transitions from unchanged to changed and back.
         let mut rest = 0;
         let until = |from: usize, wanted: u8| {
             let tail = &self.changed[from..];
@@ -130,7 +130,7 @@ impl ChangedRegion {
         }
     }
 
-    /// Gives every run of the row its region; returns the size of the largest of them.
+    /// Assigns a region to every run of the row; returns the size of the largest one.
     fn join(&mut self) -> u64 {
         let mut first = 0;
         let mut largest = 0;
@@ -170,7 +170,7 @@ impl ChangedRegion {
         largest
     }
 
-    /// Makes the current row the row above, with the regions it belongs to and no others.
+    /// Makes the current row the row above, and keeps only the regions that reach it.
     fn keep_row(&mut self) {
         self.renumbered.clear();
         self.renumbered.resize(self.regions.len(), NONE);
@@ -192,7 +192,7 @@ impl ChangedRegion {
     }
 }
 
-/// The root of `region`'s tree, with every other node on the way hung up one higher.
+/// Returns the root of `region`'s tree, and halves the path to it.
 fn root(regions: &mut [Region], mut region: u32) -> u32 {
     loop {
         let parent = regions[region as usize].parent;

@@ -1,14 +1,14 @@
-//! Confidence-triggered detection: the detector runs when a prediction has strayed from what was seen.
+//! Confidence-triggered detection: the detector runs when a prediction has strayed from the last detection.
 //!
-//! Y. Ding et al., "Confidence Trigger Detection: Accelerating Real-time Tracking-by-detection Systems",
-//! as the published code of the Albireo paper has it: on Albireo's filter instead of DeepSORT's. For
-//! every object the squared Mahalanobis distance between its prediction and its own last detection is
-//! read as a draw from χ² with four degrees of freedom; the chance of a larger one is the confidence in
-//! the prediction. The detector runs when a confidence is below the threshold, when there are no
-//! objects, and after [`CtdSettings::longest_skip`] frames without it.
+//! Y. Ding et al., "Confidence Trigger Detection: Accelerating Real-time Tracking-by-detection Systems", as implemented
+//! in the published code of the Albireo paper: with Albireo's filter instead of DeepSORT's. For every object, the
+//! squared Mahalanobis distance between its prediction and its own last detection is taken as a draw from χ² with four
+//! degrees of freedom; the probability of a larger one is the confidence in the prediction. The detector runs when a
+//! confidence is below the threshold, when there are no objects, and after [`CtdSettings::longest_skip`] frames without
+//! it.
 //!
-//! An object that a detector frame misses lives on, with its predicted box, as in DeepSORT; its frames
-//! are `I` all the same, for this is no rescue that the policy decided on.
+//! An object that a detector frame misses is kept with its predicted box, as in DeepSORT; its frames are still `I`,
+//! because the policy did not decide on a rescue.
 
 use crate::objects::{Missed, ObjectState};
 use crate::policy::tracker::{Tracker, check_setting};
@@ -18,16 +18,16 @@ use crate::policy::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The settings of the policy. Those but the threshold are the published code's.
+/// The settings of the policy. All except the threshold are the published code's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CtdSettings {
     /// The detector runs when the confidence in a prediction is below this, above 0 and below 1.
     pub threshold: f64,
-    /// Frames in a row that may go without the detector, lost ones included.
+    /// Maximum number of consecutive frames without the detector, including lost ones.
     pub longest_skip: u32,
-    /// A confirmed object is removed by a miss that brings its count of frames since its last detection
-    /// above this. Each miss adds one to that count, as each frame does.
+    /// A confirmed object is removed by a miss that raises its count of frames since its last detection above this.
+    /// Each miss adds one to that count, as does each frame.
     pub lost_frames: u32,
 }
 
@@ -52,13 +52,13 @@ enum CtdPhase {
 #[derive(Clone, Debug)]
 pub struct Ctd {
     settings: CtdSettings,
-    /// Largest squared distance at which a prediction is trusted.
+    /// Largest squared distance of a trusted prediction.
     largest_distance: f64,
     tracker: Tracker,
     progress: CtdPhase,
-    /// Why the detector is called for the current frame.
+    /// The reason for the detector call on the current frame.
     cause: Option<CallCause>,
-    /// Frames since the detector last answered.
+    /// Frames since the last detector answer.
     since_detector: u32,
 }
 
@@ -66,7 +66,7 @@ impl Ctd {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "ctd";
 
-    /// The confidence threshold. The default is what Ding et al. recommend.
+    /// The confidence threshold. The default is the recommendation of Ding et al.
     pub const KNOB: Knob = Knob {
         name: "threshold",
         meaning: "The detector is skipped while the confidence in every prediction is at least this: \
@@ -93,7 +93,7 @@ impl Ctd {
         }))
     }
 
-    /// Why the detector is called, if it is.
+    /// Returns the reason for a detector call, if there is one.
     fn call(&self) -> Option<CallCause> {
         let objects = &self.tracker.objects;
         let strayed = |state: &ObjectState| {
@@ -113,11 +113,11 @@ impl Ctd {
     }
 }
 
-/// The squared Mahalanobis distance that a χ² variable with four degrees of freedom exceeds with the
+/// Returns the squared Mahalanobis distance that a χ² variable with four degrees of freedom exceeds with the
 /// probability `confidence`, above 0 and below 1.
 ///
-/// With y = x/2 that probability is e^−y (1 + y). Newton's method on its logarithm, which is concave
-/// and falling: from the second step on it comes down to the root from above.
+/// With y = x/2 that probability is e^−y (1 + y). Newton's method on its logarithm, which is concave and decreasing:
+/// from the second step on it approaches the root from above.
 fn distance_with_confidence(confidence: f64) -> f64 {
     let logarithm = confidence.ln();
     let mut y = (-2.0 * logarithm).sqrt();

@@ -1,5 +1,5 @@
-//! The empty-scene screen on every frame, and the detector on all that it does not call empty (paper,
-//! baseline ERD-only).
+//! The ERD-only policy (paper, baseline): the empty-scene screen runs on every frame, and the detector on all frames
+//! that it does not report as empty.
 
 use crate::policy::detector_boxes::DetectorBoxes;
 use crate::policy::{
@@ -18,12 +18,12 @@ enum ErdOnlyPhase {
     Decided(FrameState),
 }
 
-/// The policy of the screen alone. It keeps no objects and has no knob.
+/// The screen-only policy. It keeps no objects and has no knob.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ErdOnly {
     boxes: DetectorBoxes,
     progress: ErdOnlyPhase,
-    /// Why the detector is called for the current frame.
+    /// The reason for the detector call on the current frame.
     cause: Option<CallCause>,
 }
 
@@ -74,7 +74,7 @@ impl Policy for ErdOnly {
                 });
                 Need::Nothing
             }
-            // Left as it is: `finish` sees that the detections never came.
+            // Unchanged, so that `finish` detects the missing detections.
             (ErdOnlyPhase::AwaitsDetections { .. } | ErdOnlyPhase::Decided(_), _) => Need::Nothing,
         }
     }

@@ -1,15 +1,13 @@
-//! The detector runs when the picture has changed: frame differencing without any object.
+//! The Statues policy: the detector runs when the picture has changed, by frame differencing without objects.
 //!
-//! Kim, Kim and Ryu, "Statues: Energy-Efficient Video Object Detection on Edge Security Devices with
-//! Computational Skipping" (ISLPED 2024), as the published code of the Albireo paper has it. The grey
-//! picture, halved by area averaging, is compared with that of the frame before; pixels that differ by
-//! [`StatuesSettings::pixel_difference`] or more have changed, and the detector runs when the largest
-//! 4-connected component of them has more pixels than [`StatuesSettings::component_size`]. Otherwise
-//! the boxes of the last detector frame are reported again.
+//! Kim, Kim and Ryu, "Statues: Energy-Efficient Video Object Detection on Edge Security Devices with Computational
+//! Skipping" (ISLPED 2024), as implemented in the published code of the Albireo paper. The grey picture, halved by area
+//! averaging, is compared with that of the previous frame; pixels that differ by [`StatuesSettings::pixel_difference`]
+//! or more have changed, and the detector runs when their largest 4-connected component has more pixels than
+//! [`StatuesSettings::component_size`]. Otherwise the boxes of the last detector frame are repeated.
 //!
-//! As in that code, the comparison is with the previous frame, not with the last frame the detector ran on, so
-//! objects that move slowly enough go unnoticed. If the previous frame was lost or has no picture, the last
-//! available picture replaces it.
+//! As in that code, the comparison is with the previous frame, not with the last detector frame, so slow enough objects
+//! go unnoticed. If the previous frame was lost or has no picture, the last available picture replaces it.
 
 use super::changed_region::ChangedRegion;
 use crate::geometry::PictureSize;
@@ -25,9 +23,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StatuesSettings {
-    /// The detector runs when more pixels in one piece have changed, counted in the halved picture.
+    /// The detector runs when more connected pixels than this have changed, counted in the halved picture.
     pub component_size: f64,
-    /// A pixel has changed when its grey value, 0 to 255, differs by this or more. At least 1.
+    /// A pixel has changed if its grey value, 0 to 255, differs by this or more. At least 1.
     pub pixel_difference: u8,
 }
 
@@ -53,14 +51,14 @@ enum StatuesPhase {
 pub struct Statues {
     settings: StatuesSettings,
     region: ChangedRegion,
-    /// The last picture there was.
+    /// The last available picture.
     pixels: Vec<u8>,
     size: Option<PictureSize>,
     boxes: DetectorBoxes,
     progress: StatuesPhase,
-    /// Why the detector is called for the current frame.
+    /// The reason for the detector call on the current frame.
     cause: Option<CallCause>,
-    /// The detector was called for and has not answered since.
+    /// True if the detector has not answered since the last call.
     detector_owed: bool,
 }
 
@@ -68,8 +66,7 @@ impl Statues {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "statues";
 
-    /// The size of a change. The paper of Albireo has 25, 75, 200 and 500; the default is that of the
-    /// paper of Statues.
+    /// The size of a change. The Albireo paper uses 25, 75, 200 and 500; the default is that of the Statues paper.
     pub const KNOB: Knob = Knob {
         name: "component_size",
         meaning: "The detector is skipped while no more pixels than this have changed in one piece: \
@@ -105,8 +102,8 @@ impl Statues {
         }))
     }
 
-    /// Whether `picture` differs from the last one by enough, or there is nothing to compare it with.
-    /// Keeps it as the last one, unless it has not as many pixels as its size says.
+    /// True if `picture` differs enough from the last one or cannot be compared. Keeps it as the last one, unless its
+    /// number of pixels does not match its size.
     fn has_changed(&mut self, picture: GreyPicture<'_>) -> bool {
         let pixels = picture.pixels;
         if pixels.len() as u64 != picture.size.pixels() {
@@ -160,8 +157,8 @@ impl Policy for Statues {
         Need::GreyPicture
     }
 
-    /// Without the picture a change cannot be excluded, so the detector runs. A detector call that
-    /// failed is repeated on the next frame, changed or not.
+    /// Without the picture a change cannot be excluded, so the detector runs. A failed detector call is repeated on the
+    /// next frame, changed or not.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress, evidence) {
             (StatuesPhase::AwaitsPicture, Evidence::GreyPicture(picture)) => {
