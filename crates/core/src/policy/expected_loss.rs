@@ -1,24 +1,23 @@
-//! The expected-loss policy: the detector runs when the boxes that are expected to be lost without it
-//! are worth a call.
+//! The expected-loss policy: the detector runs when the boxes expected to be lost without it are worth a call.
 //!
-//! The paper's uncertainty τ is blind to the scene: with fixed noise it depends on the pattern of
-//! updates alone, and small boxes, which need tighter prediction, weigh no more than large ones. Here
-//! each object's covariance is scaled by how well its predictions turned out (α), measured against its
-//! own size, and turned into the probability π that its predicted box misses. All objects together
-//! decide, each weighed by its score, and so does what may have appeared unseen.
+//! The paper's uncertainty τ is blind to the scene: with fixed noise it depends only on the pattern of updates, and
+//! small boxes, which need tighter prediction, weigh no more than large ones. Here each object's covariance is scaled
+//! by the accuracy of its past predictions (α), measured relative to its size, and converted into the probability π
+//! that its predicted box misses. The decision combines all objects, each weighted by its score, and objects that may
+//! have appeared unseen.
 //!
 //! | part | equations |
 //! | --- | --- |
 //! | the filter of one object: four axes of position and velocity, with perspective | [`motion`] |
 //! | α, π, confidence and box of one object | [`object`] |
 //! | matching: by overlap, then by Mahalanobis distance, both optimal | [`association`] |
-//! | the velocity a new object should be expected to have | [`velocity`] |
-//! | how much may have appeared since the last call | [`birth`] |
-//! | boxes followed by optical flow, and what that says of them | [`follow`] |
-//! | when the detector is called | below, and [`trigger`] |
-//! | every number | [`settings`] |
+//! | the expected velocity of a new object | [`velocity`] |
+//! | the expected number of new objects since the last call | [`birth`] |
+//! | boxes followed by optical flow, and their reliability | [`follow`] |
+//! | the trigger of detector calls | below, and [`trigger`] |
+//! | all constants | [`settings`] |
 //!
-//! On each frame, with T the frames since the last call of the detector, this one included,
+//! On each frame, with T the frames since the last detector call, including this one,
 //!
 //! ```text
 //! L = Σ m·miss^misses·π  +  birth·b·T          expected loss of this frame, in boxes
@@ -26,20 +25,19 @@
 //! g = M / max(N̄, least_crowd)
 //! ```
 //!
-//! where m is an object's mean score, b the birth rate and N̄ a moving average of the summed confidence
-//! of the reported boxes. The detector runs on the first frame, when g ≥ λ, and when T reaches
+//! where m is an object's mean score, b the birth rate and N̄ a moving average of the summed confidence of the reported
+//! boxes. The detector runs on the first frame, when g ≥ λ, and when T reaches
 //! [`longest_pause`](ExpectedLossSettings::longest_pause).
 //!
-//! Why M: let a call cost λ·N̄ boxes. A pause of k skipped frames and one call costs
-//! `(L_1 + … + L_k + λN̄) / (k + 1)` per frame. Skipping one frame more lowers this mean exactly if its
-//! loss is below the mean, which is `(k + 1)·L − Σ L_t < λN̄`, that is `M < λN̄`. So λ is the price of a
-//! call, in frames' worth of all the boxes in view; scenes that change fast are called more often, but
-//! not as much more often as a threshold on L would have it.
+//! Why M: let a call cost λ·N̄ boxes. A pause of k skipped frames and one call costs `(L_1 + … + L_k + λN̄) / (k + 1)`
+//! per frame. Skipping one more frame lowers this mean exactly if its loss is below the mean, which is
+//! `(k + 1)·L − Σ L_t < λN̄`, that is `M < λN̄`. So λ is the price of a call, in frames' worth of all the boxes in
+//! view; scenes that change fast get more calls, but fewer than a threshold on L would give them.
 //!
-//! Lost frames advance everything but the sums: a frame that never came cannot be answered badly.
+//! Lost frames advance everything except the sums: a frame that never arrived cannot be answered badly.
 //!
-//! Under the names that end with `+flow`, each frame with objects is looked at in a small grey picture, where
-//! their boxes are followed ([`follow`]); what that says of them goes into L, and may spare a call.
+//! Under the names that end with `+flow`, boxes are followed in a small grey picture of each frame with objects
+//! ([`follow`]); the result enters L and may save a call.
 
 mod association;
 mod birth;
@@ -70,7 +68,7 @@ pub use trigger::Trigger;
 enum ExpectedLossPhase {
     /// The screen was asked.
     AwaitsScreen,
-    /// A grey picture was asked for. Without it the detector would be called if `due`.
+    /// A grey picture was requested. Without it the detector is called if `due`.
     AwaitsPicture { due: bool, screened: bool },
     /// Detections were requested, after the screen's "not empty" or without its verdict.
     AwaitsDetections { screened: bool },
@@ -92,12 +90,12 @@ pub struct ExpectedLoss {
     /// N̄, the moving average of the summed confidence of reported boxes.
     crowd: f64,
     pause: Pause,
-    /// The optical flow, for policies with it.
+    /// The optical flow, for policies that use it.
     follower: Option<Box<Follower>>,
-    /// Whether the detector has answered since the stream began.
+    /// True if the detector has answered since the stream began.
     started: bool,
     progress: ExpectedLossPhase,
-    /// Why the detector is called for the current frame.
+    /// The reason for the detector call on the current frame.
     cause: Option<CallCause>,
     /// L of the current frame.
     loss: f64,
@@ -105,31 +103,31 @@ pub struct ExpectedLoss {
     weight: f64,
     tau_max: Option<f64>,
     active: usize,
-    /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
+    /// The state that [`Policy::rewind`] restores: a copy of this policy, kept for its buffers.
     saved: Option<Box<Self>>,
 }
 
 impl ExpectedLoss {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "expected-loss";
-    /// The name with a detector call on one frame of N.
+    /// The name of the policy with a detector call on one frame of N.
     pub const FIXED_SKIP_NAME: &'static str = "fixed-skip-in-tracker";
-    /// The name with evenly spaced detector calls.
+    /// The name of the policy with evenly spaced detector calls.
     pub const EVEN_SKIP_NAME: &'static str = "even-skip-in-tracker";
-    /// The names of the three that follow boxes in pictures.
+    /// The names of the three policies that follow boxes in pictures.
     pub(super) const FLOW_NAMES: [&'static str; 3] = [
         "expected-loss+flow",
         "fixed-skip-in-tracker+flow",
         "even-skip-in-tracker+flow",
     ];
 
-    /// λ, the price of a detector call. At 0 every frame runs the detector.
+    /// λ, the price of a detector call. At 0 the detector runs on every frame.
     pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();
 
-    /// A policy with these settings and trigger.
+    /// Creates a policy with these settings and this trigger.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when the trigger's number cannot be used.
+    /// [`PolicyConfigError`] if the trigger's number is invalid.
     pub fn new(
         settings: ExpectedLossSettings,
         trigger: Trigger,
@@ -158,7 +156,7 @@ impl ExpectedLoss {
         })
     }
 
-    /// A policy with this trigger that makes this of pixels.
+    /// Creates a policy with this trigger and this use of pixels.
     pub(super) fn boxed(
         trigger: Trigger,
         pixels: Pixels,
@@ -170,17 +168,17 @@ impl ExpectedLoss {
         Ok(Box::new(Self::new(settings, trigger)?))
     }
 
-    /// The settings in force.
+    /// The settings in use.
     pub fn settings(&self) -> &ExpectedLossSettings {
         &self.settings
     }
 
-    /// g of the current frame: what is compared with λ.
+    /// g of the current frame, which is compared with λ.
     pub fn weight(&self) -> f64 {
         self.weight
     }
 
-    /// Sums up what would be lost on this frame without the detector.
+    /// Sums the expected losses of this frame without the detector.
     fn survey(&mut self) {
         self.objects.judge();
         let aspect = self.objects.aspect();
@@ -196,7 +194,7 @@ impl ExpectedLoss {
         self.tau_max = (self.active > 0).then_some(tau_max);
     }
 
-    /// Why the detector is called when the losses are of that weight.
+    /// Returns the reason for a detector call at this weight of the losses.
     fn call_at(&self, weight: f64) -> Option<CallCause> {
         match self.started {
             false => Some(CallCause::Start),
@@ -204,7 +202,7 @@ impl ExpectedLoss {
         }
     }
 
-    /// Asks for the picture, if pictures are looked at, and else for the detector.
+    /// Requests the picture if pictures are used, otherwise the detector.
     fn call(&mut self, screened: bool) -> Need {
         if self.follower.is_some() {
             return self.ask_for_picture(true, screened);
@@ -222,7 +220,7 @@ impl ExpectedLoss {
         Need::SmallGreyPicture { width: FLOW_WIDTH }
     }
 
-    /// Follows the boxes into the picture and decides again. A call that the screen demands is not revoked.
+    /// Follows the boxes into the picture and decides again. A call demanded by the screen is not revoked.
     fn look(&mut self, picture: GreyPicture<'_>, screened: bool) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
@@ -245,7 +243,7 @@ impl ExpectedLoss {
         }
     }
 
-    /// Takes over the state of `other`, a copy of this policy, but not its settings and threshold.
+    /// Copies the state of `other`, a copy of this policy, but not its settings and threshold.
     fn copy_from(&mut self, other: &Self) {
         let Self {
             settings: _,
@@ -351,9 +349,9 @@ impl Policy for ExpectedLoss {
         self.follower.as_ref().map(|_| self.picture_need())
     }
 
-    /// The screen can only spare a call that is due: one that never says "empty" changes no decision. If
-    /// it is unavailable the detector is asked, and the frame is `I`, not `E+I`. Evidence of a kind not
-    /// asked for counts as unavailable.
+    /// The screen can only save a call that is due: a screen that never reports "empty" changes no decision. If it is
+    /// unavailable, the detector is requested, and the frame is `I`, not `E+I`. Evidence that was not requested counts
+    /// as unavailable.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress, evidence) {
             (ExpectedLossPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
@@ -393,7 +391,7 @@ impl Policy for ExpectedLoss {
                 self.progress = ExpectedLossPhase::Detected { screened };
                 Need::Nothing
             }
-            // Left as it is: `finish` sees that the detections never came.
+            // Unchanged, so that `finish` detects the missing detections.
             _ => Need::Nothing,
         }
     }

@@ -1,5 +1,5 @@
-//! Which detection belongs to which object: by overlap first, then by Mahalanobis distance. The class
-//! plays no part. Both stages make as many pairs within the gate as can be, at the smallest total cost.
+//! Matching of detections with objects: by overlap first, then by Mahalanobis distance. The class is ignored. Both
+//! stages make as many pairs within the gate as possible, at the smallest total cost.
 
 use super::motion::{X, Y};
 use super::object::{Object, measure};
@@ -8,7 +8,7 @@ use crate::detection::Detection;
 use crate::geometry::BoundingBox;
 use crate::objects::{Pairing, by_overlap, overlaps};
 
-/// Matches `objects`, predicted to this frame, with the `detections` that are `usable`.
+/// Matches `objects`, predicted to this frame, with the `usable` ones of `detections`.
 pub(super) fn associate(
     pairing: &mut Pairing,
     objects: &[Object],
@@ -34,7 +34,7 @@ pub(super) fn associate(
                 (0..4).map(|axis| (measured[axis] - position[axis]).powi(2) / variance[axis]);
             squares.sum::<f64>() / scale
         };
-        // All centres within the gate, and a little more against rounding.
+        // All centres within the gate, with a margin for rounding.
         let side = |axis: usize| 2.0 * (MAHALANOBIS_GATE * scale * variance[axis]).sqrt() + 1e-9;
         let (width, height) = (side(X) / aspect, side(Y));
         let area = BoundingBox::new(position[X] / aspect, position[Y], width, height);

@@ -2,38 +2,38 @@
 
 use super::settings::{BIRTH_MEMORY, BIRTH_PRIOR, BIRTH_WEIGHT};
 
-/// The birth rate b: summed scores of new objects per frame, remembered for [`BIRTH_MEMORY`] frames.
+/// The birth rate b: summed scores of new objects per frame, with a memory of [`BIRTH_MEMORY`] frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct BirthRate {
-    /// Summed scores, of which each frame forgets the share `1/BIRTH_MEMORY`.
+    /// Summed scores; each frame forgets the share `1/BIRTH_MEMORY`.
     sum: f64,
 }
 
 impl BirthRate {
-    /// The rate before anything was seen.
+    /// Creates the prior rate, before any observation.
     pub(crate) fn new() -> Self {
         Self {
             sum: BIRTH_PRIOR * BIRTH_MEMORY,
         }
     }
 
-    /// Another `prior` takes the place of [`BIRTH_PRIOR`].
+    /// Replaces [`BIRTH_PRIOR`] by `prior`.
     pub(crate) fn expect(&mut self, prior: f64) {
         self.sum = (self.sum + (prior - BIRTH_PRIOR) * BIRTH_MEMORY).max(0.0);
     }
 
-    /// `frames` went by.
+    /// Fades the rate over `frames` frames.
     pub(crate) fn fade(&mut self, frames: u32) {
         let kept = 1.0 - 1.0 / BIRTH_MEMORY;
         self.sum *= kept.powi(frames.min(1_000_000) as i32);
     }
 
-    /// Objects with these summed scores were new.
+    /// Adds the summed scores of new objects.
     pub(crate) fn count(&mut self, scores: f64) {
         self.sum += scores;
     }
 
-    /// What is expected to have appeared in `frames` frames and to be lost: `B = birth·b·T`.
+    /// Returns the expected loss of objects that appeared in `frames` frames: `B = birth·b·T`.
     pub(crate) fn expected_loss(&self, frames: u32) -> f64 {
         BIRTH_WEIGHT * self.sum / BIRTH_MEMORY * f64::from(frames)
     }

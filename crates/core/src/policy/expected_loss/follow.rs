@@ -1,7 +1,7 @@
-//! Boxes followed by optical flow on the frames that are answered without the detector.
+//! Boxes followed by optical flow on frames answered without the detector.
 //!
-//! Between the last picture that was looked at and this one, each box moves by (dx, dy) and grows by the factor s.
-//! The filter takes these as measurements of differences of its state, all sides in picture heights:
+//! Between the last picture used and this one, each box moves by (dx, dy) and grows by the factor s. The filter takes
+//! these as measurements of differences of its state, with all sides in picture heights:
 //!
 //! ```text
 //! x − x_then = dx,  y − y_then = dy,  ln w − ln w_then = ln h − ln h_then = ln s
@@ -9,9 +9,9 @@
 //! √R_size   = √(size_noise² + spread²)
 //! ```
 //!
-//! and so the miss probability grows no faster than the flow is unsure. That knows nothing of what the flow is on:
-//! an object that is hidden, turns or leaves takes its points with it. The health h of an object, 1 with each
-//! detection, becomes at each look
+//! so that the miss probability grows no faster than the uncertainty of the flow. That uncertainty does not cover what
+//! the flow follows: an object that is hidden, turns or leaves takes its points with it. The health h of an object,
+//! reset to 1 by each detection, becomes with each picture
 //!
 //! ```text
 //! r = share of the points that agree · max(0, 1 − spread_weight·spread)
@@ -20,9 +20,9 @@
 //!
 //! and the miss probability `1 − (1 − π)·h`.
 //!
-//! A side of the box that lies on the picture's border is where the picture ends and not the object. What comes into
-//! view there as the object moves inwards belongs to it: such a side stays on the border, and by how far it was held
-//! there since the last detection is by how far it may be off ([`Object::judge`]).
+//! A side of the box on the picture's border marks the end of the picture, not of the object. What comes into view
+//! there as the object moves inwards belongs to it: such a side stays on the border, and its possible error is the
+//! distance over which it was held there since the last detection ([`Object::judge`]).
 
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, Measured, X, Y};
 use super::object::Object;
@@ -34,19 +34,19 @@ use crate::flow::{BoxFlow, BoxFlowSettings, BoxMotion, GreyView, Pyramid};
 use crate::geometry::{Corners, PictureSize};
 use crate::policy::GreyPicture;
 
-/// The last picture that was looked at, and what follows boxes from there.
+/// The last picture used, and the optical flow from it.
 #[derive(Clone, Debug)]
 pub(super) struct Follower {
     flow: BoxFlow,
     before: Pyramid,
     now: Pyramid,
-    /// Frames since the picture before.
+    /// Frames since the previous picture.
     age: u32,
-    /// Whether it was given a picture since it began.
+    /// True if it has received a picture since the start.
     examined: bool,
 }
 
-/// No followed box is farther from the filter's, picture heights and natural logarithms.
+/// Largest distance of a followed box from the filter's, picture heights and natural logarithms.
 const LARGEST_OFFSET: f64 = 1.0;
 
 impl Follower {
@@ -60,7 +60,7 @@ impl Follower {
         }
     }
 
-    /// Takes over the pictures of `other`. Allocates only while buffers grow.
+    /// Copies the pictures of `other`. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         let Self {
             flow: _,
@@ -75,7 +75,7 @@ impl Follower {
         self.examined = *examined;
     }
 
-    /// Forgets the pictures and what was learnt from them.
+    /// Resets to the state without pictures.
     pub(crate) fn clear(&mut self) {
         self.before.clear();
         self.now.clear();
@@ -83,12 +83,12 @@ impl Follower {
         self.examined = false;
     }
 
-    /// Whether it was given a picture since it began.
+    /// True if it has received a picture since the start.
     pub(crate) fn has_looked(&self) -> bool {
         self.examined
     }
 
-    /// Another `step` frames began.
+    /// Advances by `step` frames.
     pub(crate) fn advance(&mut self, step: u32) {
         self.now.clear();
         self.age = self.age.saturating_add(step);
@@ -97,13 +97,13 @@ impl Follower {
         }
     }
 
-    /// Whether there is a picture to follow boxes from.
+    /// True if there is a picture to follow boxes from.
     pub(crate) fn can_follow(&self) -> bool {
         !self.before.is_empty()
     }
 
-    /// Takes the picture of the current frame and follows the boxes into it. Ignores a picture whose number of pixels
-    /// does not match its size.
+    /// Receives the picture of the current frame and follows the boxes into it. Ignores a picture whose number of
+    /// pixels does not match its size.
     pub(crate) fn look(&mut self, objects: &mut [Object], aspect: f64, picture: GreyPicture<'_>) {
         let Some(view) = grey_view(picture) else {
             return;
@@ -167,7 +167,7 @@ impl Follower {
             object.border_shift[border_shift] += hold(&then, &mut end, sides, length, margin);
         }
         object.offset = Some(std::array::from_fn(|axis| {
-            // No box is carried away by more than a few of its sides.
+            // Limits how far a wrong flow can carry a box away.
             (end[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
         }));
         object.followed = true;
@@ -175,7 +175,7 @@ impl Follower {
         object.health *= 1.0 - DOUBT * (1.0 - reliability(agreement, &motion));
     }
 
-    /// The current frame is answered: its picture becomes the start of the next flow.
+    /// Ends the current frame: its picture becomes the start of the next flow.
     pub(crate) fn remember(&mut self, objects: &mut [Object]) {
         if self.now.is_empty() {
             return;
@@ -189,7 +189,7 @@ impl Follower {
     }
 }
 
-/// The picture, unless it has not as many pixels as its size says.
+/// Returns the picture, unless its number of pixels does not match its size.
 pub(in crate::policy) fn grey_view(picture: GreyPicture<'_>) -> Option<GreyView<'_>> {
     let PictureSize { width, height } = picture.size;
     let whole = picture.pixels.len() as u64 == picture.size.pixels();
@@ -197,8 +197,8 @@ pub(in crate::policy) fn grey_view(picture: GreyPicture<'_>) -> Option<GreyView<
     GreyView::new(width, height, width, picture.pixels).filter(|_| whole)
 }
 
-/// Along the axis `center` of a picture of that `length`, lets the box `end` reach as far as the sides of the box `then`
-/// that lay within `margin` of the picture's border. Returns by how much it is the longer for it.
+/// Along the axis `center` of a picture of this `length`, extends the box `end` to the sides of the box `then` that
+/// were within `margin` of the picture's border. Returns the increase in length.
 fn hold(
     then: &Measured,
     end: &mut Measured,
@@ -231,7 +231,7 @@ fn reliability(agreement: f64, motion: &BoxMotion) -> f64 {
     agreement * (1.0 - SPREAD_WEIGHT * motion.spread).max(0.0)
 }
 
-/// R of the four axes; `smaller` is the box's smaller side and the picture has `height` rows.
+/// Returns R of the four axes; `smaller` is the box's smaller side, and the picture has `height` rows.
 fn variance(object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4] {
     let wide = spread.powi(2);
     let center = (CENTER_NOISE * object.filter.size()).powi(2)

@@ -1,7 +1,7 @@
 //! The filter of one object: four independent axes, each with a position and a velocity.
 //!
-//! The axes are the centre (x, y) in a unit that is the same in both directions, and the natural
-//! logarithms of width and height. With `s = √(w·h)` and `U = (s, s, 1, 1)`, per frame:
+//! The axes are the centre (x, y) in a unit that is the same in both directions, and the natural logarithms of width
+//! and height. With `s = √(w·h)` and `U = (s, s, 1, 1)`, per frame:
 //!
 //! ```text
 //! ρ = clamp((v_lw + v_lh) / 2, ±largest_growth)
@@ -12,8 +12,8 @@
 //!             p11 ← g²·p11 + q
 //! ```
 //!
-//! The terms in ρ are perspective: what comes nearer at constant speed grows faster and faster, and its
-//! picture moves faster and faster. A measurement z with variance R gives, with `S = p00 + R`,
+//! The terms in ρ are perspective: an object that approaches at constant speed grows and moves in the picture faster
+//! and faster. A measurement z with variance R gives, with `S = p00 + R`,
 //!
 //! ```text
 //! y = z − x    k0 = p00/S    k1 = p01/S
@@ -21,21 +21,21 @@
 //! p11 ← p11 − k1·p01    p01 ← (1 − k0)·p01    p00 ← (1 − k0)·p00
 //! ```
 //!
-//! and afterwards both log-sides move at the mean of their velocities: what comes nearer keeps its shape.
-//! Where optical flow follows a box, it measures a difference of two positions: see [`Earlier`].
+//! and then both log-sides move at the mean of their velocities: an approaching object keeps its shape. When optical
+//! flow follows a box, it measures a difference of two positions: see [`Earlier`].
 
 use super::settings::{
     CENTER_FADING, CENTER_MEASUREMENT, CENTER_PROCESS, LARGEST_GROWTH, NEWCOMER_CENTER_VELOCITY,
     NEWCOMER_SIZE_VELOCITY, SIZE_FADING, SIZE_MEASUREMENT, SIZE_PROCESS,
 };
 
-/// Index of the axes in arrays of four.
+/// Indices of the axes in arrays of four.
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
 pub(super) const LOG_WIDTH: usize = 2;
 pub(super) const LOG_HEIGHT: usize = 3;
 
-/// No box is larger or smaller than e^±30 picture heights. The limit keeps all arithmetic finite.
+/// Boxes are limited to e^±30 picture heights, which keeps all arithmetic finite.
 pub(super) const LARGEST_LOG: f64 = 30.0;
 
 /// Position and velocity along one axis, with their covariance.
@@ -57,7 +57,7 @@ impl Axis {
         self.p11 = g * g * self.p11 + q;
     }
 
-    /// Takes a measurement; returns the squared normalised innovation y²/S.
+    /// Applies a measurement; returns the squared normalised innovation y²/S.
     fn update(&mut self, z: f64, r: f64) -> f64 {
         let y = z - self.x;
         let s = self.p00 + r;
@@ -71,12 +71,12 @@ impl Axis {
     }
 }
 
-/// Where the object was at an earlier frame, as the filter has it since: position a, its variance, and its
-/// covariances with position and velocity now.
+/// An object's position at an earlier frame, as the filter now estimates it: position a, its variance, and its
+/// covariances with the current position and velocity.
 ///
-/// What optical flow measures is `x − a`, a difference of two positions that the filter is unsure of in the same
-/// way. Keeping a copy of the earlier state with its covariances makes it an ordinary measurement (Roumeliotis and
-/// Burdick, "Stochastic Cloning", ICRA 2002).
+/// Optical flow measures `x − a`, a difference of two positions whose errors are correlated. Keeping a copy of the
+/// earlier state with its covariances makes it an ordinary measurement (Roumeliotis and Burdick, "Stochastic Cloning",
+/// ICRA 2002).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Earlier {
     a: f64,
@@ -86,7 +86,7 @@ struct Earlier {
 }
 
 impl Earlier {
-    /// The state now.
+    /// Copies the current state.
     fn of(axis: &Axis) -> Self {
         Self {
             a: axis.x,
@@ -101,7 +101,7 @@ impl Earlier {
         self.pva *= g;
     }
 
-    /// `axis` is about to take a measurement z of x with variance `r`.
+    /// Updates the copy before `axis` applies a measurement z of x with variance `r`.
     fn update(&mut self, axis: &Axis, z: f64, r: f64) {
         let s = axis.p00 + r;
         let gain = self.pxa / s;
@@ -111,13 +111,13 @@ impl Earlier {
         self.pxa *= 1.0 - axis.p00 / s;
     }
 
-    /// The variance of `x − a` measured with variance `r`, and the covariance of x with it.
+    /// Returns the variance of `x − a` measured with variance `r`, and the covariance of x with it.
     fn difference(&self, axis: &Axis, r: f64) -> (f64, f64) {
         let s = axis.p00 - 2.0 * self.pxa + self.paa + r;
         (s, axis.p00 - self.pxa)
     }
 
-    /// `axis` takes a measurement d of x − a with variance `r`. What is left of the earlier state is of no use.
+    /// Applies to `axis` a measurement d of x − a with variance `r`. The earlier state is invalid afterwards.
     fn measure(&self, axis: &mut Axis, d: f64, r: f64) {
         let (s, covariance) = self.difference(axis, r);
         let y = d - (axis.x - self.a);
@@ -131,21 +131,21 @@ impl Earlier {
     }
 }
 
-/// A box as the filter measures it: centre and logarithms of the sides.
+/// A box in the filter's measurement space: centre and logarithms of the sides.
 pub(super) type Measured = [f64; 4];
 
 /// The filter of one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MotionFilter {
     pub axes: [Axis; 4],
-    /// Width and height: the exponentials of the log-sides, which are asked for often.
+    /// Width and height: the exponentials of the log-sides, cached because they are used often.
     sides: [f64; 2],
-    /// Where it was in the last picture that was looked at.
+    /// Position of the object in the last picture used.
     earlier: Option<[Earlier; 4]>,
 }
 
 impl MotionFilter {
-    /// A new object at `measured`, moving at `velocity` in units of U.
+    /// Creates a filter for an object at `measured`, moving at `velocity` in units of U.
     pub(crate) fn new(measured: &Measured, velocity: &[f64; 3]) -> Self {
         let sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| measured[axis].exp());
         let s = (sides[0] * sides[1]).sqrt();
@@ -171,17 +171,17 @@ impl MotionFilter {
         }
     }
 
-    /// Width and height.
+    /// Returns width and height.
     pub(crate) fn sides(&self) -> [f64; 2] {
         self.sides
     }
 
-    /// Where the object is.
+    /// Returns the object's position and log-sides.
     pub(crate) fn position(&self) -> Measured {
         std::array::from_fn(|axis| self.axes[axis].x)
     }
 
-    /// The size s.
+    /// Returns the size s.
     pub(crate) fn size(&self) -> f64 {
         (self.sides[0] * self.sides[1]).sqrt()
     }
@@ -195,7 +195,7 @@ impl MotionFilter {
         self.predict_growing(LARGEST_GROWTH);
     }
 
-    /// Advances by one frame; what grows faster than `largest_growth` counts as growing by that.
+    /// Advances by one frame; limits the growth to ±`largest_growth`.
     fn predict_growing(&mut self, largest_growth: f64) {
         let s = self.size();
         let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
@@ -221,7 +221,7 @@ impl MotionFilter {
         self.refresh_sides();
     }
 
-    /// Moves the box, and not its velocity nor its variance.
+    /// Moves the box without changing its velocity or variance.
     pub(crate) fn shift(&mut self, offset: &Measured) {
         for (axis, offset) in self.axes.iter_mut().zip(offset) {
             axis.x += offset;
@@ -229,7 +229,7 @@ impl MotionFilter {
         self.refresh_sides();
     }
 
-    /// Takes a measurement; returns the four squared normalised innovations y²/S.
+    /// Applies a measurement; returns the four squared normalised innovations y²/S.
     pub(crate) fn update(&mut self, measured: &Measured) -> [f64; 4] {
         let r = measurement_variance(self.size());
         if let Some(earlier) = &mut self.earlier {
@@ -244,25 +244,25 @@ impl MotionFilter {
         innovations
     }
 
-    /// What comes nearer keeps its shape.
+    /// An approaching object keeps its shape.
     fn share_growth(&mut self) {
         let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
         self.axes[LOG_WIDTH].v = growth;
         self.axes[LOG_HEIGHT].v = growth;
     }
 
-    /// Remembers where the object is now, for [`follow`](Self::follow) to measure from.
+    /// Remembers the current position as the reference for [`follow`](Self::follow).
     pub(crate) fn remember(&mut self) {
         self.earlier = Some(std::array::from_fn(|axis| Earlier::of(&self.axes[axis])));
     }
 
-    /// Where the object was when it was remembered.
+    /// Returns the remembered position.
     pub(crate) fn remembered(&self) -> Option<Measured> {
         let earlier = self.earlier?;
         Some(std::array::from_fn(|axis| earlier[axis].a))
     }
 
-    /// Takes how far it has moved and grown since then, with the variances of that.
+    /// Applies the measured motion and growth since the remembered position, with their variances.
     pub(crate) fn follow(&mut self, moved: &Measured, variance: &[f64; 4]) {
         let Some(earlier) = self.earlier.take() else {
             return;
@@ -278,13 +278,13 @@ impl MotionFilter {
         self.refresh_sides();
     }
 
-    /// The variances S of the innovations to come.
+    /// Returns the variances S of the next innovations.
     pub(crate) fn innovation_variance(&self) -> [f64; 4] {
         let r = measurement_variance(self.size());
         std::array::from_fn(|axis| self.axes[axis].p00 + r[axis])
     }
 
-    /// The velocity in units of U; that of the log-sides once.
+    /// Returns the velocity in units of U, with one value for both log-sides.
     pub(crate) fn velocity(&self) -> [f64; 3] {
         let s = self.size();
         [
@@ -294,8 +294,8 @@ impl MotionFilter {
         ]
     }
 
-    /// The relative variance of the box: `4·p_x/w² + 4·p_y/h² + p_lw + p_lh`. A variance of one half
-    /// means an edge that is off by about half a side.
+    /// Returns the relative variance of the box: `4·p_x/w² + 4·p_y/h² + p_lw + p_lh`. A variance of one half means an
+    /// edge that is off by about half a side.
     pub(crate) fn relative_variance(&self) -> f64 {
         let [width, height] = self.sides;
         let [x, y, log_width, log_height] = &self.axes;
@@ -306,7 +306,7 @@ impl MotionFilter {
     }
 }
 
-/// R of the four axes for a box of size `s`.
+/// Returns R of the four axes for a box of size `s`.
 fn measurement_variance(s: f64) -> [f64; 4] {
     let center = (CENTER_MEASUREMENT * s).powi(2);
     let size = SIZE_MEASUREMENT.powi(2);

@@ -1,4 +1,4 @@
-//! What is remembered of one object, its predicted miss probability and its confidence.
+//! The state of one object, its predicted miss probability and its confidence.
 
 use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
 use super::settings::{
@@ -10,9 +10,8 @@ use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
 use crate::policy::{ObjectId, ObjectRecord};
 
-/// A box in the filter's terms: the unit of length is the picture's height, so that it is the same in
-/// both directions and a picture of twice as many pixels is the same picture. `aspect` is the picture's
-/// width in that unit.
+/// Converts a box to the filter's units: the unit of length is the picture's height, so that it is the same in both
+/// directions and independent of the resolution. `aspect` is the picture's width in that unit.
 pub(super) fn measure(bounding_box: BoundingBox, aspect: f64) -> Measured {
     [
         bounding_box.center_x * aspect,
@@ -22,7 +21,7 @@ pub(super) fn measure(bounding_box: BoundingBox, aspect: f64) -> Measured {
     ]
 }
 
-/// The logarithm of a side, within the limits of the filter.
+/// Returns the logarithm of a side, within the limits of the filter.
 fn log_side(side: f64) -> f64 {
     side.ln().clamp(-LARGEST_LOG, LARGEST_LOG)
 }
@@ -35,13 +34,13 @@ pub(super) struct Object {
     pub filter: MotionFilter,
     /// The scale α of the covariance in the trigger and the gate.
     pub alpha: f64,
-    /// Detections matched so far, the first included.
+    /// Detections matched so far, including the first.
     pub hits: u32,
-    /// Detector frames in a row without a match.
+    /// Consecutive detector frames without a match.
     pub misses: u32,
     /// Frames since the last match.
     pub since_match: u32,
-    /// Frames since the detector last answered.
+    /// Frames since the last detector answer.
     pub since_detector: u32,
     /// Moving average m of the scores.
     pub mean_score: f64,
@@ -50,21 +49,21 @@ pub(super) struct Object {
     pub miss_probability: f64,
     /// The detector's box of this frame, if it found the object.
     pub detected_box: Option<BoundingBox>,
-    /// Whether optical flow followed it into this frame.
+    /// True if optical flow followed the object into this frame.
     pub followed: bool,
-    /// Probability, 0 to 1, that the followed box is still this object, given the flow since the last detection.
+    /// Probability, 0 to 1, that the followed box still shows this object, given the flow since the last detection.
     pub health: f64,
-    /// Where boxes are followed, how far the box that is followed lies from the filter's: see [`Object::trail`].
+    /// Offset of the followed box from the filter's, if boxes are followed: see [`Object::trail`].
     pub offset: Option<Measured>,
-    /// Whether it was followed since its last detection.
+    /// True if the object was followed since its last detection.
     pub trailing: bool,
-    /// How far sides that lie on the picture's border were held there since the last detection, while what is inside
-    /// moved away from it; along x and y, picture heights.
+    /// Distance over which sides on the picture's border were held there since the last detection, while the inside
+    /// moved away; along x and y, picture heights.
     pub border_shift: [f64; 2],
 }
 
 impl Object {
-    /// A new object from a detection, with the velocity to expect of it, in units of U.
+    /// Creates an object from a detection, with its expected velocity in units of U.
     pub(crate) fn new(
         id: ObjectId,
         detection: &Detection,
@@ -104,10 +103,10 @@ impl Object {
         self.followed = false;
     }
 
-    /// Takes its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
+    /// Applies its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
     pub(crate) fn update(&mut self, detection: &Detection, aspect: f64) -> f64 {
         let measured = measure(detection.bounding_box, aspect);
-        // What was reported is what the innovation must judge: α is to say how far off that is.
+        // The innovation must judge the reported box, because α measures its error.
         if let Some(offset) = self.offset.filter(|_| self.trailing) {
             self.filter.shift(&offset);
         }
@@ -137,9 +136,9 @@ impl Object {
         n
     }
 
-    /// The box that is followed, in the filter's terms. It begins between the detector's box and the filter's and is
-    /// moved by what flow measures, not by what the filter makes of that: a filter that is right about speed is late
-    /// with what the detector saw.
+    /// Returns the followed box, in the filter's units. It begins between the detector's box and the filter's and moves
+    /// by the measured flow, not by the filter's estimate of it: a filter that is right about speed lags behind the
+    /// detector's boxes.
     pub(crate) fn trail(&self) -> Measured {
         let own = self.filter.position();
         match self.offset {
@@ -148,20 +147,19 @@ impl Object {
         }
     }
 
-    /// The detector looked and did not find it. Whether it stays.
+    /// Counts a miss of the detector. Returns true if the object is kept.
     pub(crate) fn miss(&mut self) -> bool {
         self.misses += 1;
         self.since_detector = 0;
         self.misses < MISSES_TO_REMOVAL
     }
 
-    /// Computes the probability π that the predicted box is off by too much, from the variance of its
-    /// error relative to its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`:
-    /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
+    /// Computes the probability π that the predicted box is off by too much, from the variance of its error relative to
+    /// its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`: `π = exp(−0.25 / (2σ²))`, the probability that a
+    /// Rayleigh variable of that variance exceeds 1/2.
     ///
-    /// Optical flow's loss of health is an independent probability: `1 − (1 − π)·h`.
-    /// A side that is held at the picture's border may be off by as far as it was held:
-    /// `σ² += (held_x/w)² + (held_y/h)²`.
+    /// Optical flow's loss of health is an independent probability: `1 − (1 − π)·h`. A side held at the picture's
+    /// border may be off by the distance over which it was held: `σ² += (held_x/w)² + (held_y/h)²`.
     pub(crate) fn judge(&mut self) {
         let [width, height] = self.filter.sides();
         let border_shift =
@@ -174,12 +172,12 @@ impl Object {
         };
     }
 
-    /// What losing the object would cost now: `m · miss^misses · π`.
+    /// Returns the current cost of losing the object: `m · miss^misses · π`.
     pub(crate) fn expected_loss(&self) -> f64 {
         self.mean_score * power(MISS_WEIGHT, self.misses) * self.miss_probability
     }
 
-    /// The confidence to report.
+    /// Returns the confidence to report.
     pub(crate) fn confidence(&self) -> f64 {
         let blend = LAST_SCORE * self.last_score + (1.0 - LAST_SCORE) * self.mean_score;
         let age = f64::from(self.hits.saturating_sub(1));
@@ -191,7 +189,7 @@ impl Object {
         base * power(MISS_CONFIDENCE, self.misses) * located
     }
 
-    /// The box of the filter.
+    /// Returns the box of the filter.
     pub(crate) fn filter_box(&self, aspect: f64) -> BoundingBox {
         let position = self.filter.position();
         let [width, height] = self.filter.sides();
@@ -203,7 +201,7 @@ impl Object {
         }
     }
 
-    /// The share of the predicted box that lies in the picture.
+    /// Returns the share of the predicted box inside the picture.
     pub(crate) fn visible_share(&self, aspect: f64) -> f64 {
         let [width, height] = self.filter.sides();
         let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
@@ -214,7 +212,7 @@ impl Object {
         inside(x, width, aspect) * inside(y, height, 1.0)
     }
 
-    /// The box to report, not clipped: if seen, the mean of the detector's box and the filter's.
+    /// Returns the box to report, not clipped: if detected, the mean of the detector's box and the filter's.
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
         match self.detected_box {
@@ -236,7 +234,7 @@ impl Object {
         }
     }
 
-    /// The paper's uncertainty τ of this filter: the summed variance of the box in normalised form.
+    /// Returns the paper's uncertainty τ of this filter: the summed variance of the box in normalised form.
     pub(crate) fn tau(&self, aspect: f64) -> f64 {
         let [x, y, log_width, log_height] = &self.filter.axes;
         let [width, height] = self.filter.sides();
@@ -247,7 +245,7 @@ impl Object {
             + height * height * log_height.p00
     }
 
-    /// The record of a trace.
+    /// Returns the record for traces.
     pub(crate) fn record(&self, aspect: f64) -> ObjectRecord {
         ObjectRecord {
             id: self.id,
@@ -264,17 +262,17 @@ impl Object {
     }
 }
 
-/// e⁻ˣ for x ≥ 0; zero where it is below 1e-17, which the library computes on a slow path.
+/// Returns e⁻ˣ for x ≥ 0; zero if it is below 1e-17, which the library computes on a slow path.
 fn fading(x: f64) -> f64 {
     if x > 40.0 { 0.0 } else { (-x).exp() }
 }
 
-/// The covariance scale after an innovation: `α ← clamp(α + rate·(n − α))`.
+/// Returns the covariance scale after an innovation: `α ← clamp(α + rate·(n − α))`.
 pub(super) fn scale(alpha: f64, n: f64, rate: f64) -> f64 {
     (alpha + rate * (n - alpha)).clamp(LEAST_ALPHA, MOST_ALPHA)
 }
 
-/// `base` to the power of a small number of misses.
+/// Returns `base` to the power of a small number of misses.
 fn power(base: f64, misses: u32) -> f64 {
     base.powi(misses.min(1000) as i32)
 }

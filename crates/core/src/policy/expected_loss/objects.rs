@@ -1,4 +1,4 @@
-//! The objects in view: what keeps them, whatever calls the detector.
+//! The objects in view and their tracking, independent of the trigger.
 
 use super::association::associate;
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
@@ -19,7 +19,7 @@ pub(super) struct Objects {
     objects: Vec<Object>,
     next_id: u64,
     picture: PictureSize,
-    /// Width of the picture in its heights.
+    /// Width of the picture in picture heights.
     aspect: f64,
     /// The camera-wide covariance scale ᾱ.
     camera_alpha: f64,
@@ -42,7 +42,7 @@ impl Objects {
         }
     }
 
-    /// Takes over the objects of `other`. Allocates only while buffers grow.
+    /// Copies the objects of `other`. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         let Self {
             objects,
@@ -63,12 +63,12 @@ impl Objects {
         self.rejected = *rejected;
     }
 
-    /// Forgets the objects, but not what they taught.
+    /// Forgets the objects, but keeps the learnt parameters.
     pub(crate) fn forget(&mut self) {
         self.objects.clear();
     }
 
-    /// Forgets all objects and what they taught; numbers start from 0 again.
+    /// Forgets all objects and the learnt parameters; numbers restart from 0.
     pub(crate) fn clear(&mut self) {
         self.objects.clear();
         self.next_id = 0;
@@ -76,28 +76,28 @@ impl Objects {
         self.velocity = VelocityRegression::default();
     }
 
-    /// The objects, oldest first.
+    /// Returns the objects, oldest first.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Object> {
         self.objects.iter()
     }
 
-    /// How many objects are held.
+    /// Returns the number of objects.
     pub(crate) fn len(&self) -> usize {
         self.objects.len()
     }
 
-    /// Width of the picture in its heights.
+    /// Returns the width of the picture in picture heights.
     pub(crate) fn aspect(&self) -> f64 {
         self.aspect
     }
 
-    /// Detections refused so far.
+    /// Returns the number of detections refused so far.
     pub(crate) fn rejected_detections(&self) -> u64 {
         self.rejected
     }
 
-    /// Sets the picture of the coming frame. Pictures of another shape show the world in another way:
-    /// the objects are forgotten.
+    /// Sets the picture size of the next frame. A change of the aspect ratio changes the view, so the objects are
+    /// forgotten.
     pub(crate) fn set_picture(&mut self, picture: PictureSize) {
         if picture == self.picture {
             return;
@@ -119,21 +119,19 @@ impl Objects {
         });
     }
 
-    /// Computes how far each predicted box can be trusted, once a frame after the last
-    /// [`predict`](Self::predict).
+    /// Computes the miss probability of each predicted box, once per frame after the last [`predict`](Self::predict).
     pub(crate) fn judge(&mut self) {
         for object in &mut self.objects {
             object.judge();
         }
     }
 
-    /// The objects, to be followed.
+    /// Returns the objects for following.
     pub(crate) fn as_mut_slice(&mut self) -> &mut [Object] {
         &mut self.objects
     }
 
-    /// Takes what the detector found: matches, updates, removes, creates. Returns the summed scores of
-    /// the new objects.
+    /// Processes the detections: matches, updates, removes, creates. Returns the summed scores of the new objects.
     pub(crate) fn observe(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
         let (aspect, pairing) = (self.aspect, &mut self.pairing);
         let rejected = &mut self.rejected;
@@ -147,7 +145,7 @@ impl Objects {
         let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
         let mut detection_of = self.pairing.detection_of().iter();
         self.objects.retain_mut(|object| {
-            // One entry an object, in the same order.
+            // One entry per object, in the same order.
             let Some(&Some(index)) = detection_of.next() else {
                 return object.miss();
             };
@@ -184,7 +182,7 @@ impl Objects {
         scores
     }
 
-    /// Appends the boxes to report. `detected` says that the detector looked at this frame.
+    /// Appends the boxes to report. `detected` is true if the detector ran on this frame.
     pub(crate) fn report(&self, detected: bool, boxes: &mut Vec<OutputBox>) -> Report {
         let mut report = Report::default();
         let least = [
@@ -220,12 +218,12 @@ impl Objects {
     }
 }
 
-/// The boxes of a frame, summed up.
+/// Summary of the boxes of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Report {
     /// Sum of the confidences.
     pub confidence: f64,
-    /// Whether a box is rescued.
+    /// True if a box is rescued.
     pub rescued: bool,
 }
 
@@ -235,7 +233,7 @@ fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
     features(position[X] / aspect, position[Y], log_size)
 }
 
-/// The part of a box inside the picture, if its sides are longer than `least`.
+/// Returns the part of a box inside the picture, if its sides are longer than `least`.
 fn clip(bounding_box: BoundingBox, least: [f64; 2]) -> Option<BoundingBox> {
     let Corners { x1, y1, x2, y2 } = bounding_box.corners().clipped();
     let clipped = BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1);

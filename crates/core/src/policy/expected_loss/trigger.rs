@@ -1,9 +1,9 @@
-//! The triggers of a detector call: the expected loss, or a schedule that ignores the scene. All share the
-//! same objects, so that the gains of trigger and tracking can be measured separately.
+//! The triggers of a detector call: the expected loss, or a schedule that ignores the scene. All share the same
+//! objects, so that the gains of trigger and tracking can be measured separately.
 
 use crate::policy::{CallCause, Knob};
 
-/// What calls the detector.
+/// The trigger of detector calls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
     /// The expected loss, weighed over the pause, reaches λ.
@@ -11,12 +11,12 @@ pub enum Trigger {
         /// The price of a call.
         lambda: f64,
     },
-    /// The detector runs on one frame of N, which need not be whole.
+    /// The detector runs on one frame of N, which may be fractional.
     FixedSkip {
-        /// Frames from call to call, on average.
+        /// Mean number of frames from call to call.
         n: f64,
     },
-    /// The detector runs as evenly as can be so that this share of the frames is skipped.
+    /// The detector runs as evenly as possible so that this share of frames is skipped.
     Even {
         /// Share of frames to skip.
         skip_rate: f64,
@@ -57,7 +57,7 @@ impl Trigger {
         useful_maximum: 0.95,
     };
 
-    /// Its number.
+    /// Returns the trigger's knob.
     pub const fn knob(&self) -> Knob {
         match self {
             Self::ExpectedLoss { .. } => Self::LAMBDA,
@@ -66,7 +66,7 @@ impl Trigger {
         }
     }
 
-    /// The value of its number.
+    /// Returns the value of the trigger's knob.
     pub const fn value(&self) -> f64 {
         match *self {
             Self::ExpectedLoss { lambda: value }
@@ -75,7 +75,7 @@ impl Trigger {
         }
     }
 
-    /// The same trigger with another number, which is not checked.
+    /// Returns the same trigger with another value, which is not checked.
     pub(super) const fn with_value(self, value: f64) -> Self {
         match self {
             Self::ExpectedLoss { .. } => Self::ExpectedLoss { lambda: value },
@@ -88,18 +88,18 @@ impl Trigger {
 /// The pause since the last call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pause {
-    /// Frames since the last call, lost ones and the current one included.
+    /// Frames since the last call, including lost ones and the current one.
     pub frames: u32,
     /// Frames answered without the detector since the last call.
     skipped: u32,
     /// Their summed losses.
     lost: f64,
-    /// Calls that a schedule owes.
+    /// Calls due by a schedule.
     owed: f64,
 }
 
 impl Pause {
-    /// Before the first call.
+    /// The state before the first call.
     pub(crate) const START: Self = Self {
         frames: 0,
         skipped: 0,
@@ -107,7 +107,7 @@ impl Pause {
         owed: 0.0,
     };
 
-    /// Another `step` frames began.
+    /// Advances by `step` frames.
     pub(crate) fn advance(&mut self, trigger: &Trigger, step: u32) {
         self.frames = self.frames.saturating_add(step);
         let rate = match *trigger {
@@ -116,19 +116,19 @@ impl Pause {
             Trigger::Even { skip_rate } => 1.0 - skip_rate,
         };
         self.owed += rate * f64::from(step);
-        // More than one call missed in a gap is not made up for: the frames are gone.
+        // Only one call missed in a gap is made up for, because the frames are gone.
         if self.owed >= 2.0 {
             self.owed = 1.0 + self.owed.fract();
         }
     }
 
-    /// What is compared with λ on a frame of expected loss `loss`, with `crowd` boxes in view: `(L + Σ (L − L_t)) / N̄`
-    /// over the frames t skipped since the last call.
+    /// Returns the weight to compare with λ on a frame of expected loss `loss`, with `crowd` boxes in view:
+    /// `(L + Σ (L − L_t)) / N̄` over the frames t skipped since the last call.
     pub(crate) fn weigh(&self, loss: f64, crowd: f64) -> f64 {
         (loss + (f64::from(self.skipped) * loss - self.lost)) / crowd
     }
 
-    /// Why the trigger calls the detector, for a loss of that `weight`; `None` when it does not.
+    /// Returns the reason for a detector call at this `weight`; `None` without a call.
     pub(crate) fn call(
         &self,
         trigger: &Trigger,
@@ -148,13 +148,13 @@ impl Pause {
         }
     }
 
-    /// A frame was answered without the detector, at an expected loss of `loss`.
+    /// Counts a frame answered without the detector, with an expected loss of `loss`.
     pub(crate) fn skip(&mut self, loss: f64) {
         self.skipped = self.skipped.saturating_add(1);
         self.lost += loss;
     }
 
-    /// The detector answered.
+    /// Ends the pause after a detector answer.
     pub(crate) fn end(&mut self) {
         *self = Self {
             owed: (self.owed - 1.0).max(0.0),

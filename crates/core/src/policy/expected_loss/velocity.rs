@@ -14,12 +14,12 @@
 use nalgebra::{Matrix4, Matrix4x3, Vector4};
 
 const FEATURES: usize = 4;
-/// Horizontal and vertical in s per frame, and the growth of both log-sides.
+/// Horizontal and vertical in s per frame, and the common growth of both log-sides.
 pub(super) const VELOCITIES: usize = 3;
 
 pub(super) type Features = [f64; FEATURES];
 
-/// The features of a box from its centre as shares of the picture and `ln(s/H)`.
+/// Returns the features of a box from its centre as shares of the picture and `ln(s/H)`.
 pub(super) fn features(center_x: f64, center_y: f64, log_size: f64) -> Features {
     [
         1.0,
@@ -39,14 +39,14 @@ pub(super) struct VelocityRegression {
 }
 
 impl VelocityRegression {
-    /// Fades what was learnt, once a detector frame.
+    /// Fades the learnt sums, once per detector frame.
     pub(crate) fn fade(&mut self, memory: f64) {
         self.a *= memory;
         self.b *= memory;
         self.solved = false;
     }
 
-    /// Learns that an object at `features` moves at `velocity`.
+    /// Adds an object at `features` that moves at `velocity`.
     pub(crate) fn learn(&mut self, features: &Features, velocity: &[f64; VELOCITIES]) {
         let features = Vector4::from(*features);
         self.a += features * features.transpose();
@@ -54,7 +54,7 @@ impl VelocityRegression {
         self.solved = false;
     }
 
-    /// The velocity to expect at `features`, each within ±`largest`.
+    /// Returns the expected velocity at `features`, each component within ±`largest`.
     pub(crate) fn expect(
         &mut self,
         features: &Features,
