@@ -1,4 +1,4 @@
-//! What decides a frame: the trait all policies share, the evidence they ask for, and the frame state.
+//! Policies: the trait that all policies share, the evidence that they ask for, and the frame state.
 //!
 //! A policy asks for evidence step by step. It learns that a frame exists, names the evidence that it needs next,
 //! receives it, and finally returns the frame's state and boxes:
@@ -12,12 +12,12 @@
 //!
 //! | `name[:argument]` | the detector runs | on the other frames | source |
 //! | --- | --- | --- | --- |
-//! | `albireo[:u]` | when an object's uncertainty reaches `u`, or a cap is due; without objects when the screen says "not empty" | predicted boxes; none in an empty scene | the paper |
+//! | `albireo[:u]` | when an object's uncertainty reaches `u`, or a cap is due; without objects when the screen reports "not empty" | predicted boxes; none in an empty scene | the paper |
 //! | `vanilla` | on every frame | | the paper's baseline |
 //! | `fixed-skip[:n]` | on every n-th frame | the last boxes again (profile `paper`) or predicted ones (`reference`) | the paper's baseline |
 //! | `ctd[:threshold]` | when the confidence in a prediction falls below the threshold, without objects, and after 8 frames | predicted boxes | Ding et al. |
 //! | `statues[:component_size]` | when more pixels than this changed in one piece since the last frame | the last boxes again | Kim et al. |
-//! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
+//! | `erd-only` | when the screen, asked on every frame, reports "not empty" | none | the paper's baseline |
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
@@ -26,8 +26,8 @@
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture | our own |
 //!
-//! It knows no clock, no picture format and no network, and a frame that needs nothing costs no decoding. The live
-//! node, the evaluation and the tests all drive it by [`decide`], with their own evidence.
+//! A policy uses no clock, picture format or network, and a frame that needs no evidence costs no decoding. The live
+//! node, the evaluation and the tests all drive policies through [`decide`], with their own evidence.
 
 use crate::detection::{ClassId, Detection, ObjectId};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -72,29 +72,28 @@ pub use record::ObjectRecord;
 pub use settled::{SettledFrame, Settler};
 pub use vanilla::Vanilla;
 
-/// What a policy knows about a frame before its picture is decoded.
+/// The information about a frame before its picture is decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHead {
-    /// Index of the frame in its stream, counting lost frames too. The first frame seen has its own
-    /// sequence number or 0.
+    /// Index of the frame in its stream, counting lost frames. The first frame seen has its own sequence number or 0.
     pub index: u64,
-    /// Frames since the one begun before it: 1 when none was lost. Filters advance by this many steps.
+    /// Frames since the previously begun one: 1 if none was lost. Filters advance by this many steps.
     pub step: u32,
     /// Size of the picture.
     pub picture: PictureSize,
 }
 
-/// What a policy needs to know next.
+/// The evidence that a policy needs next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// Nothing more: call [`Policy::finish`].
     Nothing,
     /// The verdict of the empty-scene screen.
     Screen,
-    /// The picture in grey at half its size in each direction.
+    /// The grey picture at half its size in each direction.
     GreyPicture,
-    /// The picture in grey at a whole fraction of its size (a half, a quarter, …) that leaves at least this many columns,
-    /// as small as that allows; as it is when it has less than twice as many.
+    /// The grey picture at a whole fraction of its size (a half, a quarter, …): the smallest with at least this many
+    /// columns, or the full size if the picture has fewer than twice as many.
     SmallGreyPicture {
         /// Columns.
         width: u32,
@@ -115,14 +114,14 @@ pub struct GreyPicture<'a> {
 /// The answer to a [`Need`].
 #[derive(Clone, Copy, Debug)]
 pub enum Evidence<'a> {
-    /// The empty-scene screen's verdict: whether it says that nothing is in view.
+    /// The empty-scene screen's verdict.
     Screen {
-        /// True for "nothing in view".
+        /// True if nothing is in view.
         empty: bool,
     },
-    /// The grey picture asked for.
+    /// The requested grey picture.
     GreyPicture(GreyPicture<'a>),
-    /// What the detector found, in the detector's order.
+    /// The detections, in the detector's order.
     Detections(&'a [Detection]),
     /// The evidence is not available for this frame (the session failed or took too long). A policy that asked for the
     /// screen continues as after "not empty"; one that asked for the grey picture, as if the picture had changed or
@@ -134,11 +133,11 @@ pub enum Evidence<'a> {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum FrameState {
-    /// The screen said "empty"; the detector was skipped.
+    /// The screen reported "empty"; the detector was skipped.
     E,
-    /// Boxes are predicted, or those of an earlier frame again; the detector was skipped.
+    /// The boxes are predicted or repeated from an earlier frame; the detector was skipped.
     P,
-    /// The screen said "not empty"; the detector ran.
+    /// The screen reported "not empty"; the detector ran.
     #[serde(rename = "E+I")]
     EI,
     /// The detector ran.
@@ -148,7 +147,7 @@ pub enum FrameState {
 }
 
 impl FrameState {
-    /// All five, in the order they are reported.
+    /// All five states, in the order of reports.
     pub const ALL: [Self; 5] = [Self::E, Self::P, Self::EI, Self::I, Self::AI];
 
     /// The name on the wire: `E`, `P`, `E+I`, `I` or `AI`.
@@ -162,7 +161,7 @@ impl FrameState {
         }
     }
 
-    /// Whether the detector was skipped (E and P): these frames make the skip rate.
+    /// True if the detector was skipped (E and P): these frames make up the skip rate.
     pub const fn is_skipped(self) -> bool {
         matches!(self, Self::E | Self::P)
     }
@@ -174,51 +173,51 @@ impl std::fmt::Display for FrameState {
     }
 }
 
-/// Where a reported box comes from.
+/// The source of a reported box.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BoxSource {
     /// The detector found it in this frame.
     Detected,
-    /// The detector did not look at this frame; the filter says so, or an earlier frame does.
+    /// The detector did not run on this frame; the box comes from the filter or an earlier frame.
     Predicted,
-    /// The detector did not look at this frame, but optical flow followed the object into it.
+    /// The detector did not run on this frame, but optical flow followed the object into it.
     Followed,
-    /// The detector looked and missed it; the filter says it is still there. Only a policy that rescues
-    /// makes the frame [`FrameState::AI`] by it: `ctd` does not.
+    /// The detector ran and missed the object; the filter predicts that it is still there. Only a policy with rescues
+    /// then marks the frame [`FrameState::AI`]: `ctd` does not.
     Rescued,
 }
 
 /// One reported box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutputBox {
-    /// Where, in normalised coordinates, not clipped to the picture.
+    /// Box in normalised coordinates, not clipped to the picture.
     pub bounding_box: BoundingBox,
-    /// Its class, by the detector's number.
+    /// Class, by the detector's number.
     pub class: ClassId,
     /// The confidence to report, 0 to 1.
     pub confidence: f64,
-    /// How it is known.
+    /// Source of the box.
     pub source: BoxSource,
-    /// Whose box it is; `None` under a policy that keeps no objects.
+    /// Object that the box belongs to; `None` under a policy that keeps no objects.
     pub object: Option<ObjectId>,
-    /// Whether the object is confirmed.
+    /// True if the object is confirmed.
     pub confirmed: bool,
 }
 
-/// What became of a frame. Kept and passed in again so that its buffer is reused.
+/// The result of a frame. It is passed in again for each frame to reuse its buffer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The frame's state.
     pub state: FrameState,
     /// Largest uncertainty τ over the active objects before the decision; `None` without objects.
     pub tau_max: Option<f64>,
-    /// Active objects before the decision.
+    /// Number of active objects before the decision.
     pub active: usize,
-    /// The detector was needed but not available; the boxes are predictions.
+    /// True if the detector was needed but not available; the boxes are predictions.
     pub degraded: bool,
-    /// Why the detector was called; `None` on a frame that did without it.
+    /// The reason for the detector call; `None` on a frame that needed none.
     pub cause: Option<CallCause>,
     /// The boxes to report.
     pub boxes: Vec<OutputBox>,
@@ -238,7 +237,7 @@ impl Default for Outcome {
 }
 
 impl Outcome {
-    /// A frame that is `state`, without objects or boxes so far. The buffer of boxes stays.
+    /// Resets to `state`, without objects or boxes. Keeps the buffer of boxes.
     fn clear(&mut self, state: FrameState, degraded: bool) {
         self.state = state;
         self.tau_max = None;
@@ -249,36 +248,36 @@ impl Outcome {
     }
 }
 
-/// The one number of a policy that a user turns while it runs, as the policy declares it.
+/// The number of a policy that a user may change while it runs, as declared by the policy.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Knob {
-    /// Its name in configuration, messages and reports: `u`, `lambda`, …
+    /// Name in configuration, messages and reports: `u`, `lambda`, …
     pub name: &'static str,
-    /// What turning it does, in one sentence.
+    /// The effect of changing it, in one sentence.
     pub meaning: &'static str,
     /// Smallest value allowed.
     pub minimum: f64,
     /// Largest value allowed.
     pub maximum: f64,
-    /// The value without configuration.
+    /// Default value.
     pub default: f64,
-    /// Where a slider begins: below it hardly anything is saved.
+    /// Lower end of a slider: below it hardly anything is saved.
     pub useful_minimum: f64,
-    /// Where a slider ends: above it hardly anything more is saved, at a high price.
+    /// Upper end of a slider: above it hardly anything more is saved, at a high price.
     pub useful_maximum: f64,
 }
 
-/// A value outside a knob's range, or a knob that is not there.
+/// The error for a value outside a knob's range or a missing knob.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum KnobError {
-    /// The policy has nothing to turn.
+    /// The policy has no knob.
     #[error("policy `{policy}` has no threshold to change")]
     Absent {
         /// The policy's name.
         policy: &'static str,
     },
-    /// The value cannot be used.
+    /// The value is invalid.
     #[error(
         "`{name}` must be a number from {} to {}, not {value}",
         short(*.minimum),
@@ -291,12 +290,12 @@ pub enum KnobError {
         minimum: f64,
         /// Largest value allowed.
         maximum: f64,
-        /// What was given.
+        /// The value given.
         value: f64,
     },
 }
 
-/// A number as a person writes it: `0.3`, `100`, `1e-9`.
+/// Formats a number in short form: `0.3`, `100`, `1e-9`.
 pub fn short(value: f64) -> String {
     if value == 0.0 || (0.001..1e6).contains(&value.abs()) {
         value.to_string()
@@ -306,7 +305,7 @@ pub fn short(value: f64) -> String {
 }
 
 impl Knob {
-    /// The range of its values, in words.
+    /// Returns the range of values, human-readable.
     pub fn range(&self) -> String {
         format!(
             "a number from {} to {}",
@@ -315,12 +314,12 @@ impl Knob {
         )
     }
 
-    /// `value` if it is a number inside the range.
+    /// Returns `value` if it is a number inside the range.
     ///
     /// # Errors
-    /// [`KnobError::OutOfRange`] otherwise, NaN and infinities included.
+    /// [`KnobError::OutOfRange`] otherwise, including NaN and infinities.
     pub fn check(&self, value: f64) -> Result<f64, KnobError> {
-        // Written so that NaN, which compares false to everything, is refused.
+        // NaN compares false to everything and is refused.
         if value >= self.minimum && value <= self.maximum {
             Ok(value)
         } else {
@@ -334,27 +333,26 @@ impl Knob {
     }
 }
 
-/// What decides a frame. [`decide`] makes its calls.
+/// Decides each frame of a stream; driven by [`decide`].
 ///
-/// Calls for one frame: [`begin`](Policy::begin), then [`answer`](Policy::answer) as long as the last
-/// need was not [`Need::Nothing`], then [`finish`](Policy::finish). A frame may be given up after
-/// `begin` (its picture turned out to be broken) by beginning the next one: what `begin` advanced stays
-/// advanced, which is exactly what a lost frame does.
+/// Calls for one frame: [`begin`](Policy::begin), then [`answer`](Policy::answer) until the last need is
+/// [`Need::Nothing`], then [`finish`](Policy::finish). A frame may be abandoned after `begin` (for example because its
+/// picture is broken) by beginning the next one: the state stays advanced, exactly as after a lost frame.
 pub trait Policy: Send + Sync {
-    /// The name used in configuration and reports.
+    /// The name in configuration and reports.
     fn name(&self) -> &'static str;
 
-    /// The number a user may turn, if there is one.
+    /// The number that a user may change, if there is one.
     fn knob(&self) -> Option<Knob> {
         None
     }
 
-    /// The knob's value in force.
+    /// The knob's current value.
     fn knob_value(&self) -> Option<f64> {
         None
     }
 
-    /// Turns the knob; takes effect with the next `begin`.
+    /// Sets the knob; takes effect with the next `begin`.
     ///
     /// # Errors
     /// [`KnobError`] if there is no knob or the value is out of its range; nothing changes then.
@@ -364,50 +362,50 @@ pub trait Policy: Send + Sync {
         Err(KnobError::Absent { policy })
     }
 
-    /// A frame exists. Advances the filters by `frame.step` and says what is needed first.
+    /// Begins a frame: advances the filters by `frame.step` and returns the first need.
     fn begin(&mut self, frame: FrameHead) -> Need;
 
-    /// Takes the evidence asked for and says what is needed next.
+    /// Receives the requested evidence and returns the next need.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need;
 
-    /// The grey pictures that this policy may ask for; `None` when it never asks for any.
+    /// The grey pictures that this policy may ask for; `None` if it never asks for any.
     fn pictures(&self) -> Option<Need> {
         None
     }
 
-    /// Most frames that may follow each other without the detector while objects are followed, where the policy limits
+    /// The maximum number of consecutive frames without the detector while objects are followed, if the policy limits
     /// them.
     fn longest_pause(&self) -> Option<u32> {
         None
     }
 
-    /// Whether frames can be answered by prediction before their evidence has come: what [`LatePolicy`] needs.
+    /// True if frames can be answered by prediction before their evidence arrives, as [`LatePolicy`] requires.
     fn can_rewind(&self) -> bool {
         false
     }
 
-    /// Keeps the state of the current frame, in place of what was kept before. Nothing unless the policy
+    /// Saves the state of the current frame and replaces the previously saved one. Does nothing unless the policy
     /// [can rewind](Policy::can_rewind).
     fn save(&mut self) {}
 
-    /// Returns to the state that was kept last, any number of times; settings and the knob's value stay as they are
-    /// now. Nothing before the first [`save`](Policy::save).
+    /// Returns to the last saved state, any number of times; settings and the knob keep their current values. Does
+    /// nothing before the first [`save`](Policy::save).
     fn rewind(&mut self) {}
 
-    /// Ends the frame: writes its state and boxes over `outcome`.
+    /// Ends the frame and overwrites `outcome` with its state and boxes.
     fn finish(&mut self, outcome: &mut Outcome);
 
-    /// Forgets all objects, as at the start of a stream. Settings and the knob's value stay.
+    /// Forgets all objects, as at the start of a stream. Keeps settings and the knob's value.
     fn reset(&mut self);
 
-    /// Shows the record of every object that is remembered, oldest first: for traces and evaluation.
-    /// A policy that keeps no objects shows none.
+    /// Calls `visit` with the record of every object kept, oldest first, for traces and evaluation. A policy that keeps
+    /// no objects visits none.
     fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
         let _ = visit;
     }
 
-    /// Detections refused so far because their numbers make no box (not finite, sides of zero or less,
-    /// absurdly large) or no confidence. They are neither followed nor reported.
+    /// The number of detections refused so far because their numbers give no valid box (not finite, sides of zero or
+    /// less, absurdly large) or confidence. They are neither followed nor reported.
     fn rejected_detections(&self) -> u64 {
         0
     }

@@ -1,9 +1,8 @@
-//! The paper's policy: the detector runs when an object has become too uncertain.
+//! The paper's policy: the detector runs when an object's uncertainty becomes too large.
 //!
-//! Each frame first advances every object's filter. Without active objects the empty-scene screen is
-//! asked, and unless it says "empty", the detector. With objects the detector runs if any τ reaches the
-//! threshold `u`, any object's age reaches T_max, or the periodic cap is due; otherwise the predicted
-//! boxes are the answer.
+//! Each frame first advances every object's filter. Without active objects, the empty-scene screen is asked, and unless
+//! it reports "empty", the detector. With objects, the detector runs if any τ reaches the threshold `u`, any object's
+//! age reaches T_max, or the periodic cap is due; otherwise the predicted boxes are the answer.
 
 use super::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
@@ -32,21 +31,21 @@ pub struct Albireo {
     settings: AlbireoSettings,
     objects: ObjectStates,
     u: f64,
-    /// `u` as it was when the frame began.
+    /// `u` at the start of the frame.
     u_in_force: f64,
     frame: Option<FrameHead>,
     progress: AlbireoPhase,
-    /// Why the detector is called for the current frame.
+    /// The reason for the detector call on the current frame.
     cause: Option<CallCause>,
     tau_max: Option<f64>,
     active: usize,
-    /// Frames since the detector last answered.
+    /// Frames since the last detector answer.
     since_detector: u32,
-    /// Index of the last frame that came to its end with what it asked for.
+    /// Index of the last frame that finished with all requested evidence.
     last_complete: Option<u64>,
     /// Boxes of a detector frame.
     boxes: Vec<OutputBox>,
-    /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
+    /// The state that [`Policy::rewind`] restores: a copy of this policy, kept for its buffers.
     saved: Option<Box<Self>>,
 }
 
@@ -54,9 +53,9 @@ impl Albireo {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "albireo";
 
-    /// The threshold. τ is a sum of variances of shares of the picture: at 1 nothing is known of where
-    /// an object is, and below 1e-9 every frame runs the detector. Of use is what lies between the smallest τ that a
-    /// predicted frame can have and six frames of prediction after a detection; the paper goes to 1e-3, two frames.
+    /// The threshold. τ is a sum of variances of shares of the picture: at 1 an object's position is unknown, and below
+    /// 1e-9 the detector runs on every frame. The useful range is from the smallest τ of a predicted frame to τ after
+    /// six frames of prediction since a detection; the paper goes to 1e-3, two frames.
     pub const KNOB: Knob = Knob {
         name: "u",
         meaning: "The detector is skipped while every object's uncertainty is below this: higher saves \
@@ -68,10 +67,10 @@ impl Albireo {
         useful_maximum: 1e-2,
     };
 
-    /// A policy with these settings and threshold.
+    /// Creates a policy with these settings and this threshold.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when the threshold cannot be used.
+    /// [`PolicyConfigError`] if the threshold is invalid.
     pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
         let u = Self::KNOB.check(u)?;
         Ok(Self {
@@ -99,7 +98,7 @@ impl Albireo {
         )?))
     }
 
-    /// A policy without some of its parts, under the name of the ablation.
+    /// Creates a policy without some of its parts, under the name of the ablation.
     pub(super) fn ablated(
         ablation: Ablation,
         config: &PolicyConfig,
@@ -111,13 +110,13 @@ impl Albireo {
         Ok(Box::new(policy))
     }
 
-    /// The settings in force.
+    /// The settings in use.
     pub fn settings(&self) -> &AlbireoSettings {
         &self.settings
     }
 
-    /// Sums up the active objects, and says why one of them calls the detector. Tentative objects are active: so in the
-    /// published code, and the paper does not say otherwise.
+    /// Summarises the active objects and returns the reason why one of them calls the detector. Tentative objects are
+    /// active, as in the published code; the paper does not say otherwise.
     fn survey(&mut self) -> Option<CallCause> {
         let (u, settings) = (self.u_in_force, &self.settings);
         let mut cause = None;
@@ -138,7 +137,7 @@ impl Albireo {
         cause
     }
 
-    /// Takes over the state of `other`, a copy of this policy, but not its settings and threshold.
+    /// Copies the state of `other`, a copy of this policy, but not its settings and threshold.
     pub(super) fn copy_from(&mut self, other: &Self) {
         let Self {
             name: _,
@@ -168,7 +167,7 @@ impl Albireo {
         self.boxes.clone_from(boxes);
     }
 
-    /// What frame `index` needs, by what the objects have come to.
+    /// Returns what frame `index` needs, given the state of the objects.
     fn choose(&mut self, index: u64) -> Need {
         let called = self.survey();
         self.cause = if self.active == 0 {
@@ -199,7 +198,7 @@ impl Albireo {
             PeriodicCap::SinceDetector => self.since_detector >= cap,
             PeriodicCap::FrameIndex => {
                 let cap = u64::from(cap);
-                // A multiple between the last complete frame and this one fell into a gap.
+                // True if a multiple of the cap fell into the gap since the last complete frame.
                 let gap = self
                     .last_complete
                     .is_some_and(|last| last / cap < index / cap);
@@ -257,8 +256,8 @@ impl Policy for Albireo {
         self.choose(frame.index)
     }
 
-    /// A screen that is unavailable leaves the frame without its verdict: the detector is asked, and the
-    /// frame is `I`, not `E+I`. Evidence of a kind not asked for counts as unavailable.
+    /// If the screen is unavailable, the detector is requested, and the frame is `I`, not `E+I`. Evidence that was not
+    /// requested counts as unavailable.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress, evidence) {
             (AlbireoPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
@@ -279,7 +278,7 @@ impl Policy for Albireo {
                 self.progress = AlbireoPhase::Decided(state);
                 Need::Nothing
             }
-            // Left as it is: `finish` sees that the detections never came.
+            // Unchanged, so that `finish` detects the missing detections.
             (AlbireoPhase::AwaitsDetections { .. } | AlbireoPhase::Decided(_), _) => Need::Nothing,
         }
     }

@@ -1,14 +1,14 @@
-//! Every choice the Albireo policy leaves open, by name, and the two profiles that make them.
+//! The settings that the Albireo policy leaves open, and the two profiles that set them.
 //!
-//! The paper's text and the code published with it disagree in places. Each such place is one setting
-//! here, or in the [`LifeCycle`] and [`Association`] it contains; a profile is a value for each.
+//! The paper's text and the code published with it disagree in places. Each such place is one setting here, or in its
+//! [`LifeCycle`] and [`Association`]; a profile gives each a value.
 
 use super::published_threshold::sizeless;
 use crate::kalman::FilterParameters;
 use crate::objects::{Association, GateOrder, LifeCycle, ObjectSettings};
 use serde::{Deserialize, Serialize};
 
-/// A set of settings with a name.
+/// A named set of settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
@@ -19,54 +19,53 @@ pub enum Profile {
     Reference,
 }
 
-/// What the periodic cap counts.
+/// The frames that the periodic cap counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeriodicCap {
-    /// Due when the frame's index in the stream is a multiple of the cap (published code). An index
-    /// that was lost makes the next frame due.
+    /// Due when the frame's index in the stream is a multiple of the cap (published code). If that frame was lost, the
+    /// next frame is due.
     FrameIndex,
-    /// Due when the detector was last called this many frames ago (paper).
+    /// Due when the last detector call was this many frames ago (paper).
     SinceDetector,
 }
 
-/// Which boxes are reported when the detector ran.
+/// The boxes reported on a detector frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DetectorFrameBoxes {
-    /// The detector's own, all of them, with the detector's confidences; and the predicted boxes of
-    /// rescued objects (paper).
+    /// All boxes of the detector with its confidences, and the predicted boxes of rescued objects (paper).
     Detector,
-    /// The filters' boxes after the update, of every object (published code).
+    /// The updated filters' boxes of all objects (published code).
     Filter,
 }
 
 /// The confidence reported with a filter's box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReportedConfidence {
-    /// That of the object's last detection (paper).
+    /// The confidence of the object's last detection (paper).
     Last,
-    /// That, times `max(0.1, 1 − τ/u)` (published code, on every frame).
+    /// The last confidence times `max(0.1, 1 − τ/u)` (published code, on every frame).
     Decayed,
 }
 
-/// The settings of the Albireo policy, the threshold `u` aside.
+/// The settings of the Albireo policy, except the threshold `u`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AlbireoSettings {
-    /// Whether the empty-scene screen is asked when no object is active. Without it the detector is.
+    /// True if the empty-scene screen is asked when no object is active. Otherwise the detector is.
     pub asks_screen: bool,
-    /// Whether τ = u skips the detector. Published code: yes; paper: only τ < u does.
+    /// True if τ = u skips the detector. Published code: yes; paper: only τ < u does.
     pub skip_at_equality: bool,
     /// The detector runs when an active object's age reaches this many frames (paper, T_max).
     pub t_max: u32,
-    /// The detector runs after this many frames, as long as objects are active.
+    /// The detector runs after this many frames while objects are active.
     pub periodic_cap: u32,
-    /// What `periodic_cap` counts. Published code: the frame index; paper: frames since the last
-    /// detector call.
+    /// The frames that `periodic_cap` counts. Published code: the frame index; paper: frames since the last detector
+    /// call.
     pub periodic_cap_counts: PeriodicCap,
-    /// Boxes reported when the detector ran. Published code: the filters'; paper: the detector's.
+    /// The boxes reported on a detector frame. Published code: the filters'; paper: the detector's.
     pub detector_frame_boxes: DetectorFrameBoxes,
-    /// Confidence of filters' boxes. Published code: decayed; paper: last.
+    /// The confidence of filters' boxes. Published code: decayed; paper: last.
     pub confidence: ReportedConfidence,
-    /// The filter's numbers.
+    /// The parameters of the filter.
     pub filter: FilterParameters,
     /// The rules of matching.
     pub association: Association,
@@ -75,7 +74,7 @@ pub struct AlbireoSettings {
 }
 
 impl AlbireoSettings {
-    /// The settings of `profile`.
+    /// Returns the settings of `profile`.
     pub fn of(profile: Profile) -> Self {
         match profile {
             Profile::Paper => Self::paper(),
@@ -83,14 +82,14 @@ impl AlbireoSettings {
         }
     }
 
-    /// Whether an object with uncertainty `tau` needs no detector under the threshold `u`.
+    /// True if an object with uncertainty `tau` needs no detector under the threshold `u`.
     pub(super) fn is_certain(&self, tau: f64, u: f64) -> bool {
         tau < u || (self.skip_at_equality && tau == u)
     }
 
     /// The paper's text, and the published code where the paper is silent. The paper calls the representation
-    /// independent of resolution, so the noise of a measurement is a share of the picture: `u` then means at every
-    /// size what it means at the paper's 1280x720.
+    /// independent of resolution, so the measurement noise is a share of the picture: `u` then has the same meaning at
+    /// every size as at the paper's 1280x720.
     pub fn paper() -> Self {
         let reference = Self::reference();
         Self {
@@ -139,7 +138,7 @@ impl AlbireoSettings {
         }
     }
 
-    /// The part that governs object states.
+    /// Returns the settings of the object states.
     pub fn objects(&self) -> ObjectSettings {
         ObjectSettings {
             filter: self.filter,

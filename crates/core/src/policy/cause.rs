@@ -1,45 +1,45 @@
-//! Reasons for calling the detector.
+//! The reasons for detector calls.
 
 use serde::{Deserialize, Serialize};
 
-/// Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
-/// named first here is said.
+/// The reason why the detector was called for a frame, even if it did not answer. If several apply, the first in this
+/// list is reported.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CallCause {
-    /// A confirmed object's uncertainty has reached the threshold; under `ctd`, a prediction is trusted too little.
+    /// A confirmed object's uncertainty reached the threshold; under `ctd`, the confidence in a prediction is too low.
     Uncertain,
-    /// Only objects that are not confirmed yet are that uncertain: they are new.
+    /// Only objects that are not yet confirmed are that uncertain: they are new.
     NewObject,
-    /// The boxes expected to be lost without it are worth a call (`expected-loss`).
+    /// The boxes expected to be lost without the detector are worth a call (`expected-loss`).
     ExpectedLoss,
-    /// An object has gone without the detector for as long as one may.
+    /// An object reached its maximum time without the detector.
     ObjectCap,
-    /// The camera has gone without the detector for as long as it may.
+    /// The camera reached its maximum time without the detector.
     PeriodicCap,
     /// The screen found something in view.
     Screen,
-    /// The screen would have answered "empty"; the detector checks it at random.
+    /// The screen would have reported "empty"; the detector checks it at random.
     Audit,
-    /// The screen answered "empty" more often in a row than the limit allows.
+    /// The number of consecutive "empty" answers of the screen exceeds the limit.
     EmptyLimit,
     /// No object is tracked, and no screen decides whether the scene is empty.
     NoObjects,
-    /// It is the first frame of the stream.
+    /// The frame is the first of the stream.
     Start,
-    /// The detector was called for before and has not answered since (`statues`).
+    /// The detector has not answered since an earlier call (`statues`).
     Retry,
     /// The picture has changed, or may have changed (`statues`).
     Changed,
-    /// A schedule that knows nothing of the scene (`fixed-skip` and its like).
+    /// A schedule that ignores the scene (`fixed-skip` and similar policies).
     Schedule,
-    /// The policy calls it on every frame (`vanilla`).
+    /// The policy calls the detector on every frame (`vanilla`).
     EveryFrame,
 }
 
 impl CallCause {
-    /// All of them, in the order they are counted.
+    /// All causes, in counting order.
     pub const ALL: [Self; 14] = [
         Self::Uncertain,
         Self::NewObject,

@@ -1,4 +1,4 @@
-//! The `[policy]` section of the configuration, and the list of policies it can name.
+//! The `[policy]` section of the configuration and the list of its policies.
 
 use super::Pixels::{Flow, Off};
 use super::{
@@ -7,14 +7,13 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Which policy decides, and its settings. Each camera gets its own policy from
-/// [`build`](PolicyConfig::build).
+/// The policy and its settings. Each camera gets its own policy from [`build`](PolicyConfig::build).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PolicyConfig {
     /// Name of the policy: one of `known_policies`.
     pub name: String,
-    /// What holds where the paper's text and the published code disagree.
+    /// The profile for cases where the paper's text and the published code disagree.
     pub profile: Profile,
     /// The uncertainty threshold of `albireo` and its ablations.
     pub u: f64,
@@ -34,7 +33,7 @@ pub struct PolicyConfig {
     pub in_tracker: InTracker,
 }
 
-/// The tables of baselines are written only where they say something: a configuration does not show them.
+/// Tables of baselines are written only if they differ from the default.
 fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
     *settings == T::default()
 }
@@ -54,7 +53,7 @@ impl Default for PolicyConfig {
     }
 }
 
-/// Why no policy can be made from the configuration.
+/// The reason why no policy can be built from the configuration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyConfigError {
     /// No policy has this name.
@@ -66,22 +65,22 @@ pub enum PolicyConfigError {
     /// The threshold is out of range.
     #[error("policy.u: {0}")]
     Threshold(#[from] super::KnobError),
-    /// The argument behind the policy's name makes no sense.
+    /// The argument after the policy's name is invalid.
     #[error("`{policy}:{argument}`: {reason}")]
     Argument {
         /// The policy's name.
         policy: &'static str,
-        /// What was given.
+        /// The argument given.
         argument: String,
-        /// What was expected.
+        /// The reason why it is invalid.
         reason: String,
     },
-    /// A setting that does not exist, or has a value it cannot have.
+    /// A setting does not exist or has an invalid value.
     #[error("policy.{table}: {reason}")]
     Setting {
-        /// The table that contains it.
+        /// The table that contains the setting.
         table: &'static str,
-        /// What is wrong and what is allowed.
+        /// The problem and the allowed values.
         reason: String,
     },
 }
@@ -90,7 +89,7 @@ pub enum PolicyConfigError {
 struct Entry {
     name: &'static str,
     build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    /// The field with the value of its knob; `None` without a knob.
+    /// The field with the value of the policy's knob; `None` without a knob.
     knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
 }
 
@@ -116,7 +115,7 @@ const EVEN: fn(&PolicyConfig) -> Trigger = |c| Trigger::Even {
     skip_rate: c.in_tracker.skip_rate,
 };
 
-/// All policies: one line each.
+/// All policies, one line each.
 #[rustfmt::skip]
 const POLICIES: &[Entry] = &[
     entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
@@ -136,12 +135,12 @@ const POLICIES: &[Entry] = &[
     entry(ExpectedLoss::FLOW_NAMES[2], |c| ExpectedLoss::boxed(EVEN(c), Flow), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
-/// The names that [`PolicyConfig::name`] can have.
+/// The valid values of [`PolicyConfig::name`].
 pub(crate) fn known_policies() -> impl Iterator<Item = &'static str> {
     POLICIES.iter().map(|entry| entry.name)
 }
 
-/// What to write instead of a name that is not known: the one it is two typing errors away from, else one of all.
+/// Suggests a replacement for an unknown name: a policy within two typing errors, otherwise the list of all.
 fn instead_of(name: &str) -> String {
     let distances = known_policies().map(|known| (strsim::osa_distance(name, known), known));
     match distances.min() {
@@ -154,21 +153,20 @@ fn instead_of(name: &str) -> String {
 }
 
 impl PolicyConfig {
-    /// A new policy, at the start of a stream.
+    /// Builds a new policy, at the start of a stream.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when the name is not known or a setting cannot be used.
+    /// [`PolicyConfigError`] if the name is unknown or a setting is invalid.
     pub fn build(&self) -> Result<Box<dyn Policy>, PolicyConfigError> {
         (self.entry()?.build)(self)
     }
 
-    /// Takes `NAME[:ARGUMENT]`, as a command line has it: the policy, and the value of its knob. Without
-    /// an argument that value stays what it is; nothing else is touched. [`build`](Self::build) checks
-    /// whether the value is in range.
+    /// Parses `NAME[:ARGUMENT]` from a command line: the policy and the value of its knob. Without an argument that
+    /// value is unchanged, as are all other settings. [`build`](Self::build) checks that the value is in range.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when the name is not known, or the argument is no number or the policy takes
-    /// none; the configuration is as before then.
+    /// [`PolicyConfigError`] if the name is unknown, the argument is not a number, or the policy takes none; the
+    /// configuration is then unchanged.
     pub fn select(&mut self, text: &str) -> Result<(), PolicyConfigError> {
         let (name, argument) = match text.split_once(':') {
             Some((name, argument)) => (name, Some(argument)),
@@ -185,10 +183,10 @@ impl PolicyConfig {
         taken
     }
 
-    /// Sets the knob of the policy that is configured to `argument`, a number as text.
+    /// Sets the knob of the configured policy to `argument`, a number as text.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when the name is not known, the policy has no knob, or this is no number.
+    /// [`PolicyConfigError`] if the name is unknown, the policy has no knob, or `argument` is not a number.
     pub fn set_argument(&mut self, argument: &str) -> Result<(), PolicyConfigError> {
         let entry = self.entry()?;
         let wrong = |reason: &str| PolicyConfigError::Argument {

@@ -1,28 +1,27 @@
-//! The loop that drives a policy. Live camera, evaluation, benches and tests differ only in where evidence
-//! comes from.
+//! The loop that drives a policy. Live camera, evaluation, benches and tests differ only in their source of evidence.
 
 use super::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
 use crate::detection::Detection;
 use std::convert::Infallible;
 
-/// Where the evidence about one frame comes from, when it is at hand.
+/// A source of the evidence about one frame that is available immediately.
 pub trait EvidenceAtHand {
-    /// Why the frame must be given up.
+    /// The error that abandons the frame.
     type Error: Send;
 
-    /// What `need` asks for; never asked for [`Need::Nothing`].
+    /// Returns the evidence for `need`, which is never [`Need::Nothing`].
     ///
     /// # Errors
-    /// When the frame is to be given up.
+    /// An error if the frame must be abandoned.
     fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Self::Error>;
 }
 
-/// Takes `policy` through one frame: asks, answers as long as it needs anything, and writes state and boxes over
-/// `outcome`. Allocates nothing itself.
+/// Runs `policy` on one frame: delivers evidence until it needs nothing, then overwrites `outcome` with state and
+/// boxes. Does not allocate.
 ///
 /// # Errors
-/// The source's, when the frame is given up. `outcome` is left as it was, and the policy goes on with the next frame
-/// as after a lost one.
+/// The source's error, which abandons the frame. `outcome` is then unchanged, and the policy continues with the next
+/// frame as after a lost one.
 pub fn decide<S: EvidenceAtHand>(
     policy: &mut dyn Policy,
     head: FrameHead,
@@ -37,20 +36,20 @@ pub fn decide<S: EvidenceAtHand>(
     Ok(())
 }
 
-/// Everything that can be known of a frame, known beforehand: for benches, tests and recordings without pictures. What is
-/// `None` is [`Evidence::Unavailable`].
+/// Precomputed evidence about a frame, for benches, tests and recordings without pictures. `None` stands for
+/// [`Evidence::Unavailable`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameEvidence<'a> {
-    /// Whether the empty-scene screen says that nothing is in view.
+    /// True if the empty-scene screen reports that nothing is in view.
     pub empty: Option<bool>,
-    /// The grey picture, of the requested size.
+    /// The grey picture, at the requested size.
     pub grey: Option<GreyPicture<'a>>,
-    /// What the detector finds.
+    /// The detections.
     pub detections: Option<&'a [Detection]>,
 }
 
 impl<'a> FrameEvidence<'a> {
-    /// A frame in which the detector finds `detections`; there is no screen and no picture.
+    /// A frame with `detections`, without a screen or a picture.
     pub fn detections(detections: &'a [Detection]) -> Self {
         Self {
             detections: Some(detections),
@@ -58,7 +57,7 @@ impl<'a> FrameEvidence<'a> {
         }
     }
 
-    /// A frame in which the detector finds `detections` and the screen says "not empty".
+    /// A frame with `detections` for which the screen reports "not empty".
     pub fn in_view(detections: &'a [Detection]) -> Self {
         Self {
             empty: Some(false),

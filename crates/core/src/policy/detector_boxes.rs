@@ -1,10 +1,10 @@
-//! The boxes of the detector's last answer, as policies report them that keep no objects.
+//! The boxes of the detector's last answer, as reported by policies that keep no objects.
 
 use super::{BoxSource, OutputBox};
 use crate::detection::Detection;
 use crate::objects::is_usable;
 
-/// The boxes of the last answer. The buffer is kept from frame to frame.
+/// The boxes of the last answer. The buffer is reused between frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DetectorBoxes {
     boxes: Vec<OutputBox>,
@@ -12,7 +12,7 @@ pub(super) struct DetectorBoxes {
 }
 
 impl DetectorBoxes {
-    /// Takes an answer in place of the one before; what makes no box is counted and left out.
+    /// Replaces the boxes by those of an answer; counts and drops unusable detections.
     pub(crate) fn take(&mut self, detections: &[Detection]) {
         self.boxes.clear();
         for detection in detections {
@@ -36,7 +36,7 @@ impl DetectorBoxes {
         boxes.extend_from_slice(&self.boxes);
     }
 
-    /// Appends the boxes of an earlier frame, unchanged but for their source.
+    /// Appends the boxes of an earlier frame, unchanged except for their source.
     pub(crate) fn report_again(&self, boxes: &mut Vec<OutputBox>) {
         boxes.extend(self.boxes.iter().map(|found| OutputBox {
             source: BoxSource::Predicted,
@@ -44,12 +44,12 @@ impl DetectorBoxes {
         }));
     }
 
-    /// Forgets the boxes; the count of refused detections stays.
+    /// Forgets the boxes; keeps the count of refused detections.
     pub(crate) fn clear(&mut self) {
         self.boxes.clear();
     }
 
-    /// Detections refused so far.
+    /// Returns the number of detections refused so far.
     pub(crate) fn rejected(&self) -> u64 {
         self.rejected
     }

@@ -1,8 +1,8 @@
-//! The detector on every N-th frame, whatever is in view.
+//! The fixed-skip policy: the detector runs on every N-th frame, regardless of the scene.
 //!
-//! On the frames between, the paper's text has the boxes and confidences of the last detector frame
-//! again; the published code predicts with Albireo's filter and decays the confidence as Albireo does at
-//! u = 3e-4. There an object that a detector frame misses is gone at once.
+//! On the frames between, the paper's text repeats the boxes and confidences of the last detector frame; the published
+//! code predicts with Albireo's filter and decays the confidence as Albireo does at u = 3e-4. There, an object that a
+//! detector frame misses is removed at once.
 
 use super::detector_boxes::DetectorBoxes;
 use super::tracker::{Tracker, check_setting};
@@ -13,7 +13,7 @@ use super::{
 use crate::objects::Missed;
 use serde::{Deserialize, Serialize};
 
-/// What is reported on a skipped frame.
+/// The boxes reported on a skipped frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SkippedBoxes {
@@ -24,7 +24,7 @@ pub enum SkippedBoxes {
 }
 
 impl SkippedBoxes {
-    /// What `profile` has.
+    /// Returns the choice of `profile`.
     pub fn of(profile: Profile) -> Self {
         match profile {
             Profile::Paper => Self::Reuse,
@@ -37,9 +37,9 @@ impl SkippedBoxes {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FixedSkipSettings {
-    /// The detector runs on one frame in this many. Need not be whole.
+    /// The detector runs on one frame in this many. May be fractional.
     pub n: f64,
-    /// What is reported between; without it, what the profile has.
+    /// The boxes reported between; by default, the profile's choice.
     pub skipped_boxes: Option<SkippedBoxes>,
 }
 
@@ -72,7 +72,7 @@ pub struct FixedSkip {
     memory: Memory,
     index: u64,
     progress: FixedSkipPhase,
-    /// Index of the last frame that the detector answered for.
+    /// Index of the last frame for which the detector answered.
     last_answered: Option<u64>,
 }
 
@@ -80,8 +80,8 @@ impl FixedSkip {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "fixed-skip";
 
-    /// N. It need not be whole: the detector runs whenever the frame index has passed a multiple of it,
-    /// which skips 1 − 1/N of all frames.
+    /// N. It may be fractional: the detector runs whenever the frame index has passed a multiple of it, which skips
+    /// 1 − 1/N of all frames.
     pub const KNOB: Knob = Knob {
         name: "n",
         meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
@@ -110,8 +110,8 @@ impl FixedSkip {
         }))
     }
 
-    /// Whether a multiple of N lies between the last frame that the detector answered and frame `index`, inclusive. So
-    /// if a due frame is lost or the detector fails on it, the next frame is due; a restarted index is due as well.
+    /// True if a multiple of N lies between the last frame that the detector answered and frame `index`, inclusive. So
+    /// if a due frame is lost or the detector fails on it, the next frame is due; a restarted index is also due.
     fn is_due(&self, index: u64) -> bool {
         self.last_answered
             .is_none_or(|last| self.period(last) != self.period(index))

@@ -1,4 +1,4 @@
-//! Answers every frame at once by prediction, and takes the detections when they arrive.
+//! Answers every frame immediately by prediction, and applies the detections when they arrive.
 //!
 //! ```text
 //! frame k    the policy asks for detections: its state is saved, k is pending ─▶ predicted boxes
@@ -9,21 +9,21 @@
 //!            then predict k+1 … m again, from where the objects really were
 //! ```
 //!
-//! The final state and boxes of frame k are those that the policy gives when a frame waits for its detections.
+//! The final state and boxes of frame k are the same as if the frame had waited for its detections.
 
 use super::{Evidence, FrameHead, KnobError, Need, Outcome, Policy};
 
-/// Frames after the pending one that are predicted again one by one. Those beyond are predicted again as lost frames.
+/// Frames after the pending one that are predicted again one by one; further ones are predicted as lost frames.
 const MOST_STEPS: usize = 256;
 
-/// A frame, and the threshold that held when it began.
+/// A frame, and the threshold in force when it began.
 #[derive(Clone, Copy, Debug)]
 struct Step {
     head: FrameHead,
     threshold: Option<f64>,
 }
 
-/// The policy cannot predict, so a frame cannot be answered before its detections.
+/// The error for a policy that cannot predict, so that a frame cannot be answered before its detections.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "policy `{policy}` cannot answer at once: it does not predict boxes; use `albireo`, `expected-loss` or one of \
@@ -34,7 +34,7 @@ pub struct CannotRewind {
     pub policy: &'static str,
 }
 
-/// Evidence came for a frame that does not wait for any.
+/// The error for evidence about a frame that is not waiting for any.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("frame {frame} does not wait for evidence")]
 pub struct NotPending {
@@ -42,21 +42,21 @@ pub struct NotPending {
     pub frame: u64,
 }
 
-/// A policy whose frames are answered before their evidence has come, or, where they [wait](Self::waiting), when it has. At
+/// A policy whose frames are answered before their evidence arrives, or, if they [wait](Self::waiting), afterwards. At
 /// most one frame is pending at a time.
 pub struct LatePolicy {
     policy: Box<dyn Policy>,
-    /// Whether frames wait for their evidence.
+    /// True if frames wait for their evidence.
     waits: bool,
     pending: Option<Step>,
     /// The frames since the pending one.
     steps: Vec<Step>,
-    /// Where the answers of frames that are predicted again go.
+    /// Discarded answers of frames that are predicted again.
     unused: Outcome,
 }
 
 impl LatePolicy {
-    /// Answers at once for `policy`.
+    /// Answers frames of `policy` immediately.
     ///
     /// # Errors
     /// [`CannotRewind`] for a policy that does not predict.
@@ -71,8 +71,8 @@ impl LatePolicy {
         })
     }
 
-    /// Lets frames wait for the evidence that `policy` asks for. A frame whose evidence never comes is given up when the next
-    /// one begins.
+    /// Lets frames wait for the evidence that `policy` requests. A frame whose evidence never arrives is abandoned when
+    /// the next one begins.
     pub fn waiting(policy: Box<dyn Policy>) -> Self {
         Self {
             policy,
@@ -83,33 +83,33 @@ impl LatePolicy {
         }
     }
 
-    /// Whether frames wait for their evidence.
+    /// True if frames wait for their evidence.
     pub const fn waits(&self) -> bool {
         self.waits
     }
 
-    /// The policy, as far as the last frame.
+    /// The policy, in its state after the last frame.
     pub fn policy(&self) -> &dyn Policy {
         &*self.policy
     }
 
-    /// Index of the frame that waits for evidence.
+    /// Returns the index of the frame that is waiting for evidence.
     pub fn pending(&self) -> Option<u64> {
         self.pending.map(|pending| pending.head.index)
     }
 
-    /// Turns the policy's knob: takes effect with the next frame, and stays when a pending frame gets its evidence.
+    /// Sets the policy's knob; takes effect with the next frame and is kept when a pending frame receives its evidence.
     ///
     /// # Errors
-    /// As [`Policy::set_knob`].
+    /// Those of [`Policy::set_knob`].
     pub fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
         self.policy.set_knob(value)
     }
 
-    /// Answers a frame at once: writes state `P` (not `degraded`, without a cause) and predicted boxes over `outcome`.
-    /// Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending until
-    /// [`deliver`](Self::deliver) says so. A frame needs nothing while another one is pending. Where frames wait, a frame that
-    /// needs something has no answer yet.
+    /// Answers a frame immediately: overwrites `outcome` with state `P` (not `degraded`, without a cause) and predicted
+    /// boxes. Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending
+    /// until [`deliver`](Self::deliver) completes it. A frame needs nothing while another one is pending. If frames
+    /// wait, a frame that needs something has no answer yet.
     pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
         let step = Step {
             head,
@@ -133,12 +133,12 @@ impl LatePolicy {
         need
     }
 
-    /// Gives the pending frame `frame` what it needs. Returns what it needs next; with [`Need::Nothing`], `outcome` has
-    /// its final state and boxes and the next frame may ask again. [`Evidence::Unavailable`] is for evidence that
-    /// failed or came too late: the frame is `degraded` if it needed the detector.
+    /// Delivers evidence to the pending frame `frame`. Returns what it needs next; with [`Need::Nothing`], `outcome`
+    /// has its final state and boxes, and the next frame may ask again. [`Evidence::Unavailable`] stands for evidence
+    /// that failed or arrived too late: the frame is `degraded` if it needed the detector.
     ///
     /// # Errors
-    /// [`NotPending`] when another frame or none is pending; nothing changes then.
+    /// [`NotPending`] if another frame or none is pending; nothing changes then.
     pub fn deliver(
         &mut self,
         frame: u64,
@@ -179,7 +179,7 @@ impl LatePolicy {
         self.policy.reset();
     }
 
-    /// Finishes the pending frame, unless it needs something.
+    /// Finishes the pending frame unless it needs something.
     fn finish_unless(&mut self, need: Need, outcome: &mut Outcome) -> Need {
         if need == Need::Nothing {
             self.policy.finish(outcome);
@@ -188,7 +188,7 @@ impl LatePolicy {
         need
     }
 
-    /// Keeps a frame, to be predicted again.
+    /// Stores a frame to predict it again.
     fn remember(&mut self, step: Step) {
         let full = self.steps.len() == MOST_STEPS;
         match self.steps.last_mut().filter(|_| full) {
@@ -202,7 +202,7 @@ impl LatePolicy {
     }
 }
 
-/// Takes the current frame to its end by prediction alone.
+/// Finishes the current frame by prediction alone.
 fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
     while need != Need::Nothing {
         need = policy.answer(Evidence::Unavailable);
@@ -212,7 +212,7 @@ fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
     outcome.cause = None;
 }
 
-/// Sets a threshold that has been in force before, which no policy refuses.
+/// Restores a threshold that was in force before, which no policy refuses.
 fn restore(policy: &mut dyn Policy, threshold: Option<f64>) {
     if let Some(value) = threshold {
         let _ = policy.set_knob(value);

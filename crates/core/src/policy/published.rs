@@ -2,10 +2,10 @@
 
 use super::{BoxSource, OutputBox};
 
-/// Of two published boxes of one class that overlap more than this (intersection over union), the surer one stays.
+/// Of two boxes of one class with more overlap than this (intersection over union), the more confident one is kept.
 const MAX_OVERLAP: f64 = 0.7;
 
-/// The least confidence of a published box.
+/// The minimum confidence of a published box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MinConfidence {
     detected: f64,
@@ -13,8 +13,8 @@ pub struct MinConfidence {
 }
 
 impl MinConfidence {
-    /// `configured` for all boxes; without it, for a detector that drops what is below `detector`, that for detected
-    /// boxes and half of it for the others.
+    /// Uses `configured` for all boxes; without it, `detector`, the confidence below which the detector drops boxes, for
+    /// detected boxes, and half of it for the others.
     pub fn new(configured: Option<f64>, detector: f64) -> Self {
         Self {
             detected: configured.unwrap_or(detector),
@@ -29,7 +29,7 @@ impl MinConfidence {
         }
     }
 
-    /// Leaves the boxes that are published, the surest first. The policy's objects are not touched.
+    /// Keeps the boxes to publish, most confident first. The policy's objects do not change.
     pub fn select(self, boxes: &mut Vec<OutputBox>) {
         boxes.retain(|one| one.confidence >= self.of(one.source));
         boxes.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));

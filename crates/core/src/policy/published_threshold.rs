@@ -1,24 +1,24 @@
-//! A threshold in the units of the published code.
+//! Conversion of a threshold to the units of the published code.
 //!
-//! The state is counted in shares of the picture, and so are the process noise Q and the covariance P of a new
-//! object; but the published code counts the noise R of a measured box in pixels of the picture. Multiplying P, Q and R by
-//! one number multiplies τ by it and changes no gain and no decision; changing R alone does neither. So no factor
-//! on `u` makes the published filter at one picture size decide as at another, and the profile `paper` takes R as
-//! a share of the picture too: then nothing in the filter depends on the size. What is left for the published code is an
-//! equivalent: the threshold that lets it predict a steadily seen object for as many frames.
+//! The state is in shares of the picture, as are the process noise Q and the covariance P of a new object; but the
+//! published code gives the noise R of a measured box in pixels of the picture. Multiplying P, Q and R by one number
+//! multiplies τ by it and changes no gain and no decision; changing R alone does neither. So no factor on `u` makes the
+//! published filter decide at one picture size as at another, and the profile `paper` gives R as a share of the picture
+//! too: then nothing in the filter depends on the size. For the published code only an equivalent remains: the
+//! threshold that lets it predict a steadily seen object for as many frames.
 
 use super::AlbireoSettings;
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::kalman::{Filter, FilterModel, FilterParameters, MeasurementNoise, MeasurementUnit};
 
-/// Frames of prediction that the curve of τ covers: T_max of both profiles.
+/// Frames of prediction covered by the curve of τ: T_max of both profiles.
 const FRAMES: usize = 15;
 
-/// Updates after which P has settled to the last digit that matters.
+/// Updates after which P has settled to the last significant digit.
 const SETTLED: usize = 200;
 
-/// The threshold that the published code wants, in pictures of `picture`, to predict a steadily seen object for as
-/// many frames as the profile `paper` does at `u` in pictures of any size. At 1280x720 it is `u`.
+/// Returns the threshold with which the published code, in pictures of size `picture`, predicts a steadily seen object
+/// for as many frames as the profile `paper` at `u` in pictures of any size. At 1280x720 it is `u`.
 pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
     let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
     let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
@@ -37,7 +37,7 @@ pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
     u / before.0 * before.1
 }
 
-/// τ of a steadily seen object after its update, and after each frame of prediction.
+/// Returns τ of a steadily seen object after its update and after each frame of prediction.
 fn curve(model: &FilterModel) -> [f64; FRAMES + 1] {
     let anywhere = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
     let mut filter = Filter::new(model, anywhere);
@@ -53,8 +53,8 @@ fn curve(model: &FilterModel) -> [f64; FRAMES + 1] {
     taus
 }
 
-/// The filter of the profile `paper`: the published one, with the measurement's deviation as a share of the
-/// picture, which at 1280x720 is the same 5 of 1280 pixels to the last bit.
+/// Returns the filter of the profile `paper`: the published one, with the measurement's deviation as a share of the
+/// picture, which at 1280x720 equals 5 of 1280 pixels to the last bit.
 pub(super) fn sizeless(published: FilterParameters) -> FilterParameters {
     FilterParameters {
         measurement: MeasurementNoise {

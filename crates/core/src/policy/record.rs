@@ -9,27 +9,27 @@ use serde::{Deserialize, Serialize};
 /// One object after a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectRecord {
-    /// Its number.
+    /// Number in the stream.
     pub id: ObjectId,
-    /// Class of its last detection.
+    /// Class of the last detection.
     pub class: ClassId,
-    /// Whether it is confirmed.
+    /// True if the object is confirmed.
     pub confirmed: bool,
-    /// Confidence of its last detection, not decayed.
+    /// Confidence of the last detection, not decayed.
     #[serde(rename = "conf")]
     pub confidence: f64,
     /// The estimated box, neither rounded nor clipped.
     #[serde(rename = "box")]
     pub bounding_box: BoundingBox,
-    /// Its uncertainty τ after the frame.
+    /// Uncertainty τ after the frame.
     pub tau: f64,
-    /// Detections matched so far, the creating one included.
+    /// Detections matched so far, including the one that created the object.
     pub hits: u32,
-    /// Frames since its last detection.
+    /// Frames since the last detection.
     pub since_update: u32,
-    /// Frames since the detector last measured or missed it.
+    /// Frames since the detector last measured or missed the object.
     pub since_infer: u32,
-    /// Detector frames in a row that missed it.
+    /// Consecutive detector frames that missed the object.
     #[serde(rename = "rescues")]
     pub misses: u32,
 }

@@ -1,15 +1,15 @@
-//! Which boxes a policy that keeps objects reports, and with what confidence.
+//! The boxes and confidences reported by a policy that keeps objects.
 
 use super::{AlbireoSettings, BoxSource, DetectorFrameBoxes, OutputBox, ReportedConfidence};
 use crate::detection::Detection;
 use crate::objects::{ObjectState, ObjectStates};
 
-/// What decay of a confidence leaves at least (published code).
+/// Smallest factor of a decayed confidence (published code).
 const DECAY_FLOOR: f64 = 0.1;
 
 impl AlbireoSettings {
-    /// Appends the boxes of a frame that `detections` were found in, after `objects` have taken them.
-    /// Decayed confidences are relative to the threshold `u`.
+    /// Appends the boxes of a frame with `detections`, after `objects` have observed them. Decayed confidences are
+    /// relative to the threshold `u`.
     pub(super) fn detector_frame(
         &self,
         detections: &[Detection],
@@ -43,7 +43,7 @@ impl AlbireoSettings {
         }
     }
 
-    /// Appends the boxes of a frame that the detector did not look at.
+    /// Appends the boxes of a frame without the detector.
     pub(super) fn predicted(&self, objects: &ObjectStates, u: f64, boxes: &mut Vec<OutputBox>) {
         let states = objects.states().iter();
         boxes.extend(states.map(|state| self.filter_box(state, BoxSource::Predicted, u)));

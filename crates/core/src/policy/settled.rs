@@ -1,13 +1,13 @@
-//! Draws the boxes between two detector calls again when the second call is known: for recordings, counting and
-//! training data, which need not have their boxes at once.
+//! Interpolates the boxes between two detector calls once the second call is known: for recordings, counting and
+//! training data, which do not need their boxes at once.
 //!
-//! A frame that the detector looked at (`I`, `AI`, `E+I`) or that the screen found empty (`E`) stays as it is. Frames
-//! between two of these are given out when the second has come:
+//! A frame on which the detector ran (`I`, `AI`, `E+I`) or that the screen found empty (`E`) is unchanged. Frames
+//! between two of these are emitted once the second has arrived:
 //!
 //! | object | box | confidence |
 //! | --- | --- | --- |
 //! | reported at both ends, detected at the second | on the straight line between both | mean of both |
-//! | detected first at the second | where it was detected | half of what it has there, less the earlier the frame |
+//! | detected first at the second | where it was detected | half of that at the second, falling to 0 at the first |
 //! | missed at the second (rescued) | as answered | three quarters |
 //! | gone at the second | as answered | half |
 
@@ -16,33 +16,32 @@ use crate::geometry::BoundingBox;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames held back at most, whatever their times say.
+/// Maximum number of frames held back, regardless of their times.
 const MOST_FRAMES: usize = 256;
 
-/// What remains of the confidence of an object that the next call did not know any more.
+/// Factor on the confidence of an object that is gone at the next call.
 const GONE: f64 = 0.5;
 
-/// What remains of the confidence of an object that the next call missed.
+/// Factor on the confidence of an object that the next call missed.
 const MISSED: f64 = 0.75;
 
-/// What a new object has, right before the call that found it, of the confidence it has there. It falls to 0 at the call
-/// before.
+/// Share of a new object's confidence just before the call that found it. It falls to 0 at the previous call.
 const NEW: f64 = 0.5;
 
-/// A frame given out: each once, in order.
+/// An emitted frame: each once, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettledFrame<'a> {
-    /// Its index in the stream.
+    /// Index in the stream.
     pub index: u64,
-    /// Its state.
+    /// State of the frame.
     pub state: FrameState,
-    /// False for a frame that goes out as it was answered, because no call came in time.
+    /// False for a frame emitted as answered because no call came in time.
     pub settled: bool,
-    /// Its boxes.
+    /// Boxes of the frame.
     pub boxes: &'a [OutputBox],
 }
 
-/// A frame that is held back, or the last call.
+/// A frame held back, or the last call.
 #[derive(Clone, Debug)]
 struct Buffered {
     index: u64,
@@ -59,7 +58,7 @@ impl Buffered {
         self.boxes.clone_from(&outcome.boxes);
     }
 
-    /// The frame as it was answered.
+    /// Returns the frame as answered.
     fn as_answered(&self, settled: bool) -> SettledFrame<'_> {
         SettledFrame {
             index: self.index,
@@ -70,19 +69,19 @@ impl Buffered {
     }
 }
 
-/// Holds frames back until they can be drawn between two calls.
+/// Holds frames back until they can be interpolated between two calls.
 #[derive(Clone, Debug)]
 pub struct Settler {
     longest_delay: Duration,
     /// Frames since the last call, in order.
     buffer: VecDeque<Buffered>,
-    /// The last call before them.
+    /// The last call before these frames.
     call: Option<Buffered>,
-    /// Index of the last frame taken.
+    /// Index of the last frame received.
     last: Option<u64>,
-    /// The boxes of the frame that is given out.
+    /// The boxes of the frame being emitted.
     drawn: Vec<OutputBox>,
-    /// Buffers for frames to come.
+    /// Spare buffers for future frames.
     spare: Vec<Vec<OutputBox>>,
 }
 
@@ -99,9 +98,9 @@ impl Settler {
         }
     }
 
-    /// Takes the answer of frame `index`, whose picture is of that `time`, and gives out every frame that can be
-    /// settled or has waited too long. A `pending` frame gets its final answer by [`late`](Self::late). An index that
-    /// is not above the one before begins a new stream: the frames held back go out first.
+    /// Receives the answer of frame `index`, whose picture has this `time`, and emits every frame that can be settled
+    /// or has waited too long. A `pending` frame gets its final answer by [`late`](Self::late). An index not above the
+    /// previous one begins a new stream: the frames held back are emitted first.
     pub fn frame(
         &mut self,
         index: u64,
@@ -129,14 +128,14 @@ impl Settler {
         self.tick(time, each);
     }
 
-    /// When the oldest frame held back will have waited for longer than the longest delay, in the frames' time.
+    /// Returns the frame time at which the oldest frame held back will have exceeded the longest delay.
     pub fn deadline(&self) -> Option<Duration> {
         let oldest = self.buffer.front()?;
         let last = oldest.time.saturating_add(self.longest_delay);
         Some(last.saturating_add(Duration::from_nanos(1)))
     }
 
-    /// Gives out the frames that have waited for too long at `time`, as they were answered: a stream may pause.
+    /// Emits, as answered, the frames that have waited too long at `time`, because a stream may pause.
     pub fn tick(&mut self, time: Duration, mut each: impl FnMut(SettledFrame<'_>)) {
         while self.deadline().is_some_and(|deadline| deadline <= time)
             || self.buffer.len() > MOST_FRAMES
@@ -145,8 +144,8 @@ impl Settler {
         }
     }
 
-    /// Takes the final answer of a pending frame. If the frame has already gone out as it was answered, later frames
-    /// are drawn from this answer all the same. Any other index is ignored.
+    /// Receives the final answer of a pending frame. If the frame was already emitted as answered, later frames are
+    /// still interpolated from this answer. Any other index is ignored.
     pub fn late(&mut self, index: u64, outcome: &Outcome, mut each: impl FnMut(SettledFrame<'_>)) {
         if let Some(buffer) = self.buffer.iter_mut().find(|buffer| buffer.index == index) {
             if buffer.pending {
@@ -171,14 +170,14 @@ impl Settler {
         }
     }
 
-    /// Gives out the frames held back, as they were answered: at the end of a clip or a stream.
+    /// Emits the frames held back, as answered, at the end of a clip or stream.
     pub fn flush(&mut self, mut each: impl FnMut(SettledFrame<'_>)) {
         while !self.buffer.is_empty() {
             self.give_up_oldest(&mut each);
         }
     }
 
-    /// Gives out everything up to the last call whose boxes are known.
+    /// Emits all frames up to the last call whose boxes are known.
     fn settle(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
         loop {
             let mut frames = self.buffer.iter();
@@ -202,7 +201,7 @@ impl Settler {
         }
     }
 
-    /// Gives out the oldest frame as drawn between the last call and the one that is then at `call_at`.
+    /// Emits the oldest frame, interpolated between the last call and the one that is then at `call_at`.
     fn draw_oldest(&mut self, call_at: usize, each: &mut impl FnMut(SettledFrame<'_>)) {
         let frame = self.buffer.pop_front();
         match (&frame, &self.call, self.buffer.get(call_at)) {
@@ -213,7 +212,7 @@ impl Settler {
                     ..frame.as_answered(true)
                 });
             }
-            // Before the first call there is nothing to draw from.
+            // Before the first call there is nothing to interpolate from.
             (Some(frame), ..) => each(frame.as_answered(false)),
             (None, ..) => {}
         }
@@ -233,7 +232,7 @@ impl Settler {
     }
 }
 
-/// Writes the boxes of `frame`, which lies between the calls `from` and `to`, over `drawn`.
+/// Overwrites `drawn` with the boxes of `frame`, which lies between the calls `from` and `to`.
 fn draw(frame: &Buffered, from: &Buffered, to: &Buffered, drawn: &mut Vec<OutputBox>) {
     drawn.clear();
     for own in &frame.boxes {
@@ -276,7 +275,7 @@ fn draw(frame: &Buffered, from: &Buffered, to: &Buffered, drawn: &mut Vec<Output
     }
 }
 
-/// The box in `frame` of the object that `known` shows.
+/// Returns the box in `frame` of the same object as `known`.
 fn find<'a>(frame: &'a Buffered, known: &OutputBox) -> Option<&'a OutputBox> {
     let mut boxes = frame.boxes.iter();
     boxes.find(|other| other.object == known.object)

@@ -1,5 +1,5 @@
-//! What the baselines with objects share: Albireo's filter, matching and reporting. Each has its own
-//! trigger and rules of removal.
+//! The common part of the baselines with objects: Albireo's filter, matching and reporting. Each has its own trigger
+//! and removal rules.
 
 use super::{
     AlbireoSettings, FrameHead, FrameState, Knob, ObjectRecord, Outcome, OutputBox, PolicyConfig,
@@ -8,11 +8,11 @@ use super::{
 use crate::detection::Detection;
 use crate::objects::{Missed, ObjectState, ObjectStates};
 
-/// The threshold that confidences decay by under a policy without one: the published code has this
-/// default for all its baselines.
+/// The threshold for decaying confidences under a policy without one: the published code has this default for all its
+/// baselines.
 pub(super) const DECAY_U: f64 = 3e-4;
 
-/// Objects and the boxes of the frame at hand.
+/// The objects, and the boxes of the current frame.
 #[derive(Clone, Debug)]
 pub(super) struct Tracker {
     pub objects: ObjectStates,
@@ -23,7 +23,7 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// No objects yet.
+    /// Creates a tracker without objects.
     pub(crate) fn new(settings: &AlbireoSettings) -> Self {
         Self {
             objects: ObjectStates::new(settings.objects()),
@@ -34,8 +34,8 @@ impl Tracker {
         }
     }
 
-    /// A tracker with the settings of Albireo under the profile of `config`, so that policies differ in what they are
-    /// named for alone.
+    /// Creates a tracker with the settings of Albireo under the profile of `config`, so that policies differ only in
+    /// their named feature.
     pub(crate) fn from_config(config: &PolicyConfig) -> Self {
         Self::new(&AlbireoSettings::of(config.profile))
     }
@@ -50,7 +50,7 @@ impl Tracker {
         self.active = states.len();
     }
 
-    /// Takes what the detector found; every detection that matches no object makes one.
+    /// Processes the detections; every detection that matches no object creates one.
     pub(crate) fn observe(
         &mut self,
         detections: &[Detection],
@@ -62,7 +62,7 @@ impl Tracker {
             .detector_frame(detections, &self.objects, DECAY_U, &mut self.boxes);
     }
 
-    /// Writes boxes and uncertainty of a frame that is `state` over `outcome`.
+    /// Writes the boxes and uncertainty of a frame in `state` to `outcome`.
     pub(crate) fn finish(&self, state: FrameState, outcome: &mut Outcome) {
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
@@ -81,7 +81,7 @@ impl Tracker {
         self.active = 0;
     }
 
-    /// Shows all objects.
+    /// Calls `visit` with the record of every object.
     pub(crate) fn visit(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
         for state in self.objects.states() {
             visit(&ObjectRecord::from(state));
@@ -89,7 +89,7 @@ impl Tracker {
     }
 }
 
-/// Refuses a number of the table `table` that `knob` does not allow.
+/// Checks that `knob` allows a number of the table `table`.
 pub(super) fn check_setting(
     table: &'static str,
     knob: Knob,

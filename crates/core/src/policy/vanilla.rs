@@ -1,4 +1,4 @@
-//! The detector on every frame, and nothing else: what all other policies are compared with.
+//! The vanilla policy: the detector on every frame, the reference for all other policies.
 
 use super::detector_boxes::DetectorBoxes;
 use super::{
