@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 /// Size of a picture in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PictureSize {
-    /// Columns.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
 }
 
@@ -29,8 +29,8 @@ impl std::fmt::Display for PictureSize {
     }
 }
 
-/// A box in normalised centre form: `center_x` and `width` divided by the picture's width, `center_y`
-/// and `height` divided by its height (paper, section on the state vector). As JSON, these four in a list.
+/// A box in normalised centre form: `center_x` and `width` divided by the picture's width, `center_y` and `height`
+/// divided by its height (paper, section on the state vector). In JSON, a list of these four numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(from = "[f64; 4]", into = "[f64; 4]")]
 pub struct BoundingBox {
@@ -56,7 +56,7 @@ impl From<BoundingBox> for [f64; 4] {
     }
 }
 
-/// A box as the coordinates of its top-left and bottom-right corners, in pixels unless said otherwise.
+/// A box as the coordinates of its top-left and bottom-right corners, in pixels unless stated otherwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Corners {
     /// Left edge.
@@ -70,7 +70,7 @@ pub struct Corners {
 }
 
 impl BoundingBox {
-    /// A box from its centre and its sides, all normalised.
+    /// Creates a box from its centre and sides, all normalised.
     pub const fn new(center_x: f64, center_y: f64, width: f64, height: f64) -> Self {
         Self {
             center_x,
@@ -80,7 +80,7 @@ impl BoundingBox {
         }
     }
 
-    /// The corners in normalised coordinates.
+    /// Returns the corners in normalised coordinates.
     #[inline]
     pub fn corners(self) -> Corners {
         Corners {
@@ -91,7 +91,7 @@ impl BoundingBox {
         }
     }
 
-    /// The corners in pixels of a picture of `size`, neither rounded nor clipped.
+    /// Returns the corners in pixels of a picture of `size`, neither rounded nor clipped.
     pub fn pixel_corners(self, size: PictureSize) -> Corners {
         let (width, height) = (f64::from(size.width), f64::from(size.height));
         let corners = self.corners();
@@ -103,13 +103,13 @@ impl BoundingBox {
         }
     }
 
-    /// Intersection over union with `other`. Normalising scales both areas alike, so this equals the
-    /// value on pixel boxes. Zero when the boxes do not overlap or both are empty.
+    /// Returns the intersection over union with `other`. Normalising scales both areas alike, so this equals the value
+    /// for pixel boxes. Zero if the boxes do not overlap or both are empty.
     pub fn intersection_over_union(self, other: Self) -> f64 {
         self.corners().intersection_over_union(other.corners())
     }
 
-    /// Whether all four numbers are finite.
+    /// True if all four numbers are finite.
     pub fn is_finite(self) -> bool {
         self.center_x.is_finite()
             && self.center_y.is_finite()
@@ -119,7 +119,7 @@ impl BoundingBox {
 }
 
 impl Corners {
-    /// The normalised centre form of these pixel corners in a picture of `size`.
+    /// Returns the normalised centre form of these pixel corners in a picture of `size`.
     pub fn normalise(self, size: PictureSize) -> BoundingBox {
         let (width, height) = (f64::from(size.width), f64::from(size.height));
         BoundingBox {
@@ -130,25 +130,25 @@ impl Corners {
         }
     }
 
-    /// The part inside the picture, for normalised corners.
+    /// Clips normalised corners to the picture.
     pub fn clipped(self) -> Self {
         let Self { x1, y1, x2, y2 } = self;
         let [x1, y1, x2, y2] = [x1, y1, x2, y2].map(|side| side.clamp(0.0, 1.0));
         Self { x1, y1, x2, y2 }
     }
 
-    /// Area; zero for an inverted box.
+    /// Returns the area; zero for an inverted box.
     #[inline]
     pub fn area(self) -> f64 {
         (self.x2 - self.x1).max(0.0) * (self.y2 - self.y1).max(0.0)
     }
 
-    /// What every box overlaps whose intersection over union with this one is `gate` or more. With I and U the areas of
-    /// intersection and union, and w, h the sides: the part of w that both share is at least I/h ≥ gate·U/h ≥ gate·w. So
-    /// the other begins before `x2 − gate·w` and ends behind `x1 + gate·w`, and likewise along y. Where the gate is above
-    /// one half, these are the other way round, and still right.
+    /// Returns an area that overlaps every box whose intersection over union with this one is at least `gate`. With I
+    /// and U the areas of intersection and union, and w, h the sides: the shared part of w is at least
+    /// I/h ≥ gate·U/h ≥ gate·w. So the other box begins before `x2 − gate·w` and ends behind `x1 + gate·w`, and
+    /// likewise along y. With a gate above one half these two change order, and the bounds still hold.
     pub(crate) fn core(self, gate: f64) -> Self {
-        // A little less, so that rounding excludes no box.
+        // Slightly less, so that rounding excludes no box.
         let share = (gate - 1e-6).max(0.0);
         let (x, y) = (share * (self.x2 - self.x1), share * (self.y2 - self.y1));
         Self {
@@ -159,7 +159,7 @@ impl Corners {
         }
     }
 
-    /// The area that both have, in the same coordinates.
+    /// Returns the area shared with `other`, in the same coordinates.
     #[inline]
     pub fn shared_area(self, other: Self) -> f64 {
         let shared = Self {
@@ -171,7 +171,7 @@ impl Corners {
         shared.area()
     }
 
-    /// Intersection over union with `other` in the same coordinates; zero when the union is empty.
+    /// Returns the intersection over union with `other` in the same coordinates; zero if the union is empty.
     #[inline]
     pub fn intersection_over_union(self, other: Self) -> f64 {
         let overlap = self.shared_area(other);

@@ -1,9 +1,8 @@
-//! The method: per-object Kalman filters, matching, and the policies that decide for each frame whether the
-//! detector must run. Numbers in, numbers out: it knows no runtime, clock, file or network, so that another
-//! program can embed it.
+//! The method: per-object Kalman filters, matching, and the policies that decide for each frame whether the detector
+//! must run. Numbers in, numbers out: it uses no runtime, clock, file or network, so that other programs can embed it.
 //!
-//! Start with [`policy`]: a [`policy::Policy`] receives the head of a frame, asks for the evidence it needs,
-//! and returns the frame's state and boxes.
+//! Start with [`policy`]: a [`policy::Policy`] receives the head of a frame, asks for the evidence that it needs, and
+//! returns the frame's state and boxes.
 
 pub mod audit;
 pub mod detection;
@@ -14,7 +13,7 @@ pub mod objects;
 pub mod policy;
 pub mod target;
 
-/// The example of the README, which `cargo test --doc` runs.
+/// The README example, which `cargo test --doc` runs.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 pub struct Readme;
