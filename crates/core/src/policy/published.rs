@@ -13,8 +13,8 @@ pub struct MinConfidence {
 }
 
 impl MinConfidence {
-    /// Uses `configured` for all boxes; without it, `detector`, the confidence below which the detector drops boxes, for
-    /// detected boxes, and half of it for the others.
+    /// Uses `configured` for all boxes; without it, `detector`, the confidence below which the detector drops boxes,
+    /// for detected boxes, and half of it for the others.
     pub fn new(configured: Option<f64>, detector: f64) -> Self {
         Self {
             detected: configured.unwrap_or(detector),
