@@ -6,7 +6,7 @@ use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 use crate::kalman::FilterModel;
 
-/// The time at which pairs beyond the gate are excluded.
+/// The point at which pairs beyond the gate are excluded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GateOrder {
     /// Before the assignment: only pairs within the gate compete. Makes as many pairs as possible at the smallest total
@@ -29,7 +29,7 @@ pub struct Association {
     /// Stage 2 accepts squared Mahalanobis distances below this (the 95 % quantile of χ² with four degrees of freedom).
     /// Not in the paper.
     pub mahalanobis_gate: f64,
-    /// The time at which the gates apply.
+    /// The point at which the gates apply.
     pub gate: GateOrder,
 }
 

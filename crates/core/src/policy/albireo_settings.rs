@@ -19,7 +19,7 @@ pub enum Profile {
     Reference,
 }
 
-/// The frames that the periodic cap counts.
+/// The basis of the periodic cap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeriodicCap {
     /// Due when the frame's index in the stream is a multiple of the cap (published code). If that frame was lost, the
@@ -58,8 +58,7 @@ pub struct AlbireoSettings {
     pub t_max: u32,
     /// The detector runs after this many frames while objects are active.
     pub periodic_cap: u32,
-    /// The frames that `periodic_cap` counts. Published code: the frame index; paper: frames since the last detector
-    /// call.
+    /// The basis of `periodic_cap`. Published code: the frame index; paper: frames since the last detector call.
     pub periodic_cap_counts: PeriodicCap,
     /// The boxes reported on a detector frame. Published code: the filters'; paper: the detector's.
     pub detector_frame_boxes: DetectorFrameBoxes,
