@@ -1,7 +1,7 @@
-//! The account of a node's energy: samples come in, and what was used between two instants comes out.
+//! The energy account of a node: takes samples and returns the energy used between two instants.
 //!
-//! A measurement holds two copies of the running totals, of its start and of where it ends should nothing more happen,
-//! each taken when the first sample after that instant has come. So its length costs no memory.
+//! A measurement holds two copies of the running totals: at its start, and at its provisional end. Each is copied when
+//! the first sample after that instant arrives, so a measurement uses constant memory whatever its length.
 
 use crate::attribution::Attribution;
 use crate::condition::{Condition, ConditionSum};
@@ -15,19 +15,19 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The use of energy between two instants.
+/// The energy used between two instants.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// The energy of the camera and of the whole node, without an energy-delay product. Joules and mean watts are those of
-    /// the covered time. Where energy is counted, the peak is the highest mean between two samples.
+    /// The energy of the camera and of the whole node, without an energy-delay product. Joules and mean watts refer to
+    /// the covered time. For a source that counts energy, the peak is the highest mean between two samples.
     pub energy: ClipEnergy,
-    /// Watts that a running detector adds on this machine; `None` until that is known.
+    /// The watts that a running detector adds on this machine; `None` until known.
     pub detector_watts: Option<f64>,
-    /// The state of the board; `None` where nothing is known of it.
+    /// The board's state; `None` if nothing is known.
     pub board: Option<BoardState>,
 }
 
-/// What is noted sample by sample.
+/// Notes collected from each sample.
 #[derive(Clone, Debug, Default)]
 struct Notes {
     peaks: [Option<f64>; Domain::ALL.len()],
@@ -54,17 +54,17 @@ impl Notes {
 struct Open {
     camera: u64,
     start: Instant,
-    /// The totals at the start, once the first sample after it has come.
+    /// The totals at the start; `None` until the first sample after it.
     from: Option<Totals>,
-    /// Where it ends if nothing more happens.
+    /// The provisional end, used if nothing more happens.
     end: Instant,
-    /// The totals there, and what was noted until then; as `from`.
+    /// The totals and the notes at the provisional end; `None` until the first sample after it.
     to: Option<(Totals, Notes)>,
     notes: Notes,
 }
 
 impl Open {
-    /// Takes note of a sample, which is in `history` already.
+    /// Records a sample that `history` already contains.
     fn sampled(&mut self, sample: &Sample, history: &History) {
         if sample.at < self.start {
             return;
@@ -77,7 +77,7 @@ impl Open {
     }
 }
 
-/// The account.
+/// The energy account.
 #[derive(Debug)]
 pub(crate) struct Account {
     pub source: String,
@@ -93,7 +93,7 @@ pub(crate) struct Account {
 }
 
 impl Account {
-    /// Of a meter that is read every `interval`.
+    /// Creates the account of a meter that is read every `interval`.
     pub(crate) fn new(source: &str, quality: EnergyQuality, interval: Duration) -> Self {
         Self {
             source: source.to_owned(),
@@ -109,7 +109,7 @@ impl Account {
         }
     }
 
-    /// Takes a sample.
+    /// Adds a sample.
     pub(crate) fn sampled(&mut self, at: Instant, reading: &Reading) {
         let cameras = &mut self.cameras;
         if !(self.history).add(at, reading, |joules, seconds| {
@@ -133,7 +133,7 @@ impl Account {
         self.condition = condition;
     }
 
-    /// Begins a measurement for `camera`; its number.
+    /// Begins a measurement for `camera` and returns its number.
     pub(crate) fn open(&mut self, camera: u64, start: Instant) -> u64 {
         let mut open = Open {
             camera,
@@ -143,7 +143,7 @@ impl Account {
             to: None,
             notes: Notes::default(),
         };
-        // A measurement between two samples and two conditions has those before it.
+        // A measurement that lies between two samples or two conditions uses the ones before it.
         open.notes.conditions.add(&self.condition);
         if let Some(sample) = self.history.before(start) {
             open.notes.add_rule(sample);
@@ -156,7 +156,7 @@ impl Account {
         self.next_number
     }
 
-    /// Says where a measurement ends if nothing more happens. It never moves back.
+    /// Sets the provisional end of a measurement. It never moves back.
     pub(crate) fn until(&mut self, number: u64, at: Instant) {
         if let Some(open) = self.open.get_mut(&number)
             && at > open.end
@@ -165,12 +165,12 @@ impl Account {
         }
     }
 
-    /// Forgets a measurement.
+    /// Drops a measurement.
     pub(crate) fn forget(&mut self, number: u64) {
         self.open.remove(&number);
     }
 
-    /// Ends a measurement: what was used until `end`, by the samples there are.
+    /// Ends a measurement and returns the energy used until `end`, from the samples so far.
     pub(crate) fn close(&mut self, number: u64, end: Instant) -> Option<Measured> {
         let open = self.open.remove(&number)?;
         let known = open.to.filter(|_| open.end == end);

@@ -1,13 +1,12 @@
-//! Whose energy it is when several cameras use one node, and what the detector calls that a policy avoided would have
-//! taken of the detector's time.
+//! Divides a node's energy between its cameras, and computes the detector time that avoided calls saved.
 //!
-//! At each sample the node's energy since the sample before is divided between the cameras by the detector time each
-//! used lately (older time counts exponentially less, with a time constant of [`MEMORY_S`]). A frame counts as
-//! [`FRAME_S`], so that cameras that call no detector divide by their frames. The parts add up to the whole, so the
-//! clips of all cameras together never count a joule twice.
+//! At each sample, the node's energy since the previous sample is divided between the cameras in proportion to their
+//! recent detector time (older time decays exponentially, with a time constant of [`MEMORY_S`]). A frame counts as
+//! [`FRAME_S`], so cameras that call no detector share by their frames. The shares add up to the whole, so the clips
+//! of all cameras together never count a joule twice.
 //!
-//! An avoided call would have taken as long as calls take; all of them together no more than the time for which the
-//! one detector had nothing to do.
+//! An avoided call would have taken the mean time of a call; all avoided calls together, at most the idle time of the
+//! one detector.
 
 use crate::totals::CameraTotals;
 use std::collections::BTreeMap;
@@ -16,16 +15,16 @@ use std::time::Duration;
 /// Time constant of a camera's weight, seconds.
 const MEMORY_S: f64 = 1.0;
 
-/// What a frame counts beside the detector time, seconds: about what a predicted frame costs the processor.
+/// The weight of a frame in seconds of detector time: about the processor cost of a predicted frame.
 const FRAME_S: f64 = 1e-4;
 
-/// Weights that have fallen to this stay: they are still those of the last cameras that did anything.
+/// Weights do not decay below this: they still belong to the cameras that were active last.
 const LEAST_WEIGHT: f64 = 1e-9;
 
-/// Calls over which their mean time is taken.
+/// The number of calls over which the mean call time is taken.
 const CALLS: f64 = 50.0;
 
-/// Idle time of the detector that a call may still use, seconds: it would have begun that much earlier or later.
+/// Idle detector time that avoided calls may still use, seconds: a call could begin that much earlier or later.
 const LONGEST_IDLE_S: f64 = 1.0;
 
 #[derive(Debug, Default)]
@@ -41,16 +40,16 @@ struct Camera {
 pub(crate) struct Attribution {
     cameras: BTreeMap<u64, Camera>,
     next_number: u64,
-    /// Mean time of a call.
+    /// The mean time of a call.
     call_s: Option<f64>,
     /// Detector time used since the last sample.
     used_s: f64,
-    /// Time for which the detector had nothing to do lately, less what avoided calls were given of it.
+    /// Recent idle time of the detector, less the part already assigned to avoided calls.
     idle_s: f64,
 }
 
 impl Attribution {
-    /// Takes a camera in; its number.
+    /// Adds a camera and returns its number.
     pub(crate) fn add(&mut self) -> u64 {
         let number = self.next_number;
         self.next_number += 1;
@@ -58,7 +57,7 @@ impl Attribution {
         number
     }
 
-    /// Forgets a camera.
+    /// Removes a camera.
     pub(crate) fn remove(&mut self, number: u64) {
         self.cameras.remove(&number);
     }
@@ -70,7 +69,7 @@ impl Attribution {
         }
     }
 
-    /// Counts a call of the detector that used `used` of its time.
+    /// Counts a detector call that took `used` of detector time.
     pub(crate) fn called(&mut self, number: u64, used: Duration) {
         let used = used.as_secs_f64();
         self.used_s += used;
@@ -81,14 +80,14 @@ impl Attribution {
         }
     }
 
-    /// Counts a call that was avoided.
+    /// Counts an avoided call.
     pub(crate) fn avoided(&mut self, number: u64) {
         if let (Some(camera), Some(call_s)) = (self.cameras.get_mut(&number), self.call_s) {
             camera.avoided_s += call_s;
         }
     }
 
-    /// Divides the `joules` of the last `seconds`; the totals of all cameras.
+    /// Divides the `joules` of the last `seconds` and returns the totals of all cameras.
     pub(crate) fn divide(&mut self, joules: f64, seconds: f64) -> Vec<(u64, CameraTotals)> {
         let idle = self.idle_s + seconds - std::mem::take(&mut self.used_s);
         let idle = idle.min(seconds.max(LONGEST_IDLE_S));

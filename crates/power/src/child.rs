@@ -1,7 +1,7 @@
-//! A child process that prints lines: started again when it ends or stalls, killed and reaped with its owner.
+//! A child process that prints lines: restarted when it ends or stalls, killed and reaped on drop.
 //!
-//! The child has its own process group, so that Ctrl-C in a terminal does not end it before us. If this process
-//! is killed outright, the child ends at the next line it prints, by the closed pipe.
+//! The child has its own process group, so Ctrl-C in a terminal does not end it before us. If this process is killed,
+//! the child ends at the next line it prints, because the pipe is closed.
 
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::CommandExt;
@@ -11,27 +11,27 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Lines that wait for a reader who does not come; further ones are dropped.
+/// The most lines kept for a slow reader; further lines are dropped.
 const MOST_LINES: usize = 256;
 
-/// A longer line is cut here: no source of ours prints one.
+/// Longer lines are cut here: none of our sources prints one.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// Shortest time from a start or a line to the next start.
+/// The shortest time between a start or a line and the next start.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// How long the end of a killed child is waited for. That of another user (sudo) cannot be killed.
+/// How long to wait for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
 
 type Line = (Instant, String);
 
-/// The child, and the lines that a thread reads from it.
+/// A child process and the lines that a thread reads from it.
 #[derive(Debug)]
 pub(crate) struct LineChild {
     command: Command,
     child: Option<Child>,
     lines: Receiver<Line>,
-    /// When it was started, or printed its newest line.
+    /// The time of the start or of the newest line.
     last_sign: Instant,
     trouble: Option<String>,
 }
@@ -40,7 +40,7 @@ impl LineChild {
     /// Starts `program` with `arguments`.
     ///
     /// # Errors
-    /// When it cannot be started the first time.
+    /// Returns an error if the program cannot be started the first time.
     pub(crate) fn start(program: &Path, arguments: &[String]) -> std::io::Result<Self> {
         let mut command = Command::new(program);
         command
@@ -59,8 +59,8 @@ impl LineChild {
         })
     }
 
-    /// The lines since the last call, each with the time it came. A child that has ended, or has printed nothing for
-    /// `longest_silence`, is started again.
+    /// Returns the lines since the last call, each with its arrival time. Restarts a child that has ended or has
+    /// printed nothing for `longest_silence`.
     pub(crate) fn take(&mut self, longest_silence: Duration) -> Vec<Line> {
         let mut lines = Vec::new();
         let ended = loop {
@@ -106,12 +106,12 @@ impl LineChild {
         }
     }
 
-    /// Kills and reaps the child, if it is there.
+    /// Kills and reaps the child, if there is one.
     fn end(&mut self) {
         let Some(mut child) = self.child.take() else {
             return;
         };
-        // It fails when the child has just ended, or is another user's.
+        // Fails if the child has just ended or belongs to another user.
         let _ = child.kill();
         let until = std::time::Instant::now() + PARTING;
         self.trouble = loop {
@@ -126,12 +126,12 @@ impl LineChild {
         };
     }
 
-    /// Why it last ended, if it ever did.
+    /// Why the child last ended, if it ever did.
     pub(crate) fn trouble(&self) -> Option<&str> {
         self.trouble.as_deref()
     }
 
-    /// The process now running.
+    /// The id of the running process.
     pub(crate) fn process(&self) -> Option<u32> {
         self.child.as_ref().map(Child::id)
     }
@@ -168,7 +168,7 @@ fn read(output: ChildStdout, lines: &SyncSender<Line>) {
         if !matches!(read, Ok(1..)) {
             return;
         }
-        // A line without its end was cut off when the child died; its last number may be too.
+        // A line without a newline was cut off when the child died; its last number may be incomplete.
         if line.pop() == Some(b'\n') {
             let text = String::from_utf8_lossy(&line).into_owned();
             if let Err(TrySendError::Disconnected(_)) = lines.try_send((at, text)) {

@@ -1,4 +1,4 @@
-//! Chooses the power meter: the one configured, or the best of this machine.
+//! Chooses the power meter: the configured one, or the best one on this machine.
 
 use crate::config::{PowerConfig, PowerSource};
 use crate::error::MeterError;
@@ -9,7 +9,7 @@ use crate::nvml::Nvml;
 use crate::rapl::Rapl;
 use crate::tegrastats::Tegrastats;
 
-/// The meters `auto` tries, best first: those of the whole board, then those of a PC's parts, then the estimate.
+/// The meters that `auto` tries, best first: whole board, then parts of a PC, then the estimate.
 pub(crate) const BEST_FIRST: [PowerSource; 5] = [
     PowerSource::Ina,
     PowerSource::Tegrastats,
@@ -18,17 +18,17 @@ pub(crate) const BEST_FIRST: [PowerSource; 5] = [
     PowerSource::Estimate,
 ];
 
-/// Opens the configured meter. May block for a fraction of a second, `tegrastats` for some seconds.
+/// Opens the configured meter. May block for a fraction of a second, with `tegrastats` for some seconds.
 ///
 /// # Errors
-/// [`MeterError`] when the configuration makes no sense, or a meter asked for by name cannot be used here.
-/// `auto` falls back to the estimate, which works wherever `/proc/stat` is, and then to none; the log says so.
+/// [`MeterError`] if the configuration is invalid or a meter requested by name cannot be used here.
+/// `auto` falls back to the estimate, which works wherever `/proc/stat` exists, then to none, and logs the fallback.
 pub fn open(config: &PowerConfig) -> Result<Box<dyn Meter>, MeterError> {
     config.check()?;
     open_source(config.source, config)
 }
 
-/// Opens the meter of that name; for `auto`, the one it would choose.
+/// Opens the meter `source`; for `auto`, the best available one.
 pub(crate) fn open_source(
     source: PowerSource,
     config: &PowerConfig,
@@ -55,7 +55,7 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
                 }
                 return meter;
             }
-            // A meter that is there and may not be read is worth a line; one that is not there is not.
+            // Warn only about a meter that exists but cannot be read.
             Err(why @ MeterError::Missing(_)) => tracing::debug!(%why, "passed over"),
             Err(why) => tracing::warn!(%why, "passed over"),
         }

@@ -1,19 +1,19 @@
-//! The board's condition at one moment, and over a time: temperature, throttling, clocks, power mode.
+//! The board's condition, at one moment and over a period: temperature, throttling, clocks, power mode.
 
 use albireo_wire::BoardState;
 use std::sync::Arc;
 
-/// Power modes that one sum names.
+/// The most power modes that one sum lists.
 const MOST_MODES: usize = 8;
 
-/// The board at one moment, as far as it is known.
+/// The board's condition at one moment, as far as it is known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Condition {
     /// The hottest sensor and its temperature, °C.
     pub hottest: Option<(Arc<str>, f64)>,
-    /// Whether clocks are held back by heat, current or power.
+    /// True if heat, current or power limits the clocks.
     pub throttled: Option<bool>,
-    /// Mean clock of the CPU cores that are on, MHz.
+    /// Mean clock of the online CPU cores, MHz.
     pub cpu_mhz: Option<f64>,
     /// GPU clock, MHz.
     pub gpu_mhz: Option<f64>,
@@ -29,7 +29,7 @@ fn hotter(one: Hottest, other: Hottest) -> Hottest {
 }
 
 impl Condition {
-    /// Two sources of the same moment: the hotter sensor, throttling by either, the rest of `self` first.
+    /// Combines two sources of the same moment: the hotter sensor, throttling by either, and `self` first for the rest.
     pub(crate) fn and(self, other: Self) -> Self {
         Self {
             hottest: hotter(self.hottest, other.hottest),
@@ -41,7 +41,7 @@ impl Condition {
     }
 }
 
-/// Conditions one after another.
+/// The sum of successive conditions.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ConditionSum {
     hottest: Hottest,
@@ -52,7 +52,7 @@ pub(crate) struct ConditionSum {
 }
 
 impl ConditionSum {
-    /// Adds a condition later than all before.
+    /// Adds a condition that is later than all before.
     pub(crate) fn add(&mut self, condition: &Condition) {
         self.hottest = hotter(self.hottest.take(), condition.hottest.clone());
         self.throttled = self.throttled.max(condition.throttled);
@@ -66,7 +66,7 @@ impl ConditionSum {
         self.gpu_mhz.add(condition.gpu_mhz);
     }
 
-    /// The board's state; `None` where nothing is known.
+    /// The board's state; `None` if nothing is known.
     pub(crate) fn state(&self) -> Option<BoardState> {
         let hottest = self.hottest.as_ref();
         let state = BoardState {

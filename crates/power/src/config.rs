@@ -5,25 +5,25 @@ use crate::rails::RailTable;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Where power figures come from.
+/// The source of power figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PowerSource {
-    /// The best meter this machine has, else the estimate.
+    /// The best meter on this machine, else the estimate.
     #[default]
     Auto,
-    /// Power monitors INA3221 and INA238 of Jetson boards, from sysfs.
+    /// INA3221 and INA238 power monitors of Jetson boards, from sysfs.
     #[serde(alias = "ina3221", alias = "ina238")]
     Ina,
-    /// NVIDIA's program of that name on Jetson boards.
+    /// NVIDIA's `tegrastats` program on Jetson boards.
     Tegrastats,
     /// Energy counters of Intel and AMD processors (Linux powercap).
     Rapl,
-    /// NVIDIA graphics cards, through their driver's NVML.
+    /// NVIDIA graphics cards, through the driver's NVML.
     Nvml,
-    /// From CPU utilisation; always marked estimated.
+    /// Estimated from CPU utilisation; always marked estimated.
     Estimate,
-    /// None: clips carry no energy.
+    /// No source: clips carry no energy.
     None,
 }
 
@@ -42,30 +42,30 @@ impl PowerSource {
     }
 }
 
-/// Which meter, how often, where it is found, and what the estimate assumes.
+/// The meter, its interval, its paths, and the assumptions of the estimate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PowerConfig {
-    /// Which meter.
+    /// The meter.
     pub source: PowerSource,
     /// Milliseconds between samples (paper: 100).
     pub interval_ms: u64,
-    /// Where sysfs is mounted. No setting, as the next ones: tests read another tree.
+    /// The mount point of sysfs. Like `procfs` and `nvpmodel` not a setting: tests read another tree.
     #[serde(skip)]
     pub sysfs: PathBuf,
-    /// Where procfs is mounted.
+    /// The mount point of procfs.
     #[serde(skip)]
     pub procfs: PathBuf,
-    /// The program `tegrastats`: a path, or a name that is looked for in `PATH`.
+    /// The `tegrastats` program: a path, or a name to look up in `PATH`.
     pub tegrastats: PathBuf,
-    /// The program `nvpmodel`, asked for the power mode of a Jetson board.
+    /// The `nvpmodel` program, which reports the power mode of a Jetson board.
     #[serde(skip)]
     pub nvpmodel: PathBuf,
-    /// The user's own table of rails, in place of the built-in ones.
+    /// The user's rail table, which replaces the built-in ones.
     pub rails: Option<RailTable>,
-    /// Watts the estimate assumes for an idle machine.
+    /// The power that the estimate assumes for an idle machine, watts.
     pub idle_watts: f64,
-    /// Watts the estimate assumes with all cores busy.
+    /// The power that the estimate assumes with all cores busy, watts.
     pub busy_watts: f64,
 }
 
@@ -86,7 +86,7 @@ impl Default for PowerConfig {
 }
 
 impl PowerConfig {
-    /// All impossible values: key, and what is wrong with it and what is allowed.
+    /// Returns all invalid values: the key, and what is wrong and what is allowed.
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut found: Vec<(String, String)> = Vec::new();
         let mut add = |key: &str, reason: String| found.push((key.to_owned(), reason));
@@ -100,7 +100,7 @@ impl PowerConfig {
             add("tegrastats", reason);
         }
         for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
-            // Written so that NaN is refused.
+            // Written so that NaN is rejected.
             if !(0.0..=1e5).contains(&watts) {
                 let reason = format!("must be a number from 0 to 100000, not {watts}");
                 add(key, reason);
@@ -116,10 +116,10 @@ impl PowerConfig {
         found
     }
 
-    /// Refuses impossible values.
+    /// Rejects invalid values.
     ///
     /// # Errors
-    /// [`MeterError::Configuration`] with the first of the [`problems`](Self::problems).
+    /// [`MeterError::Failed`] with the first of the [`problems`](Self::problems).
     pub fn check(&self) -> Result<(), MeterError> {
         match self.problems().into_iter().next() {
             Some((key, reason)) => Err(MeterError::configuration(&key, reason)),

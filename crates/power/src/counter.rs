@@ -1,16 +1,16 @@
-//! A hardware energy counter made to rise for ever: wraps are followed, resets are not taken for wraps.
+//! A hardware energy counter extended to rise without end: follows wraps and detects resets.
 
 use tokio::time::Instant;
 
-/// No device draws more: a counter that rises faster was reset (after suspend, say) and did not wrap.
+/// No device draws more: a counter that rises faster was reset (for example after suspend) and did not wrap.
 const IMPLAUSIBLE_WATTS: f64 = 10_000.0;
 
 /// Follows one counter.
 #[derive(Clone, Debug)]
 pub(crate) struct Counter {
-    /// Joules of one count.
+    /// Joules per count.
     unit: f64,
-    /// The highest count, after which it begins at 0 again; `None` for one that never does.
+    /// The highest count, after which the counter restarts at 0; `None` if it never does.
     range: Option<u64>,
     last: Option<(Instant, u64)>,
     counted: u64,
@@ -26,8 +26,8 @@ impl Counter {
         }
     }
 
-    /// Takes note of what the counter reads now. False when it was reset: what it counted since the last
-    /// call is lost, less than an interval's worth.
+    /// Records the counter's present value. Returns false if the counter was reset: its count since the last call, less
+    /// than one interval's worth, is lost.
     pub(crate) fn update(&mut self, now: Instant, raw: u64) -> bool {
         let mut sound = true;
         if let Some((then, before)) = self.last {

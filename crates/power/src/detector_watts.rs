@@ -1,53 +1,53 @@
-//! The watts that a running detector adds, learnt from how the node's power follows the detector's use.
+//! Learns the watts that a running detector adds, from how the node's power follows the detector's use.
 //!
-//! Time is cut into pieces of at least two seconds, each from the end of one run of the detector to the end of another, so
-//! that a piece's detector time is exact. Power and detector share of a piece are taken as deviations from their means of
-//! the last 20 seconds: whatever else changes slowly on the machine falls out. Their regression over the last hour is
-//! the answer, once its standard error is small.
+//! Time is cut into pieces of at least two seconds, each from the end of one detector run to the end of another, so the
+//! detector time of a piece is exact. The power and the detector share of a piece are taken as deviations from their
+//! means over the last 20 seconds, which removes whatever else changes slowly on the machine. Their regression over the
+//! last hour is the answer, once its standard error is small.
 
 use crate::totals::{History, Sum};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Shortest piece: long beside the delay of meters.
+/// The shortest piece: long compared with the delay of meters.
 const PIECE: Duration = Duration::from_secs(2);
 
-/// Share of a piece that samples must cover.
+/// The share of a piece that samples must cover.
 const COVERED: f64 = 0.99;
 
 /// Time constants of the means and of the regression, seconds.
 const MEAN_S: f64 = 20.0;
 const MEMORY_S: f64 = 3600.0;
 
-/// Fewest pieces, and least standard deviation of the detector's share, to learn anything from.
+/// The fewest pieces and the smallest standard deviation of the detector's share for an answer.
 const FEWEST: f64 = 20.0;
 const LEAST_DEVIATION: f64 = 0.01;
 
-/// Largest standard error of an answer, as a share of it.
+/// The largest standard error of an answer, relative to the answer.
 const LARGEST_ERROR: f64 = 0.05;
 
-/// The end of a run.
+/// The end of a detector run.
 #[derive(Clone, Copy, Debug)]
 struct RunEnd {
     at: Instant,
-    /// Detector time up to there, seconds.
+    /// Total detector time until then, seconds.
     used_s: f64,
 }
 
-/// Learns them.
+/// Learns the watts that a running detector adds.
 #[derive(Debug)]
 pub(crate) struct DetectorWatts {
     shortest: Duration,
     used_s: f64,
     last: Option<RunEnd>,
-    /// Where the present piece began, and the node's total there.
+    /// The start of the current piece, and the node's total at that moment.
     begun: Option<(RunEnd, Sum)>,
     line: Line,
     known: Option<f64>,
 }
 
 impl DetectorWatts {
-    /// Of samples taken every `interval`.
+    /// For samples taken every `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             shortest: PIECE.max(interval * 5),
@@ -59,7 +59,7 @@ impl DetectorWatts {
         }
     }
 
-    /// Notes a call that ended then and used `used`.
+    /// Records a call that ended at `end` and took `used`.
     pub(crate) fn called(&mut self, end: Instant, used: Duration) {
         self.used_s += used.as_secs_f64();
         self.last = Some(RunEnd {
@@ -68,7 +68,7 @@ impl DetectorWatts {
         });
     }
 
-    /// Learns from the samples up to now.
+    /// Learns from the samples so far.
     pub(crate) fn learn(&mut self, history: &History) {
         let Some(end) = self.last.filter(|end| history.newest() >= Some(end.at)) else {
             return;
@@ -90,13 +90,13 @@ impl DetectorWatts {
         self.begun = Some((end, history.at(end.at).total()));
     }
 
-    /// Watts that the detector adds while it runs; `None` until that is known.
+    /// The watts that the detector adds while it runs; `None` until known.
     pub(crate) const fn watts(&self) -> Option<f64> {
         self.known
     }
 }
 
-/// A straight line through points that come one after another.
+/// A regression line through successive points.
 #[derive(Clone, Copy, Debug, Default)]
 struct Line {
     points: f64,
@@ -123,7 +123,7 @@ impl Line {
         }
     }
 
-    /// The slope, if it is known well enough.
+    /// The slope, if it is known precisely enough.
     fn slope(&self) -> Option<f64> {
         if self.points < FEWEST || self.xx < self.points * LEAST_DEVIATION.powi(2) {
             return None;

@@ -3,13 +3,13 @@
 use std::fmt::Display;
 use std::path::Path;
 
-/// Why a meter cannot be used, or could not be read.
+/// The reason a meter cannot be used or read.
 #[derive(Debug, thiserror::Error)]
 pub enum MeterError {
     /// The machine does not have it.
     #[error("{0}")]
     Missing(String),
-    /// It is there, and cannot be used or read.
+    /// The machine has it, but it cannot be used or read.
     #[error("{0}")]
     Failed(String),
 }
@@ -20,7 +20,7 @@ impl MeterError {
         Self::Missing(format!("{source}: not on this machine: {reason}"))
     }
 
-    /// A file, a program or a device of the meter `source` cannot be read.
+    /// A file, program or device of the meter `source` cannot be read.
     pub(crate) fn unreadable(source: &str, path: &Path, reason: impl Display) -> Self {
         Self::Failed(format!(
             "{source}: cannot read {}: {reason}",
@@ -28,7 +28,7 @@ impl MeterError {
         ))
     }
 
-    /// This user may not read the meter `source`; `remedy` says what to do.
+    /// This user may not read the meter `source`; `remedy` is the solution to suggest.
     pub(crate) fn forbidden(source: &str, path: &Path, remedy: impl Display) -> Self {
         let path = path.display();
         Self::Failed(format!(
@@ -36,7 +36,7 @@ impl MeterError {
         ))
     }
 
-    /// The configuration asks for something impossible.
+    /// The configuration value of `key` is invalid.
     pub(crate) fn configuration(key: &str, reason: impl Display) -> Self {
         Self::Failed(format!("power.{key}: {reason}"))
     }

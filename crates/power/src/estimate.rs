@@ -1,8 +1,8 @@
-//! Power from CPU utilisation: `idle_watts + (busy_watts - idle_watts) × utilisation`, counted up as energy. It is a
-//! model and not a measurement, and is marked estimated wherever it appears.
+//! Estimates power from CPU utilisation: `idle_watts + (busy_watts - idle_watts) × utilisation`, integrated to energy.
+//! It is a model, not a measurement, and is marked estimated everywhere.
 //!
 //! Utilisation is the share of busy time in the first line of `/proc/stat` (proc_pid_stat(5), all cores together):
-//! user, nice, system, irq and softirq against those and idle, iowait and steal.
+//! user, nice, system, irq and softirq, divided by these plus idle, iowait and steal.
 
 use crate::config::PowerConfig;
 use crate::error::MeterError;
@@ -15,7 +15,7 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "estimate";
 
-/// The estimate from utilisation.
+/// The estimate from CPU utilisation.
 #[derive(Debug)]
 pub(crate) struct Estimate {
     stat: PathBuf,
@@ -37,7 +37,7 @@ impl Estimate {
     /// Opens `/proc/stat`.
     ///
     /// # Errors
-    /// [`MeterError`] when there is no such file, or it makes no sense.
+    /// [`MeterError`] if the file does not exist or is invalid.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let meter = Self {
             stat: config.procfs.join("stat"),
@@ -65,7 +65,7 @@ fn parse(stat: &str) -> Option<Ticks> {
     if words.next() != Some("cpu") {
         return None;
     }
-    // user nice system idle iowait irq softirq steal; guest times are inside user and nice.
+    // user nice system idle iowait irq softirq steal; user and nice include guest times.
     let mut ticks = [0_u64; 8];
     let mut found = 0;
     for (slot, word) in ticks.iter_mut().zip(words) {
@@ -93,7 +93,7 @@ impl Meter for Estimate {
         let ticks = self.ticks()?;
         if let Some((then, before)) = self.last.replace((now, ticks)) {
             let all = ticks.all.saturating_sub(before.all);
-            // The kernel counts in ticks of 10 ms: within one tick the last figure still holds.
+            // The kernel counts in ticks of 10 ms: within one tick, the last figure still holds.
             if all > 0 {
                 let busy = ticks.busy.saturating_sub(before.busy).min(all);
                 let utilisation = busy as f64 / all as f64;

@@ -1,9 +1,9 @@
-//! The boards' own power monitors, INA3221 and INA238, straight from hwmon in sysfs: no root, no child
-//! process (kernel documentation `hwmon/ina3221`, `hwmon/ina238`).
+//! The boards' INA3221 and INA238 power monitors, directly from hwmon in sysfs: no root, no child process
+//! (kernel documentation `hwmon/ina3221`, `hwmon/ina238`).
 //!
-//! INA3221: channels 1 to 3 with `inN_label`, `inN_input` (bus voltage, mV) and `currN_input` (mA); there
+//! INA3221: channels 1 to 3 with `inN_label`, `inN_input` (bus voltage, mV) and `currN_input` (mA). There
 //! is no power file, so power is their product. Inputs 4 to 7 are shunt voltages and sums, not rails.
-//! JetPack 4 has another driver with other files; there, `tegrastats` is the meter.
+//! JetPack 4 has another driver with other files; use `tegrastats` there.
 //! INA238: `power1_input` (µW); on AGX Thor it measures the board's input, `VIN`.
 
 use crate::config::PowerConfig;
@@ -18,7 +18,7 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "ina";
 
-/// The name of an INA238's only rail where the device tree gives none.
+/// The name of an INA238's only rail if the device tree gives none.
 const INPUT: &str = "VIN";
 
 const INA3221: &str = "ina3221";
@@ -27,7 +27,7 @@ const INA238: &str = "ina238";
 #[derive(Debug)]
 struct Channel {
     name: Arc<str>,
-    /// Files whose product is the power in microwatts: it alone, or bus voltage (mV) and current (mA).
+    /// Files whose product is the power in microwatts: the power itself, or bus voltage (mV) and current (mA).
     files: Vec<PathBuf>,
 }
 
@@ -52,7 +52,7 @@ impl Ina {
     /// Finds the monitors under `{sysfs}/class/hwmon`, where every hwmon driver lists its chips.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is none, or none with a rail; [`MeterError::Failed`] when no rail can be read.
+    /// [`MeterError::Missing`] if there is no monitor with a rail; [`MeterError::Failed`] if no rail can be read.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
         let channels: Vec<Channel> = chips.iter().flat_map(|chip| channels(chip)).collect();
@@ -72,7 +72,7 @@ impl Ina {
     }
 }
 
-/// The rails of a chip; none of one that is no power monitor.
+/// The rails of a chip; empty if the chip is not a power monitor.
 fn channels(chip: &Path) -> Vec<Channel> {
     let text = |file: String| sysfs::text(SOURCE, &chip.join(file)).ok();
     let kind = text("name".to_owned()).unwrap_or_default();
@@ -107,7 +107,7 @@ impl Meter for Ina {
         SOURCE
     }
 
-    /// A rail that cannot be read now is missing from the reading; if none can be read, that is the error.
+    /// Omits a rail that cannot be read now; fails if none can be read.
     fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.channels.len());
         let mut failed = None;

@@ -1,4 +1,4 @@
-//! Reads the machine's condition: thermal zones, throttling, clocks, power mode. What is not there is left out.
+//! Reads the machine's condition: thermal zones, throttling, clocks, power mode. Missing files are skipped.
 
 use crate::condition::Condition;
 use crate::config::PowerConfig;
@@ -11,24 +11,24 @@ use tokio::sync::watch;
 
 const SOURCE: &str = "condition";
 
-/// CPU cores whose clocks are read: each read of a clock interrupts the core.
+/// The most CPU cores whose clocks are read: each read of a clock interrupts the core.
 const MOST_CORES: usize = 16;
 
-/// Where the Raspberry Pi's firmware says whether it throttles.
+/// The file in which the Raspberry Pi's firmware reports throttling.
 const PI_THROTTLED: &str = "devices/platform/soc/soc:firmware/get_throttled";
 
-/// Bits of the Raspberry Pi firmware's word that say "now": frequency capped, throttled, soft limit.
+/// Bits of the Raspberry Pi firmware's word for the present: frequency capped, throttled, soft limit.
 const PI_NOW: u64 = 0b1110;
 
-/// The board's power mode, as far as it is known.
+/// The board's power mode, if it is known.
 type Mode = Option<Arc<str>>;
 
-/// The files with the machine's condition.
+/// The files that report the machine's condition.
 #[derive(Debug)]
 pub(crate) struct Machine {
     /// Thermal zones: type and temperature file (millidegrees).
     zones: Vec<(Arc<str>, PathBuf)>,
-    /// Cooling devices that hold clocks back, 0 when they do not.
+    /// Cooling devices that limit clocks; 0 if they do not.
     cooling: Vec<PathBuf>,
     /// Counters of throttling events.
     events: Vec<PathBuf>,
@@ -36,13 +36,13 @@ pub(crate) struct Machine {
     pi: Option<PathBuf>,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    /// What `nvpmodel` says, and the platform profile of ACPI, for where it says nothing.
+    /// The mode from `nvpmodel`, and the ACPI platform profile as the fallback.
     mode: watch::Receiver<Mode>,
     profile: PathBuf,
 }
 
 impl Machine {
-    /// Looks for the files.
+    /// Finds the files.
     pub(crate) fn new(config: &PowerConfig) -> Self {
         let class = |name: &str| sysfs::entries(&config.sysfs.join("class").join(name));
         let label = |path: &Path| sysfs::text(SOURCE, &path.join("type")).unwrap_or_default();
@@ -94,14 +94,14 @@ impl Machine {
         }
     }
 
-    /// Reads them.
+    /// Reads the files.
     pub(crate) fn read(&mut self) -> Condition {
         let number = |path: &PathBuf| sysfs::number::<f64>(SOURCE, path).ok();
         let hottest = self
             .zones
             .iter()
             .filter_map(|(name, file)| Some((Arc::clone(name), number(file)? * 1e-3)))
-            // Sensors that are off read far below zero, or an impossible heat.
+            // Disabled sensors read far below zero or impossibly hot.
             .filter(|(_, celsius)| (-100.0..200.0).contains(celsius))
             .max_by(|a, b| a.1.total_cmp(&b.1));
         let clocks: Vec<f64> = self.cpu_clocks.iter().filter_map(number).collect();
@@ -122,7 +122,7 @@ impl Machine {
         }
     }
 
-    /// Whether clocks are held back now, or were since the last read; `None` when nothing reports it.
+    /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.
     fn throttled(&mut self) -> Option<bool> {
         let count = |path: &PathBuf| sysfs::number::<u64>(SOURCE, path).ok();
         let cooling: Vec<u64> = self.cooling.iter().filter_map(count).collect();
@@ -142,21 +142,21 @@ impl Machine {
     }
 }
 
-/// `cpu0`, `cpu11`; not `cpufreq`.
+/// True for `cpu0` and `cpu11`, false for `cpufreq`.
 fn is_cpu(name: &str) -> bool {
     name.strip_prefix("cpu")
         .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// Not the `PMIC` zone of Jetson boards: it reads a constant, 50 °C or 100 °C.
+/// False for the `PMIC` zone of Jetson boards, which reads a constant 50 °C or 100 °C.
 fn is_a_sensor(name: &str) -> bool {
     !name.to_ascii_lowercase().starts_with("pmic")
 }
 
-/// Parts of the names that Jetson boards and others give a GPU's devfreq device.
+/// Substrings of the names that Jetson boards and others give a GPU's devfreq device.
 const GPUS: [&str; 5] = ["gpu", "gp10b", "gv11b", "ga10b", "gb10b"];
 
-/// Parts of the types of cooling devices that cool by lower clocks, and not by a fan.
+/// Substrings of the types of cooling devices that lower clocks instead of running a fan.
 const CLOCKS: [&str; 5] = [
     "cpufreq",
     "devfreq",
@@ -169,14 +169,14 @@ fn has_one(name: &str, parts: &[&str]) -> bool {
     parts.iter().any(|part| name.contains(part))
 }
 
-/// Time between two questions for the power mode.
+/// The time between two queries of the power mode.
 const MODE_EVERY: Duration = Duration::from_secs(60);
 
-/// How long the first answer is waited for: nothing is measured yet.
+/// How long to wait for the first answer: nothing is measured yet.
 const FIRST_MODE: Duration = Duration::from_secs(2);
 
-/// Asks `nvpmodel` for the power mode, now and every `period`, for as long as the receiver is there. The program takes its
-/// time, so a thread asks it; and not again where it has no answer at first.
+/// Queries `nvpmodel` for the power mode, now and every `period`, until the receiver is dropped. A thread does it
+/// because the program is slow. If the first query has no answer, it stops.
 fn follow_mode(nvpmodel: PathBuf, period: Duration) -> watch::Receiver<Mode> {
     let (newest, mode) = watch::channel(None);
     let (answered, first) = mpsc::channel();
@@ -202,7 +202,7 @@ fn ask(nvpmodel: &Path) -> Mode {
     mode_in(&String::from_utf8_lossy(&output.stdout)).map(Into::into)
 }
 
-/// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, then its number.
+/// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, followed by its number.
 fn mode_in(output: &str) -> Option<&str> {
     let mut lines = output.lines();
     let mode = lines.find_map(|line| line.trim().strip_prefix("NV Power Mode:"))?;

@@ -1,4 +1,4 @@
-//! The handles by which a camera reports its work and asks for its energy.
+//! The handles through which a camera reports its work and measures its energy.
 
 use crate::account::Measured;
 use crate::sampler::PowerHandle;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// One of the cameras between which the node's energy is divided. It is cheap to clone, and forgotten with its last clone.
+/// A camera that shares the node's energy. Cheap to clone; removed with its last clone.
 #[derive(Clone, Debug)]
 pub struct CameraEnergy(Arc<Registered>);
 
@@ -33,20 +33,20 @@ impl CameraEnergy {
         self.0.power.account().cameras.frame(self.0.number);
     }
 
-    /// Counts a detector call whose run ended at `end`. `used` is the camera's part of the run's time: an even part for
-    /// each of its pictures, without any waiting.
+    /// Counts a detector call whose run ended at `end`. `used` is the camera's part of the run's time: an equal part
+    /// for each of its pictures, without waiting time.
     pub fn detector_called(&self, end: Instant, used: Duration) {
         let mut account = self.0.power.account();
         account.detector.called(end, used);
         account.cameras.called(self.0.number, used);
     }
 
-    /// Counts a detector call that was avoided: a frame answered without it by choice.
+    /// Counts an avoided detector call: a frame answered without it by choice.
     pub fn call_avoided(&self) {
         self.0.power.account().cameras.avoided(self.0.number);
     }
 
-    /// Measures from `start` on, which may lie some seconds back.
+    /// Begins a measurement at `start`, which may be some seconds ago.
     pub fn measure(&self, start: Instant) -> Measurement {
         Measurement {
             number: self.0.power.account().open(self.0.number, start),
@@ -55,7 +55,7 @@ impl CameraEnergy {
     }
 }
 
-/// Energy that is being measured, in constant memory. Dropped, it is forgotten.
+/// A running energy measurement, in constant memory. Dropping it discards it.
 #[derive(Debug)]
 pub struct Measurement {
     number: u64,
@@ -63,14 +63,14 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// Says where the measurement ends if nothing more happens: the energy up to that instant is kept, however late it
-    /// turns out that it was the end. It never moves back.
+    /// Sets the provisional end: the energy up to that instant is kept, however late it turns out to be the end. It
+    /// never moves back.
     pub fn until(&self, at: Instant) {
         self.camera.0.power.account().until(self.number, at);
     }
 
-    /// What was used up to `end`. Waits for the first sample after it, at most two intervals and not longer than
-    /// `patience`; not at all without a meter.
+    /// Returns the energy used until `end`. Waits for the first sample after it, at most two intervals and at most
+    /// `patience`; does not wait without a meter.
     pub async fn finish(&self, end: Instant, patience: Duration) -> Option<Measured> {
         let power = &self.camera.0.power;
         power.sampled(end, patience).await;

@@ -7,7 +7,7 @@ use albireo_wire::EnergyQuality;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// A power meter. Reading may block for some milliseconds, so the sampler calls it off the async threads.
+/// A power meter. Reading may block for some milliseconds, so the sampler calls it outside the async threads.
 pub trait Meter: Send {
     /// The source's name in reports: `rapl`, `estimate`, …
     fn source(&self) -> &str;
@@ -17,19 +17,19 @@ pub trait Meter: Send {
         EnergyQuality::Measured
     }
 
-    /// The readings since the last call: one of a meter that is asked, any number of one that delivers by itself.
-    /// `now` is the time of the call.
+    /// Returns the readings since the last call: one from a meter that is polled, any number from one that delivers by
+    /// itself. `now` is the time of the call.
     ///
     /// # Errors
-    /// [`MeterError`] when nothing can be read now; the sampler counts it and asks again at the next interval.
+    /// [`MeterError`] if nothing can be read now; the sampler counts it and tries again at the next interval.
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError>;
 
-    /// The board's condition as far as the source reads it, as of the last poll. Asked once a second.
+    /// The board's condition as far as the source reads it, at the last poll. Called once per second.
     fn condition(&mut self) -> Condition {
         Condition::default()
     }
 
-    /// CPU time the meter has used outside of [`poll`](Self::poll), in child processes.
+    /// CPU time the meter has used outside [`poll`](Self::poll), in child processes.
     fn other_cpu(&self) -> Duration {
         Duration::ZERO
     }

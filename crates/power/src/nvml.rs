@@ -1,8 +1,8 @@
-//! NVIDIA graphics cards, through NVML, which comes with their driver and is loaded at run time.
+//! NVIDIA graphics cards, through NVML, which is part of their driver and is loaded at run time.
 //!
-//! The cards' energy counters are used where all have one (Volta and later), else their power. Jetson boards have
-//! an NVML that loads and says "not supported" to every question for power: there, this meter is missing
-//! and the board's own monitors are to be used.
+//! Uses the cards' energy counters if all cards have one (Volta and later), else their power. Jetson boards have an
+//! NVML that loads but answers "not supported" to every power query: there, this meter is missing and the board's own
+//! monitors are the right source.
 
 mod driver;
 
@@ -17,15 +17,15 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "nvml";
 
-/// Joules of one count of a card's energy counter, which counts millijoules.
+/// Joules per count of a card's energy counter, which counts millijoules.
 const UNIT: f64 = 1e-3;
 
-/// The cards of a machine, as the driver shows them: `Ok(None)` is what a card does not have, an error what it does not
-/// say now.
+/// The cards as the driver shows them: `Ok(None)` if a card does not have the value, an error if it cannot be read
+/// now.
 trait Cards: Send {
-    /// How many there are.
+    /// The number of cards.
     fn count(&self) -> Result<u32, String>;
-    /// The name of one.
+    /// The name of a card.
     fn name(&self, card: u32) -> Option<String>;
     /// Energy since the driver was loaded, millijoules.
     fn energy_mj(&self, card: u32) -> Result<Option<u64>, String>;
@@ -43,7 +43,7 @@ struct Card {
 }
 
 impl Card {
-    /// Joules counted so far, with the counter at `raw` now.
+    /// Joules counted so far, with the counter now at `raw`.
     fn count(&mut self, now: Instant, raw: u64) -> f64 {
         if !self.energy.update(now, raw) {
             tracing::warn!(card = %self.name, "its energy counter was reset; counting on from it");
@@ -55,16 +55,16 @@ impl Card {
 /// The NVIDIA cards of this machine.
 pub(crate) struct Nvml {
     cards: Vec<Card>,
-    /// Whether all of them count energy.
+    /// True if all cards count energy.
     count: bool,
     driver: Box<dyn Cards>,
 }
 
 impl Nvml {
-    /// Loads NVML and asks each card once.
+    /// Loads NVML and queries each card once.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] without a driver, without a card, or when no card reports its power.
+    /// [`MeterError::Missing`] if there is no driver or no card, or if no card reports its power.
     pub(crate) fn open() -> Result<Self, MeterError> {
         let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
         Self::with(Box::new(driver))

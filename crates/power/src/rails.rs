@@ -1,4 +1,4 @@
-//! From a board's rails to domains, by tables: the built-in ones in `boards.toml`, or the user's own.
+//! Maps a board's rails to domains, by the built-in tables in `boards.toml` or the user's table.
 
 use crate::error::MeterError;
 use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
@@ -9,23 +9,23 @@ use std::sync::Arc;
 /// [`Reading::total_from`] of a board that no table names.
 const UNKNOWN_BOARD: &str = "sum_of_rails of an unknown board";
 
-/// Which rails of a board count for what.
+/// The domains that a board's rails count for.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RailTable {
     /// The board's name.
     pub name: String,
-    /// Rails that carry all the board draws; the first one that is read is the total.
+    /// Rails that carry the board's whole power; the first one that is read is the total.
     pub input: Vec<String>,
-    /// Rails added up to the total where no input rail is read; all of them must be read.
+    /// Rails summed to the total if no input rail is read; all of them must be read.
     pub sum: Vec<String>,
-    /// Rails added up to the GPU domain; all of them must be read.
+    /// Rails summed to the GPU domain; all of them must be read.
     pub gpu: Vec<String>,
-    /// As `gpu`, for the CPU domain.
+    /// Like `gpu`, for the CPU domain.
     pub cpu: Vec<String>,
-    /// As `gpu`, for the domain of IO and memory.
+    /// Like `gpu`, for the IO and memory domain.
     pub io_mem: Vec<String>,
-    /// Rails that are known and counted in no domain.
+    /// Known rails that count in no domain.
     pub other: Vec<String>,
 }
 
@@ -50,7 +50,7 @@ impl RailTable {
         found.map(|(domain, _)| domain)
     }
 
-    /// Why the table cannot be used, if it cannot: it would count a rail twice, or has no total.
+    /// Returns why the table cannot be used, if it cannot: it counts a rail twice or has no total.
     pub(crate) fn fault(&self) -> Option<String> {
         if self.input.is_empty() && self.sum.is_empty() {
             let fault =
@@ -72,28 +72,28 @@ fn twice<'a>(mut rails: impl Iterator<Item = &'a String>) -> Option<&'a String> 
     rails.find(|rail| !known.insert(*rail))
 }
 
-/// Power of one rail as it was read.
+/// The power of one rail as read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RailWatts {
     /// The name.
     pub name: Arc<str>,
-    /// Watts; slightly below zero where the sensor has an offset.
+    /// Watts; slightly below zero if the sensor has an offset.
     pub watts: f64,
 }
 
-/// Turns the rails of one board into readings.
+/// Converts the rails of one board to readings.
 #[derive(Debug)]
 pub struct RailMap {
     tables: Vec<RailTable>,
-    /// Whether the input rail was ever read: a reading without it is a gap then, and not another rule.
+    /// True once the input rail was read: a later reading without it is then a gap, not a sum of rails.
     has_input: bool,
 }
 
 impl RailMap {
-    /// With the user's table, or the built-in ones.
+    /// Creates a map from the user's table, or from the built-in ones.
     ///
     /// # Errors
-    /// [`MeterError`] when the user's table makes no sense.
+    /// [`MeterError`] if the user's table is invalid.
     pub fn new(user: Option<&RailTable>) -> Result<Self, MeterError> {
         if let Some(fault) = user.and_then(RailTable::fault) {
             return Err(MeterError::configuration("rails", fault));
@@ -105,15 +105,15 @@ impl RailMap {
         })
     }
 
-    /// The table that names most of `rails`, if one names any.
+    /// The table that names most of `rails`, if any names one.
     pub(crate) fn board(&self, rails: &[RailWatts]) -> Option<&RailTable> {
         let score = |t: &RailTable| rails.iter().filter(|r| t.knows(&r.name)).count();
         let best = self.tables.iter().map(score).max().filter(|s| *s > 0)?;
         self.tables.iter().find(|t| score(t) == best)
     }
 
-    /// The domains of one reading. A domain of which a rail is missing is left out, never made smaller. A
-    /// rail below zero counts as zero: no rail gives power back, it is the sensor's offset.
+    /// Returns the domains of one reading. A domain with a missing rail is left out, never reported too small. A
+    /// negative rail counts as zero: no rail returns power, so it is the sensor's offset.
     pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
         let table = self.board(rails).cloned();
         let watts = |name: &str| {

@@ -1,11 +1,11 @@
 //! Energy counters of Intel and AMD processors, through Linux powercap (`/sys/class/powercap`, kernel
 //! documentation `power/powercap`).
 //!
-//! A package counter includes its subzones `core` and `uncore`; `dram` is outside it. `psys`, on some
-//! client machines, counts the whole platform, packages included. `intel-rapl-mmio` zones count the same
-//! energy as the `intel-rapl` zones of the same name and are left aside. On client processors `uncore`
-//! (PP1) is the integrated GPU (Intel SDM volume 3, "RAPL domains"), so the GPU domain is `uncore` and
-//! the CPU domain is the packages without it: no joule is in two domains.
+//! A package counter includes its subzones `core` and `uncore`, but not `dram`. `psys`, on some client
+//! machines, counts the whole platform including the packages. `intel-rapl-mmio` zones count the same energy
+//! as the `intel-rapl` zones of the same name and are skipped. On client processors `uncore` (PP1) is the
+//! integrated GPU (Intel SDM volume 3, "RAPL domains"), so the GPU domain is `uncore` and the CPU domain is
+//! the packages without it: no joule is in two domains.
 
 use crate::config::PowerConfig;
 use crate::counter::Counter;
@@ -20,10 +20,10 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "rapl";
 
-/// How long `psys` is watched before it is believed.
+/// How long `psys` is checked before it is used.
 const WATCH_PLATFORM: Duration = Duration::from_millis(200);
 
-/// Share of its parts' energy that `psys` must show: counters are not renewed at the same moment.
+/// The share of its parts' energy that `psys` must show: counters are not updated at the same moment.
 const PLATFORM_AT_LEAST: f64 = 0.8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +58,7 @@ impl Kind {
     }
 }
 
-/// One counter, made to rise for ever.
+/// One counter, extended to rise without end.
 #[derive(Debug)]
 struct Zone {
     kind: Kind,
@@ -104,8 +104,8 @@ impl Rapl {
     /// Finds the counters under `{sysfs}/class/powercap`.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is none, [`MeterError::Failed`] where they cannot be read: they are for root
-    /// alone since CVE-2020-8694.
+    /// [`MeterError::Missing`] if there is none, [`MeterError::Failed`] if they cannot be read: since CVE-2020-8694
+    /// only root may read them.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
@@ -132,7 +132,7 @@ impl Rapl {
         Ok(Self { zones, platform })
     }
 
-    /// Whether the zone is added up into the total.
+    /// True if the zone is part of the total.
     fn in_total(&self, kind: Kind) -> bool {
         match kind {
             Kind::Platform => true,
@@ -146,8 +146,8 @@ fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
     zones.iter_mut().try_for_each(|zone| zone.read(now))
 }
 
-/// Whether the platform's counter has counted what the packages and their memory have. On some machines it
-/// has a wrong unit or does not move.
+/// True if the platform's counter covers the packages and their memory. On some machines it has a wrong unit or
+/// does not move.
 fn includes_its_parts(zones: &[Zone]) -> bool {
     let sum = |kinds: &[Kind]| -> f64 {
         let counted = zones.iter().filter(|z| kinds.contains(&z.kind));

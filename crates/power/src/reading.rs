@@ -1,16 +1,16 @@
-//! A reading of a power meter: watts or joules by domain and rail.
+//! A reading of a power meter: watts or joules per domain and rail.
 
 use std::borrow::Cow;
 use std::sync::Arc;
 use tokio::time::Instant;
 
-/// [`Reading::total_from`] of a total that one rail or counter reads for the whole board.
+/// [`Reading::total_from`] if one rail or counter reads the total of the whole board.
 pub(crate) const INPUT_RAIL: &str = "input_rail";
 
-/// [`Reading::total_from`] of a total that was added up.
+/// [`Reading::total_from`] if the total is a sum.
 pub(crate) const SUM_OF_RAILS: &str = "sum_of_rails";
 
-/// A part of the board whose energy is reported by itself (paper: total, GPU, CPU, IO and memory).
+/// A part of the board whose energy is reported separately (paper: total, GPU, CPU, IO and memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Domain {
     /// The whole board, as far as the source sees it.
@@ -24,7 +24,7 @@ pub enum Domain {
 }
 
 impl Domain {
-    /// All four, in the order they are reported.
+    /// All domains, in the order in which they are reported.
     pub const ALL: [Self; 4] = [Self::Total, Self::Gpu, Self::Cpu, Self::IoMem];
 
     /// The name on the wire.
@@ -38,17 +38,17 @@ impl Domain {
     }
 }
 
-/// What is read of one domain or rail. Power and energy are integrated differently.
+/// The value of one domain or rail. Power and energy are integrated differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value {
     /// Power at the time of the sample, watts.
     Power(f64),
-    /// Energy counted since the meter was opened, joules; never falls.
+    /// Energy counted since the meter was opened, joules; never decreases.
     Counter(f64),
 }
 
 impl Value {
-    /// The power, if that is what was read, watts.
+    /// The power in watts, if this is a power.
     pub const fn watts(self) -> Option<f64> {
         match self {
             Self::Power(watts) => Some(watts),
@@ -56,7 +56,7 @@ impl Value {
         }
     }
 
-    /// Mean power from `before`, read `seconds` earlier, until this; of power, what was read last.
+    /// Mean power from `before`, read `seconds` earlier, until this value; for a power, the last value.
     pub(crate) fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
         match (before, self) {
             (_, Self::Power(watts)) => Some(watts),
@@ -68,32 +68,32 @@ impl Value {
     }
 }
 
-/// The values of one sample, in the order of [`Domain::ALL`]; none for a domain that the source does not read.
+/// The values of one sample, in the order of [`Domain::ALL`]; `None` for a domain that the source does not read.
 pub type Values = [Option<Value>; Domain::ALL.len()];
 
-/// One rail, counter or device as the source names it.
+/// One rail, counter or device, named as in the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rail {
     /// The name: `VDD_IN`, `package-0`, …
     pub name: Arc<str>,
-    /// The domain it is counted in besides the total, if any.
+    /// The domain that includes it besides the total, if any.
     pub domain: Option<Domain>,
-    /// Whether it is added up into the total.
+    /// True if it is part of the total.
     pub in_total: bool,
-    /// What it reads.
+    /// Its value.
     pub value: Value,
 }
 
-/// What a meter has read.
+/// A reading of a meter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reading {
-    /// When, if the meter knows better than its caller (readings that a child process delivers).
+    /// The time of the reading, if the meter knows it better than its caller (a child process delivers readings).
     pub at: Option<Instant>,
-    /// By domain.
+    /// The values by domain.
     pub values: Values,
-    /// How the total came about: `input_rail`, `sum_of_rails`, or a formula in words.
+    /// The origin of the total: `input_rail`, `sum_of_rails`, or a formula in words.
     pub total_from: Cow<'static, str>,
-    /// Rail by rail, for people.
+    /// The rails, for human-readable output.
     pub rails: Vec<Rail>,
 }
 

@@ -1,4 +1,4 @@
-//! The task that reads the meter at every interval, and the handle that answers for it.
+//! The task that reads the meter at every interval, and the handle that returns its figures.
 
 use crate::account::Account;
 use crate::choose;
@@ -19,37 +19,37 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 
-/// Time between two readings of the board's condition.
+/// The time between two readings of the board's condition.
 const CONDITION_EVERY: Duration = Duration::from_secs(1);
 
-/// Least time between two log lines about a meter that cannot be read.
+/// The shortest time between two log lines about a meter that cannot be read.
 const WARN_EVERY: Duration = Duration::from_secs(60);
 
-/// Power now, and energy since sampling began.
+/// The present power, and the energy since sampling began.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PowerSnapshot {
-    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    /// The source of the figures: `rapl`, `estimate`, …; `none` without a source.
     pub source: String,
-    /// How far to trust the power: [`EnergyQuality::Unavailable`] when there is no fresh sample.
+    /// The quality of the power: [`EnergyQuality::Unavailable`] if there is no recent sample.
     pub quality: EnergyQuality,
-    /// How far to trust the meter.
+    /// The quality of the meter.
     pub meter_quality: EnergyQuality,
-    /// Power by domain, watts; empty when there is no fresh sample.
+    /// Power by domain, watts; empty if there is no recent sample.
     pub watts: Vec<DomainWatts>,
-    /// Energy by domain since sampling began, joules, over the time that samples cover; only ever grows.
+    /// Energy by domain since sampling began, joules, over the time that samples cover; never decreases.
     pub joules: BTreeMap<String, f64>,
-    /// That time, seconds.
+    /// The time that samples cover, by domain, seconds.
     pub covered_s: BTreeMap<String, f64>,
-    /// From the first sample to the newest, seconds: longer than the covered time where there were gaps.
+    /// The time from the first sample to the newest, seconds: longer than the covered time if there were gaps.
     pub sampled_s: f64,
-    /// Detector seconds that avoided calls of all cameras would have taken since sampling began.
+    /// Detector seconds that the avoided calls of all cameras would have taken since sampling began.
     pub saved_detector_s: f64,
-    /// Watts that a running detector adds on this machine, as far as its power has followed the detector's use; `None`
-    /// until that is known. Of the quality of the power.
+    /// The watts that a running detector adds on this machine, learnt from how power follows the detector's use; `None`
+    /// until known. Has the same quality as the power.
     pub detector_watts: Option<f64>,
-    /// What reading the source has cost.
+    /// The cost of reading the source.
     pub cost: MeterCost,
-    /// How often it could not be read.
+    /// The number of failed reads.
     pub failed_reads: u64,
     /// The machine's hottest sensor and its temperature, °C.
     pub hottest: Option<(String, f64)>,
@@ -62,7 +62,7 @@ impl Default for PowerSnapshot {
 }
 
 impl PowerSnapshot {
-    /// The same, but energy, the time it covers and what was saved since `before`.
+    /// Returns the same snapshot, but with energy, covered time and savings counted since `before`.
     #[must_use]
     pub fn since(self, before: &Self) -> Self {
         let since = |mut now: BTreeMap<String, f64>, before: &BTreeMap<String, f64>| {
@@ -80,7 +80,7 @@ impl PowerSnapshot {
         }
     }
 
-    /// Joules of a domain, and the time that samples of it cover, seconds; `None` where they cover none.
+    /// Returns the joules of a domain and the seconds that samples cover; `None` if they cover none.
     pub fn energy(&self, domain: &str) -> Option<(f64, f64)> {
         let seconds = self
             .covered_s
@@ -90,32 +90,32 @@ impl PowerSnapshot {
     }
 }
 
-/// What reading the meter has cost.
+/// The cost of reading the meter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MeterCost {
-    /// Readings asked for.
+    /// The number of polls.
     pub polls: u64,
-    /// CPU time of all of them, child processes included where the system reports it.
+    /// CPU time of all polls, including child processes if the system reports it.
     pub cpu: Duration,
     /// Time since sampling began.
     pub elapsed: Duration,
 }
 
 impl MeterCost {
-    /// CPU time as a share of one core, 0 to 1 (and more, for more than a core).
+    /// CPU time as a share of one core, 0 to 1 (above 1 for more than one core).
     pub fn share_of_core(&self) -> f64 {
         self.cpu.as_secs_f64() / self.elapsed.as_secs_f64().max(f64::MIN_POSITIVE)
     }
 }
 
-/// What the sampler and its handles share. A lock is held for microseconds and never over a reading.
+/// State shared by the sampler and its handles. The lock is held for microseconds, never during a reading.
 #[derive(Debug)]
 struct Shared {
     interval: Duration,
     account: Mutex<Account>,
 }
 
-/// Answers for power and energy. Cheap to clone.
+/// Returns power and energy. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct PowerHandle {
     shared: Arc<Shared>,
@@ -123,7 +123,7 @@ pub struct PowerHandle {
 }
 
 impl PowerHandle {
-    /// A handle without a meter or a sampler: no figure ever.
+    /// Returns a handle without a meter or a sampler, which never has figures.
     pub fn none() -> Self {
         Self::new(&NoMeter, Duration::from_millis(100)).0
     }
@@ -139,7 +139,7 @@ impl PowerHandle {
         (Self { shared, newest }, announce)
     }
 
-    /// One more camera to divide the node's energy with.
+    /// Adds a camera that shares the node's energy.
     pub fn camera(&self) -> CameraEnergy {
         CameraEnergy::new(self.clone())
     }
@@ -148,8 +148,8 @@ impl PowerHandle {
         self.shared.account.lock()
     }
 
-    /// Waits for the first sample at or after `end`: not without a meter or once sampling has stopped, not longer than
-    /// `patience`, and not longer than two intervals, for the meter may have failed.
+    /// Waits for the first sample at or after `end`, at most `patience` and at most two intervals, because the meter
+    /// may have failed. Does not wait without a meter or after sampling has stopped.
     pub(crate) async fn sampled(&self, end: Instant, patience: Duration) {
         if self.account().quality == EnergyQuality::Unavailable {
             return;
@@ -161,7 +161,7 @@ impl PowerHandle {
         let _ = tokio::time::timeout_at(limit.min(patient), reached).await;
     }
 
-    /// Power now, and energy up to the newest sample.
+    /// Returns the present power, and the energy up to the newest sample.
     pub fn snapshot(&self) -> PowerSnapshot {
         let account = self.account();
         let history = &account.history;
@@ -203,7 +203,7 @@ impl PowerHandle {
 /// Opens the configured meter and samples it until `shutdown`.
 ///
 /// # Errors
-/// [`MeterError`] when the meter asked for by name cannot be used here; `auto` always finds one.
+/// [`MeterError`] if the meter requested by name cannot be used here; `auto` never fails for that reason.
 pub async fn start(
     config: &PowerConfig,
     shutdown: CancellationToken,
@@ -219,7 +219,7 @@ pub async fn start(
     Ok(launch(meter, Some(machine), interval, shutdown))
 }
 
-/// As [`start`], with a meter already open, and without the machine's condition.
+/// Like [`start`], with a meter that is already open, and without the machine's condition.
 pub fn start_with(
     meter: Box<dyn Meter>,
     interval: Duration,
@@ -247,7 +247,7 @@ fn launch(
     (handle, task)
 }
 
-/// What is read at every interval, on a thread where waiting for files does no harm.
+/// The sources read at every interval, on a thread that may block on files.
 struct Sensors {
     meter: Box<dyn Meter>,
     machine: Option<Machine>,
@@ -258,11 +258,11 @@ struct Sensors {
 }
 
 impl Sensors {
-    /// Reads them into the account.
+    /// Reads the sensors into the account.
     fn read(&mut self, account: &Mutex<Account>) -> Result<(), MeterError> {
         let cpu = thread_cpu();
         let before = Instant::now();
-        // A panic is a bug in a meter; its next reading may be one that it can read.
+        // A panic is a bug in a meter; its next poll may still succeed.
         let readings = catch_unwind(AssertUnwindSafe(|| self.meter.poll(before)))
             .unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
         let middle = before + before.elapsed() / 2;
@@ -327,7 +327,7 @@ async fn sample(
     let _ = tokio::task::spawn_blocking(move || drop(sensors)).await;
 }
 
-/// CPU time of the calling thread since it was started.
+/// CPU time of the calling thread since it started.
 pub(crate) fn thread_cpu() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     let seconds = u64::try_from(time.tv_sec).unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Tries every source: whether it can be used here and why not, its rails, and watts now.
+//! Tries every source and reports if it can be used here or why not, its rails, and its present watts.
 
 use crate::choose;
 use crate::config::{PowerConfig, PowerSource};
@@ -11,44 +11,44 @@ use serde::Serialize;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How long a source is watched.
+/// How long each source is read.
 const WATCH: Duration = Duration::from_millis(1000);
 
-/// One rail, now.
+/// The present state of one rail.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RailNow {
     /// The name.
     pub name: String,
-    /// Watts: what a power monitor reads, or the mean rise of a counter.
+    /// Watts: the value of a power monitor, or the mean rise of a counter.
     pub watts: Option<f64>,
-    /// The domain it is counted in, besides the total.
+    /// The domain that includes it, besides the total.
     pub domain: Option<&'static str>,
-    /// Whether it is added up into the total.
+    /// True if it is part of the total.
     pub in_total: bool,
 }
 
-/// What one source is good for here.
+/// The survey of one source on this machine.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceSurvey {
     /// Its name in the configuration.
     pub source: &'static str,
-    /// Whether `source = "auto"` would take it.
+    /// True if `source = "auto"` would choose it.
     pub automatic: bool,
-    /// Why it cannot be used here; `None` when it can.
+    /// Why it cannot be used here; `None` if it can.
     pub why_not: Option<String>,
     /// Measured or estimated.
     pub quality: EnergyQuality,
-    /// How the total comes about.
+    /// The origin of the total.
     pub total_from: String,
-    /// Watts now by domain.
+    /// Present watts by domain.
     pub watts: Vec<(&'static str, f64)>,
-    /// Rail by rail.
+    /// The rails.
     pub rails: Vec<RailNow>,
-    /// CPU time of reading it every `interval_ms`, as a share of one core.
+    /// CPU time of one read per `interval_ms`, as a share of one core.
     pub share_of_core: Option<f64>,
 }
 
-/// Opens every source in turn and watches it for a second. Blocks for some seconds.
+/// Opens every source in turn and reads it for one second. Blocks for some seconds.
 pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
     let automatic = choose::open_source(PowerSource::Auto, config)
         .map(|meter| meter.source().to_owned())
@@ -91,7 +91,7 @@ impl SourceSurvey {
         }
         let cpu = cpu + meter.other_cpu();
         self.quality = meter.quality();
-        // What one interval's reading costs, whatever the length of this watch.
+        // The cost per interval, whatever the length of this survey.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
         if let (Some(first), Some(last)) = (read.first(), read.last()) {
             self.fill(first, last);

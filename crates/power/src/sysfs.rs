@@ -1,10 +1,10 @@
-//! Reading the small text files of sysfs and procfs, with errors that name the file and the remedy.
+//! Reads the small text files of sysfs and procfs, with errors that name the file and the remedy.
 
 use crate::error::MeterError;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The file's text without surrounding white space.
+/// Reads the file as text, without surrounding white space.
 pub(crate) fn text(source_name: &str, path: &Path) -> Result<String, MeterError> {
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(text.trim().to_owned()),
@@ -12,7 +12,7 @@ pub(crate) fn text(source_name: &str, path: &Path) -> Result<String, MeterError>
     }
 }
 
-/// The file's text as a number.
+/// Reads the file as a number.
 pub(crate) fn number<T: std::str::FromStr>(
     source_name: &str,
     path: &Path,
@@ -24,7 +24,7 @@ pub(crate) fn number<T: std::str::FromStr>(
     })
 }
 
-/// The entries of a directory in order of their names; none if it cannot be listed.
+/// The entries of a directory, sorted by name; empty if it cannot be listed.
 pub(crate) fn entries(directory: &Path) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = std::fs::read_dir(directory)
         .into_iter()
@@ -35,14 +35,14 @@ pub(crate) fn entries(directory: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The last part of a path as text.
+/// The last component of a path as text.
 pub(crate) fn name(path: &Path) -> &str {
     path.file_name()
         .and_then(|n| n.to_str())
         .unwrap_or_default()
 }
 
-/// What an input error on `path` means.
+/// Converts an I/O error on `path` to a meter error.
 pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> MeterError {
     match error.kind() {
         io::ErrorKind::PermissionDenied => {

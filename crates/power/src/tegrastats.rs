@@ -1,7 +1,7 @@
-//! NVIDIA's `tegrastats`, the meter every Jetson has, as a supervised child process (JetPack 4 to 7).
+//! NVIDIA's `tegrastats`, the meter on every Jetson, as a supervised child process (JetPack 4 to 7).
 //!
-//! On several releases it prints the power rails to root only: then `power.tegrastats` names a script that runs it by
-//! `exec sudo -n`, which never asks for a password; a rule in sudoers must allow it.
+//! On several releases it prints the power rails only to root. Then `power.tegrastats` names a script that runs it with
+//! `exec sudo -n`, which never asks for a password; a sudoers rule must allow it.
 
 mod line;
 
@@ -21,13 +21,13 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "tegrastats";
 
-/// How long the first line may take.
+/// How long to wait for the first line.
 const FIRST_LINE: Duration = Duration::from_secs(5);
 
-/// A child that prints nothing for this long, and for 20 intervals, is started again.
+/// A child that prints nothing for this long and for 20 intervals is restarted.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// `tegrastats`, running.
+/// A running `tegrastats`.
 #[derive(Debug)]
 pub(crate) struct Tegrastats {
     child: LineChild,
@@ -41,8 +41,8 @@ impl Tegrastats {
     /// Starts it and waits for its first line.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] where there is no such program, [`MeterError::Failed`] when no line of it can be
-    /// understood, or it prints no rails for this user.
+    /// [`MeterError::Missing`] if the program does not exist, [`MeterError::Failed`] if its first line cannot be parsed
+    /// or it prints no rails for this user.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let program = config.tegrastats.clone();
         let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
@@ -112,7 +112,7 @@ impl Meter for Tegrastats {
         Ok(readings)
     }
 
-    /// That of the program since its last start.
+    /// CPU time of the program since its last start.
     fn other_cpu(&self) -> Duration {
         let stat = (self.child.process())
             .and_then(|id| Process::new(i32::try_from(id).ok()?).ok()?.stat().ok());

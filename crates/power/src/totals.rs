@@ -1,8 +1,8 @@
-//! Running totals of energy since sampling began, and what they were at any recent instant.
+//! Running totals of energy since sampling began, and their values at any recent instant.
 //!
-//! - Between two samples power is a straight line and a counter rises evenly.
-//! - Samples of power further apart than [`longest_gap`] are not joined: the time between adds no energy and is not
-//!   covered. A counter counts on by itself, so it is joined over up to [`LONGEST_COUNTED_S`].
+//! - Between two samples, power is interpolated linearly and a counter rises evenly.
+//! - Power samples further apart than [`longest_gap`] are not joined: the time between adds no energy and is not
+//!   covered. A counter keeps counting, so its samples are joined over up to [`LONGEST_COUNTED_S`].
 //! - Nothing is assumed before the first sample or after the last.
 
 use crate::reading::{Domain, Reading, Value, Values};
@@ -11,13 +11,13 @@ use std::collections::VecDeque;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Longest gap of a counter's samples that is believed, seconds: a small counter may have wrapped after that.
+/// The longest gap between a counter's samples that is trusted, seconds: a small counter may wrap after that.
 const LONGEST_COUNTED_S: f64 = 60.0;
 
-/// Samples kept to look back at: 100 s at the default interval.
+/// Samples kept for looking back: 100 s at the default interval.
 const KEPT: usize = 1024;
 
-/// The longest gap between two samples of power that is bridged: a sample may fail or come late.
+/// The longest gap between two power samples that is bridged: a sample may fail or be late.
 pub(crate) fn longest_gap(interval: Duration) -> Duration {
     interval.mul_f64(2.5).max(Duration::from_secs(1))
 }
@@ -31,23 +31,23 @@ pub(crate) struct Sum {
     pub covered_s: f64,
 }
 
-/// What one camera used.
+/// The totals of one camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct CameraTotals {
-    /// Its part of the node's joules.
+    /// Its share of the node's joules.
     pub joules: f64,
     /// Detector seconds that its avoided calls would have taken.
     pub saved_s: f64,
 }
 
-/// Everything that is added up, since sampling began.
+/// All totals since sampling began.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Totals {
-    /// The node, by domain.
+    /// The node's sums, by domain.
     pub sums: [Sum; Domain::ALL.len()],
-    /// Samples of the total.
+    /// The number of samples of the total.
     pub samples: u64,
-    /// The cameras, by number.
+    /// The cameras' totals, by number.
     pub cameras: Vec<(u64, CameraTotals)>,
 }
 
@@ -57,7 +57,7 @@ impl Totals {
         self.sums[Domain::Total as usize]
     }
 
-    /// Those of one camera.
+    /// The totals of one camera.
     pub(crate) fn camera(&self, number: u64) -> CameraTotals {
         let found = self.cameras.iter().find(|(camera, _)| *camera == number);
         found.map(|(_, totals)| *totals).unwrap_or_default()
@@ -68,15 +68,15 @@ impl Totals {
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
     pub at: Instant,
-    /// How the total came about.
+    /// The origin of the total.
     pub total_from: Cow<'static, str>,
-    /// Power by domain; of a counter, the mean since the sample before.
+    /// Power by domain; for a counter, the mean since the previous sample.
     pub watts: [Option<f64>; Domain::ALL.len()],
     values: Values,
     totals: Totals,
 }
 
-/// Adds samples up, and keeps the newest.
+/// Sums samples, and keeps the newest.
 #[derive(Debug)]
 pub(crate) struct History {
     gap_s: f64,
@@ -88,7 +88,7 @@ pub(crate) struct History {
 }
 
 impl History {
-    /// Of samples taken every `interval`.
+    /// For samples taken every `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             gap_s: longest_gap(interval).as_secs_f64(),
@@ -99,8 +99,8 @@ impl History {
         }
     }
 
-    /// Adds a sample; `divide` is given the joules of the total and the seconds since the sample before and has the
-    /// cameras' totals. False for one that is not later than the last: times always rise.
+    /// Adds a sample. `divide` takes the joules of the total and the seconds since the previous sample and returns the
+    /// cameras' totals. Returns false for a sample that is not later than the last: times always increase.
     pub(crate) fn add(
         &mut self,
         at: Instant,
@@ -130,7 +130,7 @@ impl History {
         true
     }
 
-    /// Adds up one domain and gives its power.
+    /// Adds a value to one domain and returns its power.
     fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
         let index = domain as usize;
         let Some((then, before)) = self.last[index].replace((at, value)) else {
@@ -155,7 +155,7 @@ impl History {
         watts
     }
 
-    /// Whether the source has ever read `domain`.
+    /// True if the source has ever read `domain`.
     pub(crate) const fn has(&self, domain: Domain) -> bool {
         self.last[domain as usize].is_some()
     }
@@ -170,17 +170,17 @@ impl History {
         self.recent.back()
     }
 
-    /// When the newest sample was taken.
+    /// The time of the newest sample.
     pub(crate) fn newest(&self) -> Option<Instant> {
         self.latest().map(|sample| sample.at)
     }
 
-    /// From the first sample to the newest, seconds.
+    /// The time from the first sample to the newest, seconds.
     pub(crate) fn sampled_s(&self) -> f64 {
         self.sampled_s
     }
 
-    /// The newest sample, unless it is too old to be the present of `now`.
+    /// The newest sample, unless it is too old to be current at `now`.
     pub(crate) fn present(&self, now: Instant) -> Option<&Sample> {
         let age = |sample: &&Sample| now.saturating_duration_since(sample.at).as_secs_f64();
         self.latest().filter(|newest| age(newest) <= self.gap_s)
@@ -198,7 +198,7 @@ impl History {
         self.recent.range(first..)
     }
 
-    /// The totals at `moment`; at the nearest kept sample where that is further back, or not reached yet.
+    /// The totals at `moment`, or at the nearest kept sample if `moment` is before the first or after the last.
     pub(crate) fn at(&self, moment: Instant) -> Totals {
         let next = self.recent.partition_point(|sample| sample.at <= moment);
         let before = next.checked_sub(1).and_then(|i| self.recent.get(i));

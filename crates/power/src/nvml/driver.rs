@@ -7,7 +7,7 @@ use nvml_wrapper::enum_wrappers::device::{Clock, TemperatureSensor};
 use nvml_wrapper::error::NvmlError;
 use std::ffi::OsStr;
 
-/// Names the library may have: machines that only run programs have no link without a version.
+/// Possible names of the library: machines without development files lack the link without a version.
 pub(super) const LIBRARIES: [&str; 2] = ["libnvidia-ml.so.1", "libnvidia-ml.so"];
 
 pub(super) struct Driver {
@@ -30,7 +30,7 @@ impl Driver {
         Err(why)
     }
 
-    /// The answer, or `None` where the card has none: a driver too old for a question lacks its symbol.
+    /// Returns the answer, or `None` if the card has none: a driver too old for a query lacks its symbol.
     fn ask<T>(
         &self,
         card: u32,

@@ -1,12 +1,11 @@
-//! The power rails in one line of `tegrastats`, of any release from L4T R32 to R39.
+//! Parses the power rails in a line of `tegrastats`, of any release from L4T R32 to R39.
 //!
-//! Power is `RAIL current/average` in milliwatts without a unit (R32), with `mW` (R34 to R38), or with a
-//! third value, the maximum (R39). Only the first is used: the average runs since the program started.
+//! Power is `RAIL current/average` in milliwatts, without a unit (R32), with `mW` (R34 to R38), or with a
+//! third value, the maximum (R39). Only the first is used: the average covers the time since the program started.
 
 use crate::rails::RailWatts;
 
-/// The rails of a line, in the order they are printed. None for a line of another program: one of `tegrastats` has the
-/// memory in use.
+/// The rails of a line, in the printed order; `None` if the line has no `RAM`, which every `tegrastats` line has.
 pub fn tegrastats_rails(line: &str) -> Option<Vec<RailWatts>> {
     let words: Vec<&str> = line.split_ascii_whitespace().collect();
     let names = words.iter().zip(words.iter().skip(1));
@@ -27,11 +26,11 @@ fn is_name(word: &str) -> bool {
         && word.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
 }
 
-/// The first of `2399mW/2399mW`, `5139mW/5139mW/5139mW`, `18401/18525`, `2171mW`, in watts.
+/// The first value of `2399mW/2399mW`, `5139mW/5139mW/5139mW`, `18401/18525`, `2171mW`, in watts.
 fn watts(word: &str) -> Option<f64> {
     let milliwatts = |text: &str| text.strip_suffix("mW").unwrap_or(text).parse::<i64>().ok();
     let values: Option<Vec<i64>> = word.split('/').map(milliwatts).collect();
-    // A number alone without a unit is a clock (`APE 150`), and `RAM 1282/62795MB` is no power.
+    // A single number without a unit is a clock (`APE 150`), and `RAM 1282/62795MB` is not a power.
     match values?[..] {
         [current] if word.ends_with("mW") => Some(current),
         [current, _] | [current, _, _] => Some(current),
