@@ -1,4 +1,4 @@
-//! The diagnostics of a service as one file: a tar archive, made in memory. It holds a megabyte or two.
+//! Packs a service's diagnostics into one file: a tar archive of a megabyte or two, built in memory.
 
 use crate::http::Problem;
 use crate::logging;
@@ -8,8 +8,8 @@ use axum::response::{IntoResponse, Response};
 use std::io;
 use tar::{Builder, Header};
 
-/// Answers with the archive `NAME-SECONDS.tar` of these files, named and in order, and of the last lines of the log, all of
-/// the time `at_s` (seconds since the Unix epoch).
+/// Returns the archive `NAME-SECONDS.tar` with these files, in order, followed by the last lines of the log. All files
+/// have the time `at_s` (seconds since the Unix epoch).
 pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response {
     let lines = logging::lines_after(0, usize::MAX).into_iter();
     let log: String = lines.map(|line| format!("{line}\n")).collect();

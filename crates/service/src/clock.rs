@@ -1,20 +1,20 @@
-//! The wall clock, and times and figures in the form of messages.
+//! The wall clock, and times and figures in the form that messages use.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 pub use albireo_wire::significant;
 
-/// The present, by both clocks.
+/// The present time by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
-    /// What decides.
+    /// The monotonic time, for decisions.
     pub at: Instant,
     /// The wall clock, milliseconds since the Unix epoch.
     pub unix_ms: i64,
 }
 
 impl Now {
-    /// The present of this machine.
+    /// The present time of this machine.
     pub fn system() -> Self {
         Self {
             at: Instant::now(),
@@ -23,12 +23,12 @@ impl Now {
     }
 }
 
-/// Nanoseconds since the Unix epoch; 0 for a clock set before it.
+/// Nanoseconds since the Unix epoch; 0 if the clock is set to an earlier time.
 pub fn unix_nanoseconds() -> u64 {
     u64::try_from(since_epoch().as_nanos()).unwrap_or(0)
 }
 
-/// Milliseconds since the Unix epoch, the unit of the hub's database; 0 for a clock set before it.
+/// Milliseconds since the Unix epoch, the unit of the hub's database; 0 if the clock is set to an earlier time.
 pub fn unix_milliseconds() -> i64 {
     i64::try_from(since_epoch().as_millis()).unwrap_or(0)
 }
@@ -39,12 +39,12 @@ fn since_epoch() -> Duration {
         .unwrap_or_default()
 }
 
-/// A length of time in milliseconds, to the microsecond: what is behind that is noise of the clock.
+/// A duration in milliseconds, rounded to the microsecond: further digits are clock noise.
 pub fn milliseconds(duration: Duration) -> f64 {
     (duration.as_secs_f64() * 1e6).round() / 1e3
 }
 
-/// A length of time in seconds, to the millisecond, as messages have ages.
+/// A duration in seconds, rounded to the millisecond, the form of ages in messages.
 pub fn seconds(duration: Duration) -> f64 {
     (duration.as_secs_f64() * 1e3).round() / 1e3
 }

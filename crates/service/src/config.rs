@@ -1,5 +1,5 @@
-//! Configuration: one TOML file, overridden by environment variables, checked as a whole before anything
-//! starts; and the sections that every service has.
+//! Configuration: one TOML file, overridden by environment variables and checked as a whole before anything
+//! starts; and the sections that all services share.
 
 mod error;
 mod findings;

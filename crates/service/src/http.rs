@@ -1,5 +1,5 @@
-//! The HTTP server that services share: it puts authentication, limits and problem documents around a router
-//! and serves it.
+//! The HTTP server that services share: adds authentication, limits and problem documents to a router and
+//! serves it.
 
 mod auth;
 mod caller;

@@ -1,5 +1,5 @@
-//! What every service of albireo has in common, node and hub alike: its configuration, its Zenoh session, its
-//! HTTP server, its log, and how it is stopped. It knows neither node nor hub.
+//! The common parts of albireo's services: configuration, Zenoh session, HTTP server, log, and shutdown.
+//! Independent of node and hub.
 
 pub mod archive;
 pub mod clock;

@@ -1,4 +1,4 @@
-//! Sets up the log: to standard error, and the last lines of it in memory.
+//! Sets up the log: on standard error, with the last lines kept in memory.
 
 mod tail;
 
@@ -13,8 +13,8 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
 
-/// What libraries say at a level where it concerns only who debugs them: ONNX Runtime lists every node of
-/// a model at INFO, Zenoh every session and link. A directive of the user's own for the same target wins.
+/// Levels for libraries whose messages concern only their developers: ONNX Runtime logs every graph node of a
+/// model at INFO, Zenoh every session and link. The user's own directive for the same target takes precedence.
 const QUIET: [&str; 6] = [
     "ort=warn",
     "zenoh=warn",
@@ -24,17 +24,17 @@ const QUIET: [&str; 6] = [
     "hyper=warn",
 ];
 
-/// Why there is no log.
+/// The reason the log cannot be set up.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct LogError(String);
 
-/// Sends the log to standard error, as the configuration wants it, and panics with it. `RUST_LOG`, as other programs
-/// have it, goes before `log.level`. The last lines are kept in memory from level `info` on, also where standard error is
-/// to hear less.
+/// Sends the log and panics to standard error, as configured. `RUST_LOG`, common to many programs, takes precedence
+/// over `log.level`. The last lines from level `info` on are kept in memory, even if standard error has
+/// fewer.
 ///
 /// # Errors
-/// When the level cannot be read, or a log was set up before.
+/// [`LogError`] if the level is invalid or a log was already set up.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
     let variable = std::env::var("RUST_LOG")
         .ok()
@@ -51,7 +51,7 @@ pub fn start(config: &LogConfig) -> Result<(), LogError> {
     Ok(())
 }
 
-/// What the log of that level consists of.
+/// Creates the subscriber for the level and format.
 fn subscriber(level: &str, format: LogFormat) -> Result<impl Subscriber + Send + Sync, ParseError> {
     let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let written = match format {
@@ -70,8 +70,8 @@ fn subscriber(level: &str, format: LogFormat) -> Result<impl Subscriber + Send +
         .with(tail::layer().with_filter(filter(tail_level(level))?)))
 }
 
-/// The level of the lines that are kept: what a person who opens the page wants to read is there even where the log is
-/// to say less.
+/// The level of the kept lines: never stricter than `info`, so the page has useful lines even if standard error has
+/// fewer.
 fn tail_level(level: &str) -> &str {
     match level.trim() {
         "off" | "error" | "warn" => "info",
@@ -80,7 +80,7 @@ fn tail_level(level: &str) -> &str {
 }
 
 fn filter(level: &str) -> Result<EnvFilter, ParseError> {
-    // The later of two directives for the same target holds, so the user's come last.
+    // The last of two directives for the same target applies, so the user's come last.
     let directives = QUIET.join(",") + "," + level;
     EnvFilter::builder().parse(directives)
 }

@@ -1,4 +1,4 @@
-//! Writes metrics for Prometheus as text (0.0.4).
+//! Writes metrics in the Prometheus text format (0.0.4).
 
 use crate::process;
 use axum::http::header::CONTENT_TYPE;
@@ -15,18 +15,18 @@ type Labels<'a> = &'a [(&'a str, &'a str)];
 pub struct MetricsPage(String);
 
 impl MetricsPage {
-    /// One gauge without labels; without a value, only its description.
+    /// Adds one gauge without labels; without a value, only its description.
     pub fn gauge(&mut self, name: &str, help: &str, value: impl Into<Option<f64>>) {
         let samples = value.into().map(|value| ([], value));
         self.family(name, "gauge", help, samples);
     }
 
-    /// One counter without labels.
+    /// Adds one counter without labels.
     pub fn counter(&mut self, name: &str, help: &str, value: f64) {
         self.family(name, "counter", help, [([], value)]);
     }
 
-    /// Gauges of one name, by labels.
+    /// Adds the gauges of one name, by labels.
     pub fn gauges<'a, const N: usize>(
         &mut self,
         name: &str,
@@ -36,7 +36,7 @@ impl MetricsPage {
         self.family(name, "gauge", help, samples);
     }
 
-    /// Counters of one name, by labels.
+    /// Adds the counters of one name, by labels.
     pub fn counters<'a, const N: usize>(
         &mut self,
         name: &str,
@@ -46,7 +46,7 @@ impl MetricsPage {
         self.family(name, "counter", help, samples);
     }
 
-    /// What the process uses.
+    /// Adds the resource usage of the process.
     pub fn process(&mut self) {
         for (name, help, value) in process::figures() {
             match name.ends_with("_total") {
@@ -56,7 +56,7 @@ impl MetricsPage {
         }
     }
 
-    /// Histograms of latencies of one name, by labels.
+    /// Adds the latency histograms of one name, by labels.
     pub fn histograms<'a, const N: usize>(
         &mut self,
         name: &str,
@@ -107,7 +107,7 @@ impl MetricsPage {
     }
 }
 
-/// A number that only grows. Clones are the same one.
+/// A number that only grows. Clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Counter(Arc<AtomicU64>);
 
@@ -117,20 +117,20 @@ impl Counter {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// How often one was added.
+    /// The count.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Upper bounds of latencies, seconds: fine around the 1 ms a predicted frame may take and around a detector's tens of
-/// milliseconds.
+/// Upper bounds of latencies, seconds: fine around the 1 ms allowed for a predicted frame and around a detector's tens
+/// of milliseconds.
 const BOUNDS_S: [f64; 15] = [
     0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.033, 0.05, 0.1, 0.25, 0.5, 1.0,
     2.5,
 ];
 
-/// How many latencies lie between two bounds, for each pair of neighbours.
+/// The number of latencies between each pair of neighbouring bounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LatencyHistogram {
     within: [u64; BOUNDS_S.len() + 1],

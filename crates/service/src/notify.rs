@@ -1,38 +1,38 @@
-//! Tells the service manager (systemd, `Type=notify`) how the service is, and feeds its watchdog for as long as that is
-//! well. Without a manager nothing is sent.
+//! Reports the service's state to the service manager (systemd, `Type=notify`), and feeds its watchdog while the
+//! service works. Without a manager nothing is sent.
 //!
-//! Two rules. A service that waits for others (a router, a database) counts as started after a while: a manager that
-//! killed it would help nothing. And the watchdog is fed by the task that checks the service's real health, on
-//! the runtime everything else runs on: workers that hang, a lock that is never given back, or a part that has been
-//! broken for too long all end the feeding, and the manager restarts the service.
+//! A service that waits for others (a router, a database) counts as started after a while, because killing it would not
+//! help. The watchdog is fed by the task that checks the service's real health, on the runtime that everything else
+//! runs on: hung workers, a lock that is never released, or a part that has been broken for too long all stop the
+//! feeding, and the manager restarts the service.
 
 use sd_notify::NotifyState;
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-/// How the service is, at one look.
+/// The state of the service at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ServiceState {
-    /// Whether it does what it is there for.
+    /// True if the service does its work.
     pub ready: bool,
-    /// Why it does not, or with what missing; empty when all is well.
+    /// Why it does not work or what is missing; empty if every part works.
     pub reasons: String,
-    /// What only a new start can repair: while it lasts the watchdog is not fed.
+    /// A fault that only a restart can repair: the watchdog is not fed while it lasts.
     pub stuck: Option<String>,
 }
 
-/// After this time a service counts as started although it still waits for others.
+/// The time after which a service counts as started although it still waits for others.
 const STARTED_AFTER: Duration = Duration::from_secs(30);
 
-/// Interval of the check where the manager has no watchdog.
+/// The check interval if the manager has no watchdog.
 const CHECK_INTERVAL: Duration = Duration::from_secs(5);
 
-/// The longest text that is sent.
+/// The maximum length of a text, characters.
 const LONGEST: usize = 400;
 
-/// Reports the service's state to the service manager until `shutdown`, then that it stops. `read` is called at least once
-/// per half of the watchdog's period; it must neither wait nor take long.
+/// Reports the service's state to the service manager until `shutdown`, then that it is stopping. `read` is called at
+/// least once per half of the watchdog's period; it must not block.
 pub async fn run(read: impl Fn() -> ServiceState + Send, shutdown: CancellationToken) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
@@ -56,7 +56,7 @@ async fn watch_state(
     shutdown: CancellationToken,
 ) {
     let period = watchdog.unwrap_or(CHECK_INTERVAL).min(CHECK_INTERVAL);
-    // A watchdog of nothing would be a loop without pause.
+    // A watchdog period of zero would spin.
     let period = period.max(Duration::from_millis(1));
     let mut ticks = interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -87,7 +87,7 @@ async fn watch_state(
     send(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
 }
 
-/// One line for `systemctl status`.
+/// The status line for `systemctl status`.
 fn status(state: &ServiceState) -> String {
     let word = match (&state.stuck, state.ready, state.reasons.is_empty()) {
         (Some(reason), ..) => return line(&format!("stuck: {reason}")),
@@ -98,7 +98,7 @@ fn status(state: &ServiceState) -> String {
     line(&format!("{word}: {}", state.reasons))
 }
 
-/// The text in one line, not too long: a line break would end the message.
+/// The text as one line of limited length: a line break would end the message.
 fn line(text: &str) -> String {
     let plain = text.chars().map(|c| if c.is_control() { ' ' } else { c });
     plain.take(LONGEST).collect()

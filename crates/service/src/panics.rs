@@ -1,5 +1,5 @@
-//! Logs panics, one line each in the log's own format, and none where code of others is known to panic on bad input and
-//! the panic is caught.
+//! Logs panics, one per line in the log's format, but not caught panics in third-party code that is known to panic on
+//! bad input.
 
 use std::any::Any;
 use std::cell::Cell;
@@ -9,16 +9,16 @@ thread_local! {
     static CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Has every panic of the process logged by `tracing` from now on. To be called once, when the log is set up.
+/// Makes `tracing` log every panic of the process. Call it once, when the log is set up.
 pub(crate) fn log_panics() {
     std::panic::set_hook(Box::new(log));
 }
 
-/// Runs `work`, and gives what it panicked with instead of letting that go on. Nothing is logged: the caller counts
-/// it and says what it was about.
+/// Runs `work` and returns its panic instead of propagating it. Nothing is logged: the caller counts the panic and
+/// reports its subject.
 ///
 /// # Errors
-/// What `work` panicked with.
+/// The payload of a panic in `work`.
 pub fn contain<T>(work: impl FnOnce() -> T) -> Result<T, Box<dyn Any + Send>> {
     let before = CONTAINED.replace(true);
     let ended = catch_unwind(AssertUnwindSafe(work));

@@ -1,12 +1,12 @@
-//! What the process itself uses, under the names that Prometheus' own client libraries give.
+//! The resource usage of the process, under the names that Prometheus' own client libraries use.
 
 use procfs::process::{LimitValue, Process};
 use procfs::{ProcResult, boot_time_secs, page_size, ticks_per_second};
 
-/// Name, help and value of one figure. A name that ends in `_total` is that of a counter.
+/// Name, help and value of one figure. A name that ends in `_total` denotes a counter.
 pub(crate) type ProcessFigure = (&'static str, &'static str, f64);
 
-/// What the process uses now; nothing where that cannot be read (a procfs that is hidden).
+/// The present resource usage of the process; empty if it cannot be read (hidden procfs).
 pub(crate) fn figures() -> Vec<ProcessFigure> {
     read().unwrap_or_default()
 }

@@ -1,10 +1,10 @@
-//! Thins out log lines that may come with every message: one a period, the rest counted.
+//! Limits log lines that may occur with every message: logs one per period and counts the rest.
 
 use parking_lot::Mutex;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Lets one event per period through and counts those it held back.
+/// Lets one event per period through and counts the suppressed ones.
 #[derive(Debug)]
 pub struct RateLimit {
     period: Duration,
@@ -13,7 +13,7 @@ pub struct RateLimit {
 }
 
 impl RateLimit {
-    /// Lets at most one event through each `period`.
+    /// Lets at most one event per `period` through.
     pub const fn new(period: Duration) -> Self {
         Self {
             period,
@@ -22,8 +22,8 @@ impl RateLimit {
         }
     }
 
-    /// Whether the event at `now` may pass: then the number of events held back since the last one
-    /// that passed, else `None`.
+    /// Returns the number of events suppressed since the last one that passed if the event at `now` may pass, else
+    /// `None`.
     pub fn admit(&mut self, now: Instant) -> Option<u64> {
         if self.last.is_some_and(|last| now - last < self.period) {
             self.held_back += 1;
@@ -34,7 +34,7 @@ impl RateLimit {
     }
 }
 
-/// A limit for lines that several threads may log, one each ten seconds.
+/// A limit of one line per ten seconds, shared by threads.
 #[derive(Debug)]
 pub struct SharedLimit(Mutex<RateLimit>);
 
@@ -45,14 +45,14 @@ impl Default for SharedLimit {
 }
 
 impl SharedLimit {
-    /// A limit that has let nothing through yet.
+    /// Creates a limit that has not let anything through yet.
     pub const fn new() -> Self {
         Self(parking_lot::const_mutex(RateLimit::new(
             Duration::from_secs(10),
         )))
     }
 
-    /// Calls `log` with the number of calls since its last call, unless that was just now.
+    /// Calls `log` with the number of calls suppressed since the last one, at most once per period.
     pub fn log(&self, log: impl FnOnce(u64)) {
         let admitted = self.0.lock().admit(Instant::now());
         if let Some(held_back) = admitted {

@@ -1,8 +1,8 @@
-//! Whether a service works: what is wrong with which of its parts, and since when.
+//! The readiness of a service: the faults of its parts, and their duration.
 //!
-//! Two effects, and the rule for choosing: a fault that keeps the service from what it is there for makes it
-//! *not ready* (`/readyz` answers 503); one it works beside makes it *degraded* (`/readyz` answers 200 with the
-//! reasons). A part reports its faults as they come ([`Part`]), or is asked each time ([`Readiness::probe`]).
+//! A fault has one of two effects: if the service cannot do its work, it is *not ready* (`/readyz` answers 503); if the
+//! service works in spite of the fault, it is *degraded* (`/readyz` answers 200 with the reasons). A part reports its
+//! faults as they occur ([`Part`]), or is queried each time ([`Readiness::probe`]).
 
 use crate::clock::seconds;
 use albireo_wire::{HealthState, HealthStatus};
@@ -26,7 +26,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// A fault the service works beside.
+    /// Creates a fault in spite of which the service works.
     pub fn degraded(reason: impl Into<String>) -> Self {
         Self {
             effect: HealthState::Degraded,
@@ -34,7 +34,7 @@ impl Fault {
         }
     }
 
-    /// A fault that keeps the service from its work.
+    /// Creates a fault that keeps the service from its work.
     pub fn not_ready(reason: impl Into<String>) -> Self {
         Self {
             effect: HealthState::NotReady,
@@ -66,10 +66,10 @@ fn in_seconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S:
     serializer.serialize_f64(seconds(*time))
 }
 
-/// Everything that is wrong at one moment.
+/// All faults at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Health {
-    /// By part and subject.
+    /// The faults, by part and subject.
     pub faults: Vec<PartFault>,
 }
 
@@ -80,12 +80,12 @@ impl Health {
         effects.max().unwrap_or(HealthState::Ready)
     }
 
-    /// Whether the service does what it is there for, if perhaps with a part missing.
+    /// True if the service does its work, possibly with a part missing.
     pub fn is_ready(&self) -> bool {
         self.state() != HealthState::NotReady
     }
 
-    /// The same as it goes over the wire: one reason a part.
+    /// The status for the wire: one reason per part.
     pub fn status(&self) -> HealthStatus {
         let mut reasons = BTreeMap::<String, String>::new();
         for one in &self.faults {
@@ -109,7 +109,7 @@ type Key = (Cow<'static, str>, Cow<'static, str>);
 type Look = dyn Fn() -> Option<Fault> + Send + Sync;
 
 struct Inner {
-    /// What is wrong with each part, and since when it is at fault.
+    /// The fault of each part, and its start.
     faults: Mutex<BTreeMap<Key, (Fault, Instant)>>,
     probes: Mutex<Vec<(Key, Arc<Look>)>>,
     changes: watch::Sender<HealthStatus>,
@@ -139,12 +139,12 @@ impl fmt::Debug for Readiness {
 }
 
 impl Readiness {
-    /// The handle by which a part reports its state.
+    /// Creates the handle through which a part reports its state.
     pub fn part(&self, part: impl Into<Cow<'static, str>>) -> Part {
         self.part_of(part, "")
     }
 
-    /// As [`part`](Self::part), for one of several: the camera `front` of the part `cameras`.
+    /// Like [`part`](Self::part), for one of several: the camera `front` of the part `cameras`.
     pub fn part_of(
         &self,
         part: impl Into<Cow<'static, str>>,
@@ -156,7 +156,7 @@ impl Readiness {
         }
     }
 
-    /// Asks `look` at each look at the whole. It must neither wait nor take long.
+    /// Calls `look` at each [`health`](Self::health). It must not block.
     pub fn probe(
         &self,
         part: impl Into<Cow<'static, str>>,
@@ -167,9 +167,9 @@ impl Readiness {
         self.0.probes.lock().push((key, Arc::new(look)));
     }
 
-    /// What is wrong now.
+    /// Returns the present faults.
     pub fn health(&self) -> Health {
-        // The probes are asked without a lock: one may itself report a part.
+        // Probes run without the lock: a probe may itself report a part.
         let probes = self.0.probes.lock().clone();
         let probed: Vec<_> = (probes.into_iter())
             .map(|(key, probe)| (key, probe()))
@@ -189,7 +189,7 @@ impl Readiness {
         let health = Health {
             faults: faults.collect(),
         };
-        // Under the lock, so that of two concurrent reads the later one is sent last.
+        // Under the lock, so that the later of two concurrent reads is sent last.
         let status = health.status();
         self.0.changes.send_if_modified(|shown| {
             let changed = *shown != status;
@@ -199,13 +199,13 @@ impl Readiness {
         health
     }
 
-    /// What is wrong, to wait for changes. Changes that only a probe sees are reported at the next
-    /// [`health`](Self::health): somebody must look from time to time, as [`watch`](Self::watch) does.
+    /// Subscribes to changes. A change that only a probe sees is reported at the next [`health`](Self::health), so
+    /// that must be called from time to time, as [`watch`](Self::watch) does.
     pub fn subscribe(&self) -> watch::Receiver<HealthStatus> {
         self.0.changes.subscribe()
     }
 
-    /// Looks every `period`, and logs each change, for as long as it is polled.
+    /// Checks the health every `period` and logs each change, for as long as it is polled.
     pub async fn watch(self, period: Duration) {
         let mut changes = self.subscribe();
         let mut ticks = tokio::time::interval(period);
@@ -246,7 +246,7 @@ fn log(status: &HealthStatus) {
     }
 }
 
-/// The handle by which one part reports its state. The last report holds, also when this is dropped.
+/// The handle through which one part reports its state. The last report holds even after this is dropped.
 #[derive(Clone, Debug)]
 pub struct Part {
     readiness: Readiness,
@@ -254,22 +254,22 @@ pub struct Part {
 }
 
 impl Part {
-    /// It works.
+    /// Reports that the part works.
     pub fn works(&self) {
         self.readiness.set(&self.key, None);
     }
 
-    /// It does not work, and the service works beside it.
+    /// Reports a fault in spite of which the service works.
     pub fn degraded(&self, reason: impl Into<String>) {
         self.fault(Fault::degraded(reason));
     }
 
-    /// It does not work, and so neither does the service.
+    /// Reports a fault that keeps the service from its work.
     pub fn not_ready(&self, reason: impl Into<String>) {
         self.fault(Fault::not_ready(reason));
     }
 
-    /// It does not work.
+    /// Reports a fault.
     pub(crate) fn fault(&self, fault: Fault) {
         self.readiness.set(&self.key, Some(fault));
     }

@@ -1,5 +1,5 @@
-//! Opens the Zenoh sessions a service or a tool talks through. Opening waits for the network, so it never runs on an
-//! async worker.
+//! Opens the Zenoh sessions of a service or a tool. Opening waits for the network, so it never runs on an async
+//! worker.
 
 use super::config::{UplinkConfig, ZenohConfig};
 use std::fmt::Display;
@@ -7,10 +7,10 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 use zenoh::{Session, Wait};
 
-/// First and longest pause between two attempts of a client to reach its router, without the jitter.
+/// The first and longest pause between a client's attempts to reach its router, without jitter.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
 
-/// Why there is no session.
+/// The reason a session cannot be opened.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct SessionError(String);
@@ -21,15 +21,15 @@ impl From<tokio::task::JoinError> for SessionError {
     }
 }
 
-/// A section that makes no sense to Zenoh: that does not pass by itself.
+/// An error for a section that Zenoh rejects: retrying does not help.
 fn malformed(section: &str, reason: &str) -> SessionError {
     SessionError(format!("[{section}] {reason}"))
 }
 
-/// Puts settings in Zenoh's own terms, as `("transport/link/tx/lease", 60000)`, into a configuration of it.
+/// Inserts settings by Zenoh's names, such as `("transport/link/tx/lease", 60000)`, into a Zenoh configuration.
 ///
 /// # Errors
-/// What Zenoh does not accept, in words.
+/// The setting that Zenoh rejects, in words.
 pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Result<(), String> {
     for (key, value) in settings {
         config
@@ -39,18 +39,18 @@ pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Re
     Ok(())
 }
 
-/// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
-/// router, for ever: drop the future to give up. `waiting` gets the reason of each failed attempt.
+/// Opens a session as configured. `max_payload_bytes` limits what is accepted from the network. A client waits for its
+/// router without limit: drop the future to give up. `waiting` receives the reason of each failed attempt.
 ///
 /// # Errors
-/// When the configuration makes no sense to Zenoh, or an endpoint cannot be listened on.
+/// [`SessionError`] if Zenoh rejects the configuration or cannot listen on an endpoint.
 pub async fn open(
     config: &ZenohConfig,
     max_payload_bytes: usize,
     waiting: impl Fn(&str),
 ) -> Result<Session, SessionError> {
     let zenoh = (config.to_zenoh(max_payload_bytes)).map_err(|why| malformed("zenoh", &why))?;
-    // Of what Zenoh is given, as a file of its own settings has a mode of its own.
+    // From the final configuration, because a Zenoh configuration file sets its own mode.
     let is_client = zenoh
         .get_json("mode")
         .is_ok_and(|mode| mode == "\"client\"");
@@ -60,11 +60,11 @@ pub async fn open(
     .await
 }
 
-/// Opens a session with more `settings` than the section has, and tries again until it is open, whatever its mode: a router
-/// that is not there yet is no reason to end. Drop the future to give up. Each failure is given to `failed`.
+/// Opens a session with `settings` added to the section, and retries until it is open, whatever its mode: a router that
+/// is not running yet is no reason to fail. Drop the future to give up. `failed` receives each failure.
 ///
 /// # Errors
-/// When the configuration makes no sense to Zenoh: that does not pass by itself.
+/// [`SessionError`] if Zenoh rejects the configuration: retrying does not help.
 pub async fn open_patiently(
     config: &ZenohConfig,
     max_payload_bytes: usize,
@@ -106,7 +106,7 @@ async fn attempts(
 /// Opens the session to the hub: one attempt. Blocks.
 ///
 /// # Errors
-/// When no router can be reached, or the configuration makes no sense to Zenoh.
+/// [`SessionError`] if no router can be reached or Zenoh rejects the configuration.
 pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
     let config = uplink.to_zenoh(jittered(Duration::from_millis(1000)));
     let config = config.map_err(|why| malformed("uplink", &why))?;
@@ -129,18 +129,18 @@ fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
     ))
 }
 
-/// Between half and one and a half of a pause, so that many nodes do not come together.
+/// A random duration between half and one and a half of `pause`, so that many nodes do not retry at the same time.
 pub fn jittered(pause: Duration) -> Duration {
     let random = RandomState::new().hash_one(pause) % 1000;
     pause.mul_f64(0.5 + random as f64 / 1000.0)
 }
 
-/// Zenoh's error without the places in its sources, which are paths of the machine that built it.
+/// Zenoh's error without its source locations, which are paths on the machine that built it.
 pub fn plain(error: &zenoh::Error) -> String {
     without_places(&error.to_string())
 }
 
-/// A text of Zenoh's without the places in its sources.
+/// A text from Zenoh without its source locations.
 pub fn without_places(text: &str) -> String {
     let mut rest = text;
     let mut plain = String::new();

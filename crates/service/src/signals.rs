@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM.
+//! Handles Ctrl-C and SIGTERM.
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -6,31 +6,31 @@ use std::time::{Duration, Instant};
 use std::{io, process, thread};
 use tokio_util::sync::CancellationToken;
 
-/// What to say when the signals cannot be listened to.
+/// The error context if the signal handlers cannot be installed.
 pub const CONTEXT: &str = "signals cannot be listened to";
 
-/// Signals that come this soon after the first are the same request: `timeout` signals its child, then the whole group.
+/// Signals this soon after the first are the same request: `timeout` signals its child, then the whole group.
 const ONE_REQUEST: Duration = Duration::from_secs(1);
 
-/// Exit code after a second signal.
+/// The exit code after a second signal.
 const TWICE: i32 = 130;
 
-/// Exit code when stopping took too long.
+/// The exit code if stopping took too long.
 const TOO_LONG: i32 = 1;
 
-/// A token that is cancelled by the first Ctrl-C or SIGTERM. A second one, a second later or more, ends the program at
+/// Returns a token that the first Ctrl-C or SIGTERM cancels. A second one, at least a second later, ends the program at
 /// once, with exit code 130.
 ///
 /// # Errors
-/// When the signals cannot be listened to.
+/// An I/O error if the signal handlers cannot be installed.
 pub fn shutdown() -> io::Result<CancellationToken> {
     listen(None)
 }
 
-/// As [`shutdown`]; the program also ends, with exit code 1, when it still runs `limit` after the first signal.
+/// Like [`shutdown`]; the program also ends, with exit code 1, if it still runs `limit` after the first signal.
 ///
 /// # Errors
-/// As there.
+/// Same as [`shutdown`].
 pub fn shutdown_within(limit: Duration) -> io::Result<CancellationToken> {
     listen(Some(limit))
 }
@@ -39,7 +39,7 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
     let mut signals = Signals::new([SIGTERM, SIGINT])?;
-    // A thread of its own: a signal is heard although every worker of the program's is blocked.
+    // In a separate thread: a signal is handled even if all workers of the program are blocked.
     thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || {

@@ -1,4 +1,4 @@
-//! Watches a service's tasks: one that dies ends the service in order, or, where that is declared, is restarted after a pause.
+//! Watches a service's tasks: if one ends, it is restarted after a pause if declared so, otherwise the service stops.
 
 #[cfg(test)]
 mod tests;
@@ -17,19 +17,19 @@ use tokio::time::{Duration, sleep};
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 
-/// The part of the readiness under which tasks are named.
+/// The readiness part that lists the tasks.
 pub const PART: &str = "tasks";
 
-/// From the first failure to the next start. Doubles with each failure until the task was calm.
+/// The first pause before a restart. Doubles with each failure until the task has run calmly.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
-/// The longest of these pauses.
+/// The longest pause before a restart.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
-/// A task that has run for this long since its restart counts as well again.
+/// A task that has run this long since its restart counts as working again.
 const CALM: Duration = Duration::from_secs(60);
 
-/// How a task ended by itself: with the reason of its failure, if it has one.
+/// The end of a task, with the reason if it failed.
 #[derive(Debug, Default)]
 pub struct TaskEnd(Option<String>);
 
@@ -52,26 +52,26 @@ impl<E: Display> From<Result<(), E>> for TaskEnd {
     }
 }
 
-/// A task the service cannot do without has failed, and is not restarted.
+/// An essential task failed and is not restarted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the task `{task}` {reason}; the program ends, for a service manager to start it again")]
 pub struct TaskFailed {
     /// Its name.
     pub task: String,
-    /// How it failed.
+    /// The failure.
     pub reason: String,
 }
 
-/// What is counted of one task.
+/// The counts of one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TaskCounts {
-    /// Times it panicked, failed, or ended unasked.
+    /// The number of times it panicked, failed, or ended unexpectedly.
     pub failures: u64,
-    /// Times it was restarted.
+    /// The number of times it was restarted.
     pub restarts: u64,
 }
 
-/// The counts of all tasks of a service, by name. Clones are of the same service.
+/// The counts of all tasks of a service, by name. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub struct TaskTally(Arc<Mutex<BTreeMap<String, TaskCounts>>>);
 
@@ -83,14 +83,14 @@ impl TaskTally {
         counts.restarts += restarts;
     }
 
-    /// Every task ever started, with its counts.
+    /// Returns every task ever started, with its counts.
     pub fn counts(&self) -> Vec<(String, TaskCounts)> {
         self.0.lock().clone().into_iter().collect()
     }
 }
 
-/// The tasks of a service. Somebody must poll [`watch`](Self::watch) while the service runs, and
-/// [`finish`](Self::finish) at its end. When it is dropped, so are the tasks.
+/// The tasks of a service. The owner must poll [`watch`](Self::watch) while the service runs, and
+/// [`finish`](Self::finish) at its end. Dropping it drops the tasks.
 pub struct Supervisor {
     running: JoinSet<(String, TaskEnd)>,
     names: BTreeSet<String>,
@@ -100,7 +100,7 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor without tasks. After `shutdown` tasks are expected to end.
+    /// Creates a supervisor without tasks. After `shutdown`, tasks are expected to end.
     pub fn new(readiness: Readiness, tally: TaskTally, shutdown: CancellationToken) -> Self {
         Self {
             running: JoinSet::new(),
@@ -111,8 +111,8 @@ impl Supervisor {
         }
     }
 
-    /// Runs what `task` makes; when that ends before the shutdown, or panics, it is made again. Meanwhile the readiness has
-    /// the fault with that effect.
+    /// Runs the future that `task` creates, and creates it again if it ends before the shutdown or panics. Until it
+    /// works again, the readiness has a fault with this effect.
     pub fn restarting<F>(
         &mut self,
         name: impl Into<String>,
@@ -127,7 +127,7 @@ impl Supervisor {
         self.essential(name.clone(), async move {
             let mut pause = FIRST_PAUSE;
             loop {
-                // Made inside, so that a panic in the making counts as one of the task.
+                // Created inside, so that a panic in `task` counts as a panic of the task.
                 let run = end_of(async { task().await });
                 tokio::pin!(run);
                 let end = tokio::select! {
@@ -158,7 +158,7 @@ impl Supervisor {
         });
     }
 
-    /// Runs `task`, in a span of its name; when it ends before the shutdown, or panics, the service ends.
+    /// Runs `task`, in a span with its name; if it ends before the shutdown or panics, the service ends.
     pub fn essential<F>(&mut self, name: impl Into<String>, task: F)
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
@@ -171,8 +171,8 @@ impl Supervisor {
         self.running.spawn(run.instrument(span));
     }
 
-    /// As [`essential`](Self::essential), for a part that outlives the other tasks: from the shutdown on, `ended` is not
-    /// waited for.
+    /// Like [`essential`](Self::essential), for a part that outlives the other tasks: after the shutdown, `ended` is
+    /// not awaited.
     pub fn until_shutdown<F>(&mut self, name: impl Into<String>, ended: F)
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
@@ -187,7 +187,7 @@ impl Supervisor {
     /// Watches the tasks until the shutdown.
     ///
     /// # Errors
-    /// [`TaskFailed`] when one fails that is not restarted; the others still run.
+    /// [`TaskFailed`] if a task fails that is not restarted; the others still run.
     pub async fn watch(&mut self) -> Result<(), TaskFailed> {
         let shutdown = self.shutdown.clone();
         loop {
@@ -216,23 +216,23 @@ impl Supervisor {
         Err(TaskFailed { task, reason })
     }
 
-    /// Waits until every task has ended. To be called after the shutdown.
+    /// Waits until every task has ended. Call it after the shutdown.
     pub async fn finish(&mut self) {
         while let Some(ended) = self.running.join_next().await {
             if let Ok((name, end)) = ended {
-                // An error has been logged.
+                // `ended` has logged the error.
                 let _ = self.ended(name, end);
             }
         }
     }
 
-    /// The tasks that still run, by name: who is being waited for.
+    /// The names of the tasks that still run.
     pub fn still_running(&self) -> Vec<&str> {
         self.names.iter().map(String::as_str).collect()
     }
 }
 
-/// Runs a task to its end; a panic is one.
+/// Runs a task to its end or its panic.
 async fn end_of(task: impl Future<Output: Into<TaskEnd>>) -> TaskEnd {
     match AssertUnwindSafe(task).catch_unwind().await {
         Ok(end) => end.into(),

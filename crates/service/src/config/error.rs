@@ -1,20 +1,20 @@
-//! Errors in a configuration: where it was read, which key, and why.
+//! Errors in a configuration: the source, the key, and the reason.
 
 use std::fmt;
 
-/// One thing that is wrong.
+/// One error in a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// The key, `http.listen` or `camera.cabin.source`; empty when it is not about one key.
+    /// The key, such as `http.listen` or `camera.cabin.source`; empty if the error is not about one key.
     pub key: String,
-    /// What is wrong and what would do.
+    /// The error, and what is allowed.
     pub reason: String,
-    /// Where the value comes from, when it is not the file: an environment variable.
+    /// The source of the value if it is not the file: an environment variable.
     pub source: Option<String>,
 }
 
 impl Finding {
-    /// A finding about the value of `key`.
+    /// Creates a finding about the value of `key`.
     pub fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
         Self {
             key: key.into(),
@@ -37,12 +37,12 @@ impl fmt::Display for Finding {
     }
 }
 
-/// A configuration that cannot be used: everything that is wrong with it, not the first thing only.
+/// An invalid configuration, with all its errors, not only the first.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct ConfigError {
-    /// The file, or `built-in defaults` when none was given.
+    /// The file, or `built-in defaults` if none was given.
     pub file: String,
-    /// What is wrong; never empty.
+    /// The errors; never empty.
     pub findings: Vec<Finding>,
 }
 
@@ -50,7 +50,7 @@ impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} cannot be used:", self.file)?;
         for finding in &self.findings {
-            // A TOML syntax error has several lines, with the place underlined.
+            // A TOML syntax error has several lines, with the position underlined.
             write!(
                 f,
                 "\n  {}",

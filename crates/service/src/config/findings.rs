@@ -1,23 +1,23 @@
-//! Collects what is wrong with a configuration's values beyond their types.
+//! Collects errors in the values of a configuration, beyond their types.
 
 use super::Finding;
 use std::fmt::Display;
 use std::path::Path;
 
-/// Seconds of a day: longer timeouts and windows are slips of the pen.
+/// Seconds per day: longer timeouts and windows are mistakes.
 pub const DAY_S: f64 = 86_400.0;
 
-/// Collects what is wrong.
+/// Collects errors.
 #[derive(Debug, Default)]
 pub struct Findings(Vec<Finding>);
 
 impl Findings {
-    /// Notes that something is wrong with `key`.
+    /// Adds an error about `key`.
     pub fn add(&mut self, key: impl Into<String>, reason: impl Into<String>) {
         self.0.push(Finding::new(key, reason));
     }
 
-    /// What is right; notes what is wrong with `key`.
+    /// Returns the checked value; adds the error about `key` if there is one.
     pub fn check<T>(
         &mut self,
         key: impl Into<String>,
@@ -28,9 +28,9 @@ impl Findings {
             .ok()
     }
 
-    /// Wants a value above 0 and at most `high`.
+    /// Requires a value above 0 and at most `high`.
     pub fn above_zero(&mut self, key: &str, value: f64, high: f64) {
-        // Written so that NaN is refused.
+        // Written so that NaN is rejected.
         if !(value > 0.0 && value <= high) {
             self.add(
                 key,
@@ -39,21 +39,21 @@ impl Findings {
         }
     }
 
-    /// Wants a value from `low` to `high`.
+    /// Requires a value from `low` to `high`.
     pub fn count(&mut self, key: &str, value: u64, low: u64, high: u64) {
         if !(low..=high).contains(&value) {
             self.add(key, format!("must be from {low} to {high}, not {value}"));
         }
     }
 
-    /// Wants a path that is not empty, where there is one.
+    /// Requires a non-empty path, if one is given.
     pub fn path(&mut self, key: &str, path: Option<&Path>) {
         if path.is_some_and(|path| path.as_os_str().is_empty()) {
             self.add(key, "is empty; leave the key out instead");
         }
     }
 
-    /// All of them, in the order they were noted.
+    /// All errors, in the order in which they were added.
     pub fn into_vec(self) -> Vec<Finding> {
         self.0
     }

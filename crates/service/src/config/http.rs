@@ -6,16 +6,16 @@ use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-/// Fewest characters of a token.
+/// The minimum number of characters of a token.
 const LEAST_TOKEN: usize = 16;
 
-/// A secret that is not shown when printed for debugging.
+/// A secret that debug output does not show.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Token(String);
 
 impl Token {
-    /// A token of those characters.
+    /// Creates a token with these characters.
     pub fn new(secret: impl Into<String>) -> Self {
         Self(secret.into())
     }
@@ -25,7 +25,7 @@ impl Token {
         &self.0
     }
 
-    /// Why it cannot be sent as a bearer token (RFC 6750, section 2.1), if it cannot.
+    /// Returns why it cannot be sent as a bearer token (RFC 6750, section 2.1), if it cannot.
     pub(crate) fn fault(&self) -> Option<&'static str> {
         if self.0.is_empty() {
             Some("is empty; leave it out for no authentication")
@@ -47,27 +47,27 @@ impl fmt::Debug for Token {
     }
 }
 
-/// The HTTP interface: where it listens and who may use it.
+/// The HTTP interface: the address it listens on, and who may use it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HttpConfig {
-    /// Address and port; port 0 for any free one.
+    /// Address and port; port 0 selects any free one.
     pub listen: SocketAddr,
-    /// Bearer token that requests must carry. Prefer `token_file` or the environment variable
-    /// `ALBIREO_HTTP__TOKEN`, so that the secret is not in this file.
+    /// The bearer token that requests must carry. Prefer `token_file` or the environment variable
+    /// `ALBIREO_HTTP__TOKEN`, so that this file does not contain the secret.
     pub token: Option<Token>,
-    /// File whose first line is the token.
+    /// A file whose first line is the token.
     pub token_file: Option<PathBuf>,
-    /// Whether anybody may use an address that other machines reach without a token.
+    /// Allows an address that other machines can reach without a token.
     pub allow_unauthenticated: bool,
-    /// A request other than the event stream that takes longer is answered with an error. No setting.
+    /// Requests that take longer, except the event stream, are answered with an error. Not a setting.
     #[serde(skip)]
     pub timeout_ms: u64,
-    /// A connection that sends nothing, or reads nothing, for this long is closed. No setting.
+    /// A connection that sends or reads nothing for this long is closed. Not a setting.
     #[serde(skip)]
     pub idle_timeout_ms: u64,
-    /// Connections at a time. When all are taken, the oldest is closed for a new one. No setting:
-    /// 256 of them take some 10 MB.
+    /// The maximum number of connections. At the limit, the oldest is closed for a new one. Not a setting:
+    /// 256 connections use some 10 MB.
     #[serde(skip)]
     pub max_connections: usize,
     /// Web origins whose pages may call the interface (`https://fleet.example`); none by default.
@@ -90,7 +90,7 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
-    /// Notes what is wrong with the section, and with the named tokens beside it.
+    /// Adds the errors in the section, checked together with the named tokens.
     pub fn check(&self, tokens: &[NamedToken], findings: &mut Findings) {
         NamedToken::check(tokens, findings);
         if let Some(fault) = self.token.as_ref().and_then(Token::fault) {

@@ -8,29 +8,29 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::path::Path;
 
-/// What environment variables begin with. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
+/// The prefix of environment variables. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
 const PREFIX: &str = "ALBIREO_";
 
-/// The most findings that are reported about the form of a configuration.
+/// The maximum number of errors reported about the form of a configuration.
 const MOST_FINDINGS: usize = 100;
 
 /// A configuration that [`load`] can read: all settings of one service.
 pub trait Configuration: DeserializeOwned {
-    /// Its sections in capitals, as they stand in the names of environment variables.
+    /// Its sections in capitals, as in the names of environment variables.
     const SECTIONS: &'static [&'static str];
 
-    /// Keys that an earlier version had, and values (`section.key = value`), a line each: the key, `: `, what became of it.
+    /// Removed keys and values (`section.key = value`), one per line: the key, `: `, and what replaced it.
     const REMOVED: &'static str = "";
 
-    /// Everything that is wrong with the values; empty when they can be used.
+    /// Returns all errors in the values; empty if they are valid.
     fn findings(&self) -> Vec<Finding>;
 }
 
-/// Reads `file` (the built-in defaults without one), lets environment variables override it, and checks
+/// Reads `file`, or the built-in defaults without one, lets environment variables override it, and checks
 /// everything.
 ///
 /// # Errors
-/// [`ConfigError`] with all unknown keys and impossible values found.
+/// [`ConfigError`] with all unknown keys and invalid values.
 pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     let (config, findings) = examine(file);
     match config {
@@ -45,8 +45,7 @@ pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     }
 }
 
-/// As [`load`]: what could be read of a configuration, with defaults for what could not, and everything that is wrong
-/// with it.
+/// Like [`load`], but returns what could be read, with defaults for the rest, together with all errors.
 pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding>) {
     match file.map(std::fs::read_to_string).transpose() {
         Ok(text) => examine_text(text.as_deref().unwrap_or_default()),
@@ -54,7 +53,7 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
     }
 }
 
-/// As [`examine`], with the file's text.
+/// Like [`examine`], with the file's text.
 pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     let figment = Figment::from(Toml::string(text));
     let variables = std::env::vars_os().filter_map(|(k, _)| k.into_string().ok());
@@ -68,7 +67,7 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     findings.extend(malformed);
     if let Some(config) = &config {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        // What was left out because of its form has its default here, or is a shorter list, and is spoken of already.
+        // A value left out because of its form has its default here, or shortens a list, and is already reported.
         let reported = |key: &str| {
             known.iter().any(|known| {
                 let rest = known.strip_prefix(key);
@@ -84,11 +83,11 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     (config, findings)
 }
 
-/// Reads the configuration. What cannot be read, an unknown key or a value of another type, is noted and left out, and
-/// the rest is read again: so everything is found in one go. `None` when the rest cannot be read either.
+/// Reads the configuration. An unknown key or a value of the wrong type is reported and left out, and the rest is read
+/// again, so all errors are found at once. `None` if the rest cannot be read either.
 fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     let mut findings: Vec<Finding> = Vec::new();
-    // The first time as it is, for its errors know where they come from.
+    // First without changes, because these errors know their source.
     let mut read = figment.extract::<C>();
     let mut values: Value = figment.extract().unwrap_or_default();
     loop {
@@ -112,7 +111,7 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     }
 }
 
-/// Takes the value at `path` out, so that the rest can be read; false when that cannot be done.
+/// Removes the value at `path` so that the rest can be read; false if that is impossible.
 fn take_out(values: &mut Value, path: &[String]) -> bool {
     let Some((last, parent)) = path.split_last() else {
         return false;
@@ -133,14 +132,14 @@ fn pointer(path: &[String]) -> String {
     path.iter().map(escaped).collect()
 }
 
-/// The environment variable that the value of `key` comes from, when it is not the file.
+/// The environment variable that sets the value of `key`, if it is not from the file.
 fn source(figment: &Figment, key: &str) -> Option<String> {
     let metadata = figment.find_metadata(key)?;
     let is_variable = metadata.name.contains("environment");
     is_variable.then(|| variable(key))
 }
 
-/// `camera[1].rate` as `camera.cabin.rate`, where the second camera is named `cabin`.
+/// Turns `camera[1].rate` into `camera.cabin.rate` if the second camera is named `cabin`.
 fn by_name(figment: &Figment, key: &str) -> String {
     let named = || {
         let (list, rest) = key.split_once('[')?;
@@ -158,8 +157,8 @@ fn variable(path: &str) -> String {
     format!("environment variable {PREFIX}{name}")
 }
 
-/// Variables that look like a key with one underscore where two belong: left alone they would silently
-/// do nothing.
+/// Reports variables that look like a key with one underscore instead of two: they would silently have no
+/// effect.
 fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) -> Vec<Finding> {
     names
         .filter_map(|name| {
@@ -178,7 +177,7 @@ fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) ->
         .collect()
 }
 
-/// What is wrong with the value at `path`. Of removed keys and values it says what became of them, of whichever camera:
+/// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
 /// `camera[1].ring` is `camera.ring`.
 fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     let (mut key, mut of_any) = (String::new(), Vec::new());
@@ -203,7 +202,7 @@ fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     }
 }
 
-/// What was expected, where that is the name of a type.
+/// The expected value in words, if `expected` is the name of a type.
 fn in_words(expected: &str) -> &str {
     match expected {
         "f32" | "f64" => "a number",

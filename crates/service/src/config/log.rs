@@ -3,22 +3,22 @@
 use super::Findings;
 use serde::{Deserialize, Serialize};
 
-/// How log lines look.
+/// The format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LogFormat {
-    /// Lines for people.
+    /// Human-readable lines.
     #[default]
     Human,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// The log: the `[log]` section.
+/// The `[log]` section.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogConfig {
-    /// How lines look.
+    /// The format of the lines.
     pub format: LogFormat,
     /// `error`, `warn`, `info`, `debug`, `trace`, or filter directives such as
     /// `info,albireo_node=debug`.
@@ -35,7 +35,7 @@ impl Default for LogConfig {
 }
 
 impl LogConfig {
-    /// Notes what is wrong with the section.
+    /// Adds the errors in the section.
     pub fn check(&self, findings: &mut Findings) {
         if let Err(reason) = check_level(&self.level) {
             findings.add("log.level", reason);
@@ -43,12 +43,12 @@ impl LogConfig {
     }
 }
 
-/// Why a level or filter cannot be used.
+/// Checks a level or filter and returns why it is invalid.
 pub(crate) fn check_level(level: &str) -> Result<(), String> {
     let fault = |error: &dyn std::fmt::Display| {
         format!("`{level}` is neither error, warn, info, debug, trace nor a filter: {error}")
     };
-    // The filter takes a lone word that is no level for the name of a module, and then logs nothing else.
+    // The filter takes a single word that is not a level for a module name, and then logs nothing else.
     for word in level.split(',').filter(|part| !part.contains(['=', '['])) {
         word.trim()
             .parse::<tracing::level_filters::LevelFilter>()

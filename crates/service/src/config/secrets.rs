@@ -1,4 +1,4 @@
-//! Removes secrets from a configuration that is shown.
+//! Removes secrets from a configuration before it is shown.
 
 use serde::Serialize;
 use serde_json::Value;
@@ -6,7 +6,7 @@ use serde_json::Value;
 /// Shown instead of a secret.
 pub const MASK: &str = "(secret)";
 
-/// The configuration with every secret masked: what a member named `token`, `password` or `secret` holds.
+/// The configuration with every secret masked: the value of each member named `token`, `password` or `secret`.
 pub fn without_secrets(config: &impl Serialize) -> Value {
     let mut shown = serde_json::to_value(config).unwrap_or(Value::Null);
     mask(&mut shown);

@@ -1,17 +1,17 @@
-//! `[[token]]` sections: several named tokens, each with what it may do.
+//! `[[token]]` sections: named tokens, each with its role.
 
 use super::{Findings, Token};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// What the holder of a token may do.
+/// The permissions of a token's holder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
-    /// Look.
+    /// Read only.
     #[default]
     Read,
-    /// Look and change.
+    /// Read and change.
     Tune,
 }
 
@@ -19,18 +19,18 @@ pub enum Role {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NamedToken {
-    /// Who holds it: the name in the history of changes.
+    /// The holder: the name in the history of changes.
     pub name: String,
-    /// What it allows.
+    /// The permissions.
     pub role: Role,
     /// The secret.
     pub token: Option<Token>,
-    /// File whose first line is the secret.
+    /// A file whose first line is the secret.
     pub token_file: Option<PathBuf>,
 }
 
 impl NamedToken {
-    /// Notes what is wrong with the sections.
+    /// Adds the errors in the sections.
     pub(super) fn check(tokens: &[Self], findings: &mut Findings) {
         for (index, token) in tokens.iter().enumerate() {
             let key = |name: &str| format!("token[{index}].{name}");

@@ -8,29 +8,29 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// After this long without a message the other side counts as lost. A keep-alive goes every quarter of it, so a metered
-/// link carries few of them.
+/// Without a message for this long, the other side counts as lost. A keep-alive is sent every quarter of it, so a
+/// metered link carries few of them.
 const LEASE_MS: u64 = 120_000;
 
-/// How a node reaches its hub. Without `connect` the session of `[zenoh]` serves both.
+/// The connection of a node to its hub. Without `connect`, the `[zenoh]` session serves both.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UplinkConfig {
-    /// Endpoints of the hub's router, the first that can be reached: `tls/hub.example:7447`.
+    /// Endpoints of the hub's router; the first reachable one is used: `tls/hub.example:7447`.
     pub connect: Vec<String>,
-    /// Certificate of the authority that signed the router's, for `tls/`.
+    /// Certificate of the authority that signed the router's certificate, for `tls/`.
     pub root_ca_certificate: Option<PathBuf>,
-    /// This node's certificate, where the router asks for one.
+    /// This node's certificate, if the router requires one.
     pub certificate: Option<PathBuf>,
     /// Its private key.
     pub private_key: Option<PathBuf>,
-    /// Longest pause between two attempts to reach the router again, milliseconds. No setting: a fleet whose router
-    /// was away comes back within half a minute, spread over it.
+    /// The longest pause between two attempts to reconnect to the router, milliseconds. Not a setting: when a router
+    /// returns, its fleet reconnects within half a minute, spread over that time.
     #[serde(skip)]
     pub retry_max_ms: u64,
-    /// Whether to declare a liveliness token. A help for some thousand nodes, a burden for many more.
+    /// Declares a liveliness token. Useful for some thousand nodes, a burden with many more.
     pub liveliness: bool,
-    /// Whether those who watch the node through the hub may see the newest picture of a camera.
+    /// Allows viewers at the hub to see the newest picture of a camera.
     pub pictures: bool,
 }
 
@@ -49,7 +49,7 @@ impl Default for UplinkConfig {
 }
 
 impl UplinkConfig {
-    /// The files that the section names, with their keys.
+    /// The files named in the section, with their keys.
     pub fn files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
         [
             ("uplink.root_ca_certificate", &self.root_ca_certificate),
@@ -60,15 +60,15 @@ impl UplinkConfig {
         .filter_map(|(key, path)| Some((key, path.as_deref()?)))
     }
 
-    /// Whether there is a separate session.
+    /// True if there is a separate session.
     pub fn is_set(&self) -> bool {
         !self.connect.is_empty()
     }
 
-    /// The same in Zenoh's own terms; `first_retry` is drawn again for each session.
+    /// Converts to Zenoh's configuration; `first_retry` is drawn again for each session.
     ///
     /// # Errors
-    /// What Zenoh does not accept, in words.
+    /// The setting that Zenoh rejects, in words.
     pub(crate) fn to_zenoh(&self, first_retry: Duration) -> Result<::zenoh::Config, String> {
         let mut config = ::zenoh::Config::default();
         let first = u64::try_from(first_retry.as_millis()).unwrap_or(1000);
@@ -87,12 +87,12 @@ impl UplinkConfig {
         let settings = [
             ("mode", json!("client")),
             ("connect/endpoints", json!(self.connect)),
-            // One attempt: pauses and jitter are ours. Once open, Zenoh connects again by itself.
+            // One attempt: pauses and jitter are ours. Once open, Zenoh reconnects by itself.
             ("connect/timeout_ms", json!(0)),
             ("connect/retry", retry),
             ("scouting/multicast/enabled", json!(false)),
             ("scouting/gossip/enabled", json!(false)),
-            // A link that carries a few kilobytes a minute, to another machine, needs no more.
+            // A link to another machine that carries a few kilobytes per minute needs no more.
             ("transport/link/tx/batch_size", json!(8192)),
             ("transport/link/rx/buffer_size", json!(8192)),
             ("transport/link/rx/max_message_size", json!(1 << 20)),
@@ -104,7 +104,7 @@ impl UplinkConfig {
         Ok(config)
     }
 
-    /// Notes what is wrong with the section.
+    /// Adds the errors in the section.
     pub fn check(&self, findings: &mut Findings) {
         check_endpoints("uplink.connect", &self.connect, findings);
         for (key, file) in self.files() {

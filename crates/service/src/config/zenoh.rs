@@ -7,26 +7,26 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// The part a node plays among Zenoh's: `peer` talks to others directly and through routers, `client` through one router,
-/// `router` routes for others too.
+/// A node's role in Zenoh: `peer` connects directly to others and through routers, `client` through one router,
+/// `router` also routes for others.
 pub use ::zenoh::config::WhatAmI as ZenohMode;
 
-/// How a node reaches Zenoh.
+/// A node's connection to Zenoh.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ZenohConfig {
-    /// Its part.
+    /// The role.
     pub mode: ZenohMode,
     /// Endpoints to connect to: `tcp/router.example:7447`.
     pub connect: Vec<String>,
     /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// Whether to look for others on the local network by multicast.
+    /// Looks for others on the local network by multicast.
     pub multicast_scouting: bool,
-    /// Whether a program on this machine may place its frames in memory that the node reads in place. Zenoh never gives
-    /// that memory back: each session that comes and goes leaves some MB.
+    /// Allows a program on this machine to place its frames in memory that the node reads in place. Zenoh never returns
+    /// that memory: each session that ends leaves some MB allocated.
     pub shared_memory: bool,
-    /// A Zenoh configuration file (JSON5). When it is given, the other keys of this section are not used.
+    /// A Zenoh configuration file (JSON5). If set, the other keys of this section are ignored.
     pub config_file: Option<PathBuf>,
 }
 
@@ -44,19 +44,19 @@ impl Default for ZenohConfig {
 }
 
 impl ZenohConfig {
-    /// The same in Zenoh's own terms. `max_payload_bytes` bounds what is taken from the network:
-    /// Zenoh's own bound is 1 GiB.
+    /// Converts to Zenoh's configuration. `max_payload_bytes` limits what is accepted from the network:
+    /// Zenoh's own limit is 1 GiB.
     ///
     /// # Errors
-    /// What Zenoh does not accept, in words.
+    /// The setting that Zenoh rejects, in words.
     pub(crate) fn to_zenoh(&self, max_payload_bytes: usize) -> Result<::zenoh::Config, String> {
         if let Some(file) = &self.config_file {
             return ::zenoh::Config::from_file(file)
                 .map_err(|error| format!("config_file {}: {error}", file.display()));
         }
         let mut config = ::zenoh::Config::default();
-        // Zenoh drops what is above its own bound without a word: with room above ours, a frame that is too large
-        // comes this far and is counted.
+        // Zenoh silently drops messages above its own limit. With a limit above ours, an oversized frame arrives
+        // here and is counted.
         let largest = max_payload_bytes
             .saturating_mul(8)
             .min(256 << 20)
@@ -68,8 +68,8 @@ impl ZenohConfig {
             ("listen/endpoints", json!(self.listen)),
             ("scouting/multicast/enabled", json!(self.multicast_scouting)),
             ("transport/shared_memory/enabled", json!(self.shared_memory)),
-            // What others place is read; what the node itself sends goes as bytes: Zenoh's own placing of what is large can
-            // lose a race (eclipse-zenoh/zenoh#2628).
+            // Reads what others place in shared memory, but sends the node's own data as bytes: Zenoh's own placing of
+            // large payloads can lose a race (eclipse-zenoh/zenoh#2628).
             (
                 "transport/shared_memory/transport_optimization/enabled",
                 json!(false),
@@ -80,7 +80,7 @@ impl ZenohConfig {
         Ok(config)
     }
 
-    /// Notes what is wrong with the section.
+    /// Adds the errors in the section.
     pub fn check(&self, max_payload_bytes: usize, findings: &mut Findings) {
         let are_right = check_endpoints("zenoh.connect", &self.connect, findings)
             & check_endpoints("zenoh.listen", &self.listen, findings);
@@ -100,10 +100,10 @@ impl ZenohConfig {
     }
 }
 
-/// Transports that are compiled in.
+/// The transports that are compiled in.
 const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
 
-/// Notes endpoints that Zenoh cannot read or this program cannot open; whether there is none.
+/// Adds an error for each endpoint that Zenoh cannot parse or this program cannot open; returns true if there is none.
 pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) -> bool {
     let mut are_right = true;
     for endpoint in endpoints {

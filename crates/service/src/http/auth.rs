@@ -1,4 +1,4 @@
-//! Who may use the interface: bearer tokens (RFC 6750), and without one only this machine.
+//! Authenticates callers: by bearer token (RFC 6750), or without one only from this machine.
 
 use super::HttpError;
 use super::Problem;
@@ -17,8 +17,8 @@ use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
 
-/// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
-/// of the interface with the page that reads it, which are the same wherever this version runs and reveal nothing of this
+/// Paths open to all: liveness and readiness, the page, which asks for the token itself, and the interface's
+/// description with the page that shows it. They are the same wherever this version runs and reveal nothing about this
 /// service.
 const OPEN: [&str; 6] = [
     "/",
@@ -26,29 +26,29 @@ const OPEN: [&str; 6] = [
     "/readyz",
     "/openapi.json",
     "/docs",
-    // Says no more than whether the token that came with it is good.
+    // Reports only if the token sent with the request is valid.
     "/api/v1/caller",
 ];
 
-/// Whether a path is open to all.
+/// True if a path is open to all.
 fn is_open(path: &str) -> bool {
     OPEN.contains(&path) || path.starts_with("/docs/") || path.starts_with(super::page::ASSETS)
 }
 
-/// Decides who may pass.
+/// Decides which requests may pass.
 #[derive(Clone)]
 pub(super) struct Guard {
     rule: Arc<Rule>,
-    /// Web origins whose pages may change something without a token.
+    /// Web origins whose pages may make changes without a token.
     origins: Arc<[String]>,
 }
 
-/// Who a request comes from, as an extension of the request.
+/// The sender of a request, as an extension of the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Caller {
-    /// Name of the token: `token` for that of the section `[http]`, `anonymous` where none is needed.
+    /// Name of the token: `token` for the one in `[http]`, `anonymous` if none is needed.
     pub name: Arc<str>,
-    /// What the caller may do.
+    /// The caller's permissions.
     pub role: Role,
 }
 
@@ -57,25 +57,24 @@ impl Caller {
     pub(super) const ANONYMOUS: &str = "anonymous";
 }
 
-/// Interval at which the token files are read again.
+/// The interval at which the token files are read again.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 enum Rule {
     /// Requests must carry one of the tokens.
     Tokens(RwLock<Vec<(Caller, Token)>>),
-    /// Only programs of this machine reach the listener. A web page could still have its own name point
-    /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` header shows
-    /// that.
+    /// Only programs on this machine can reach the listener. A web page could still point its own host name to
+    /// this machine (DNS rebinding) and so get past the browser; the `Host` header reveals it.
     ThisMachine,
-    /// Anybody, as the configuration says.
+    /// Anybody, as configured.
     Anybody,
 }
 
 impl Guard {
-    /// The rule for that configuration on that listener.
+    /// The rule for this configuration and this listener.
     ///
     /// # Errors
-    /// [`HttpError`] when the token file cannot be used, or other machines reach the listener without a
+    /// [`HttpError`] if the token file cannot be used, or if other machines can reach the listener without a
     /// token.
     pub(crate) fn new(
         config: &HttpConfig,
@@ -99,8 +98,8 @@ impl Guard {
         })
     }
 
-    /// Takes over what is written to the token files: a token is exchanged without a restart. A file that cannot be used
-    /// leaves the tokens that were good.
+    /// Applies changes in the token files, so a token is replaced without a restart. If a file becomes invalid, the
+    /// last valid tokens stay.
     pub(crate) async fn follow_files(self, config: HttpConfig, named: Vec<NamedToken>) {
         let has_file = |token: &NamedToken| token.token_file.is_some();
         let Rule::Tokens(tokens) = &*self.rule else {
@@ -133,7 +132,7 @@ impl Guard {
         }
     }
 
-    /// Who may pass, or why a request may not.
+    /// The caller, or the reason the request may not pass.
     fn admit(&self, request: &Request) -> Result<Caller, Problem> {
         let (headers, method) = (request.headers(), request.method());
         let anonymous = |role| Caller {
@@ -172,7 +171,7 @@ impl Guard {
                 "without a token a page of another site may not change anything: set a token, or name the page's \
                  origin in http.cors_origins",
             ),
-            // The other content types are those that a browser sends to another site without asking it.
+            // The other content types are those that a browser sends to another site without a preflight.
             _ if *method == Method::POST && !is_json(headers) => {
                 return Err(Problem::new(
                     StatusCode::UNSUPPORTED_MEDIA_TYPE,
@@ -191,8 +190,8 @@ impl Guard {
         Err(Problem::new(status, detail))
     }
 
-    /// Whether a browser sent the request for a page of another site. Newer browsers say so in `Sec-Fetch-Site`, and all name
-    /// the page's origin with what changes something; other clients send neither.
+    /// True if a browser sent the request for a page of another site. Newer browsers report that in `Sec-Fetch-Site`,
+    /// and all send the page's origin with requests that make changes; other clients send neither.
     fn is_from_another_site(&self, headers: &HeaderMap) -> bool {
         let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or(""));
         let origin = text(ORIGIN);
@@ -240,7 +239,7 @@ fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller,
     Ok(tokens)
 }
 
-/// Why no token can be read from a file, if none can.
+/// Returns why no token can be read from a file, if none can.
 pub fn token_file_fault(file: &Path) -> Option<String> {
     read(file).err()
 }
@@ -263,16 +262,16 @@ fn carries(headers: &HeaderMap, token: &Token) -> bool {
     else {
         return false;
     };
-    // In constant time, so that the answer's delay does not reveal how many characters were right.
+    // In constant time, so that the delay does not reveal how many characters were right.
     sent.ct_eq(token.secret().as_bytes()).into()
 }
 
-/// Whether the request names this machine by address or as `localhost`, and nothing else. A name that cannot be read,
-/// or two of them, is another name.
+/// True if the request names this machine by address or as `localhost`, and nothing else. An unreadable name, or two
+/// names, count as another name.
 fn called_by_address(request: &Request) -> bool {
     let hosts: Vec<_> = request.headers().get_all(HOST).iter().collect();
     let host_is_right = match hosts[..] {
-        // HTTP/1.0 has no Host; no browser sends that.
+        // HTTP/1.0 has no Host header; no browser sends HTTP/1.0.
         [] => request.version() <= Version::HTTP_10,
         [host] => host.to_str().is_ok_and(is_address),
         _ => false,
@@ -294,7 +293,7 @@ fn is_address(host: &str) -> bool {
     is_port(port) && (name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok())
 }
 
-/// Lets a request pass, with its [`Caller`], or answers it.
+/// Passes a request on with its [`Caller`], or answers it.
 pub(super) async fn guard(
     State(guard): State<Guard>,
     mut request: Request,

@@ -1,5 +1,5 @@
-//! Who asks, and what that one may do: a page asks it first, so that it can ask its reader for a token and say what the
-//! token is good for, without provoking a refusal.
+//! Reports the caller and its permissions: a page requests it first, so that it can ask for a token and show what the
+//! token allows, without provoking a refusal.
 
 use super::Caller;
 use crate::config::Role;
@@ -28,14 +28,14 @@ pub struct WhoAsks {
 pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {
     let tunes = caller.role == Role::Tune;
     Json(WhoAsks {
-        // Where no token is needed, everybody may do everything.
+        // If no token is needed, everybody may do everything.
         token_needed: !tunes && &*caller.name == Caller::ANONYMOUS,
         may_tune: tunes,
         name: caller.name.to_string(),
     })
 }
 
-/// Describes in an OpenAPI document that callers show a token.
+/// Describes the bearer token in an OpenAPI document.
 #[derive(Debug)]
 pub struct TokenSecurity;
 

@@ -1,4 +1,4 @@
-//! The list of routes that a service gives at `/api/v1`.
+//! The list of routes that a service returns at `/api/v1`.
 
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -15,7 +15,7 @@ pub struct Route {
     summary: String,
 }
 
-/// The routes that `document` describes, by path.
+/// The routes in `document`, by path.
 pub fn routes(document: &OpenApi) -> Vec<Route> {
     let paths = document.paths.paths.iter();
     paths

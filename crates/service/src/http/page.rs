@@ -1,5 +1,5 @@
-//! The pages that people look at: built from `web/`, embedded in a release, and served with all they need. A debug build
-//! reads them from `web/dist` of its checkout each time, so that work on a page needs no compiler.
+//! Serves the web pages with all their files: built from `web/` and embedded in a release. A debug build reads them
+//! from `web/dist` of its checkout each time, so work on a page needs no compiler.
 
 use super::Problem;
 use axum::Router;
@@ -13,16 +13,16 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use rust_embed::Embed;
 
-/// Where the parts of a page lie; open to all, as the page itself: they are the same wherever this version runs.
+/// The path of a page's files; open to all, like the page itself: they are the same wherever this version runs.
 pub(super) const ASSETS: &str = "/assets/";
 
-/// Only what the page brings, and calls to the service it came from. Nothing in a page writes markup or script by text,
-/// which Trusted Types see to where the browser has them.
+/// Allows only the page's own files, and calls to the service it came from. No page builds markup or script from text,
+/// which Trusted Types enforce in browsers that support them.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; \
                       require-trusted-types-for 'script'; trusted-types 'none'";
 
-/// Shown instead of a page that was not built.
+/// Shown if the page was not built.
 const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
     <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>albireo: no page</title>\n\
     <h1>This program was built without its pages</h1>\n\
@@ -36,7 +36,7 @@ const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-
 #[folder = "../../web/dist"]
 struct Built;
 
-/// Which page a service shows.
+/// The page that a service shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Page {
     /// One node.
@@ -46,7 +46,7 @@ pub enum Page {
 }
 
 impl Page {
-    /// Adds the page at `/`, and what it loads.
+    /// Adds the page at `/`, and the files it loads.
     pub fn serve_on<S>(self, router: Router<S>) -> Router<S>
     where
         S: Clone + Send + Sync + 'static,
@@ -73,7 +73,7 @@ impl Page {
     }
 }
 
-/// A part of a page. Its name changes with its contents, so that a cached copy never expires.
+/// A file of a page. Its name changes with its contents, so a cached copy never expires.
 async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = format!("assets/{name}");
     file(&name, &headers, "public, max-age=31536000, immutable").ok_or_else(|| {
@@ -82,7 +82,7 @@ async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response,
     })
 }
 
-/// An embedded file, compressed as it was built where the client takes that; `None` when there is none of that name.
+/// Returns an embedded file, gzip-compressed at build time if the client accepts that; `None` if it does not exist.
 fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Response> {
     let common = [
         (CONTENT_TYPE, media_type(name)?),
@@ -99,7 +99,7 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
     })
 }
 
-/// The kinds of files that pages are made of; no other is served.
+/// The media types of page files; no other file is served.
 fn media_type(name: &str) -> Option<&'static str> {
     match name.rsplit_once('.')?.1 {
         "html" => Some("text/html; charset=utf-8"),
@@ -110,7 +110,7 @@ fn media_type(name: &str) -> Option<&'static str> {
     }
 }
 
-/// Whether `Accept-Encoding` has gzip, and not only to refuse it.
+/// True if `Accept-Encoding` accepts gzip.
 fn takes_gzip(headers: &HeaderMap) -> bool {
     let values = headers.get_all(ACCEPT_ENCODING).iter();
     let codings = values

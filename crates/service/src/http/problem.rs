@@ -1,4 +1,4 @@
-//! Errors as problem documents (RFC 9457), also those the framework makes.
+//! Errors as problem documents (RFC 9457), including the framework's own errors.
 
 use albireo_wire::{Knob, KnobError};
 use axum::body::to_bytes;
@@ -36,7 +36,7 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// A problem of that status.
+    /// Creates a problem with that status.
     pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
         Self {
             kind: "about:blank",
@@ -48,7 +48,7 @@ impl Problem {
         }
     }
 
-    /// Adds what is allowed.
+    /// Adds the allowed values.
     pub fn allowing(mut self, allowed: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.allowed = allowed.into_iter().map(Into::into).collect();
         self
@@ -60,7 +60,7 @@ impl Problem {
         self
     }
 
-    /// A threshold that cannot be set.
+    /// Converts a threshold error.
     pub fn from_knob_error(error: &KnobError, knob: Option<Knob>) -> Self {
         let status = match error {
             KnobError::Absent { .. } => StatusCode::CONFLICT,
@@ -70,7 +70,7 @@ impl Problem {
     }
 }
 
-/// A response with a problem document as its body; `body` is a [`Problem`] or one with more members.
+/// Returns a response with a problem document as its body; `body` is a [`Problem`] or one with more members.
 pub fn response(status: StatusCode, body: &impl Serialize) -> Response {
     let bytes = serde_json::to_vec(body).unwrap_or_default();
     (status, [(CONTENT_TYPE, MEDIA_TYPE)], bytes).into_response()
@@ -83,8 +83,8 @@ impl IntoResponse for Problem {
     }
 }
 
-/// Turns errors that the framework answers in plain text (wrong method, unreadable query) or without any (a path that is
-/// not there) into problem documents.
+/// Turns the framework's errors with a plain text body (wrong method, unreadable query) or without one (unknown path)
+/// into problem documents.
 pub(super) async fn translate(
     State(limit): State<Duration>,
     request: Request,
@@ -129,7 +129,7 @@ pub(super) async fn translate(
         };
         Problem::new(status, detail)
     };
-    // The answer's own headers stay, such as the list of methods.
+    // The answer's other headers stay, such as the list of methods.
     parts.headers.remove(CONTENT_TYPE);
     parts.headers.remove(CONTENT_LENGTH);
     (parts.headers, problem).into_response()

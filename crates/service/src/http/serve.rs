@@ -1,4 +1,4 @@
-//! Puts the common layers around a router and serves it.
+//! Adds the common layers to a router and serves it.
 
 use super::HttpError;
 use super::auth::{Guard, guard};
@@ -23,26 +23,26 @@ use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
 use tower_service::Service;
 
-/// Largest body of a request, bytes. The largest legitimate one has about thirty.
+/// The largest request body, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
 
-/// Time that requests in progress have to end after the shutdown.
+/// The time for requests in progress to end after the shutdown.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// How long to wait before taking connections again when there are no descriptors for them.
+/// The pause before accepting again when no file descriptors are left.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 
-/// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then lets
-/// requests in progress end (event streams are closed by their router) for at most a second. Pages of other origins may use
+/// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then gives
+/// requests in progress at most a second to end (their router closes event streams). Pages of other origins may use
 /// `methods`.
 ///
-/// A connection that says nothing, or does not take what is sent to it, for [`HttpConfig::idle_timeout_ms`] is closed. There
-/// are at most [`HttpConfig::max_connections`]; when all are taken the oldest is closed for a new one. What is written to
-/// the file of one of the `tokens`, or of the configuration's, is taken over within a second or two.
+/// A connection that sends nothing, or does not read, for [`HttpConfig::idle_timeout_ms`] is closed. There are at most
+/// [`HttpConfig::max_connections`]; at the limit, the oldest is closed for a new one. Changes in the file of one of the
+/// `tokens`, or of the configuration's token, apply within a second or two.
 ///
 /// # Errors
-/// [`HttpError`] when a token cannot be read, or the listener can be reached from other machines and
-/// neither a token is set nor `allow_unauthenticated`.
+/// [`HttpError`] if a token cannot be read, or if other machines can reach the listener and neither a token nor
+/// `allow_unauthenticated` is set.
 pub async fn run(
     config: &HttpConfig,
     tokens: &[NamedToken],
@@ -70,8 +70,8 @@ pub async fn run(
         match accepted {
             Ok((stream, _)) => {
                 oldest_first.retain(|open| !open.is_finished());
-                // So clients that only hold connections never keep others out, and a page whose event stream is cut opens
-                // it again.
+                // Clients that only hold connections cannot keep others out, and a page whose event stream is cut
+                // reopens it.
                 if oldest_first.len() >= config.max_connections
                     && let Some(oldest) = oldest_first.pop_front()
                 {
@@ -80,7 +80,7 @@ pub async fn run(
                 let connection = serve(stream, idle, router.clone(), shutdown.clone());
                 oldest_first.push_back(serving.spawn(connection));
             }
-            // The other side closed before it was accepted, or there are no descriptors left.
+            // The peer closed before the accept, or no file descriptors are left.
             Err(error) => {
                 tracing::debug!(%error, "HTTP connection not accepted");
                 tokio::time::sleep(NO_DESCRIPTORS).await;
@@ -96,11 +96,11 @@ pub async fn run(
     Ok(())
 }
 
-/// Serves a connection until it ends, is idle for too long, or the request in progress after `shutdown` has ended.
+/// Serves a connection until it ends or is idle for too long, or until its request in progress ends after `shutdown`.
 async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: CancellationToken) {
-    // Events are short and should not wait for company.
+    // Events are short and should not wait for more data.
     let _ = stream.set_nodelay(true);
-    // The system closes a connection whose other side no longer reads.
+    // The system closes a connection whose peer no longer reads.
     let limit_ms = u32::try_from(idle.as_millis()).unwrap_or(u32::MAX);
     if let Err(error) = rustix::net::sockopt::set_tcp_user_timeout(&stream, limit_ms) {
         tracing::debug!(%error, "an HTTP connection has no write limit");
@@ -129,14 +129,14 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
     let limit = Duration::from_millis(config.timeout_ms);
     let inner = router
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
-        // Bounds the time until a response begins. Event streams begin at once and then last.
+        // Limits the time until a response begins. Event streams begin at once and stay open.
         .layer(TimeoutLayer::with_status_code(
             StatusCode::REQUEST_TIMEOUT,
             limit,
         ))
         .layer(from_fn_with_state(allowed, guard));
-    // Axum puts the list of allowed methods on an answer outside all layers of its router; as the
-    // fallback of another router the whole answer can be seen.
+    // Axum adds the list of allowed methods outside all layers of its router; as the fallback of another
+    // router, the whole answer is visible.
     let mut router = Router::new()
         .fallback_service(inner)
         .layer(from_fn_with_state(limit, problem::translate));
@@ -154,7 +154,7 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
                 .allow_headers([AUTHORIZATION, CONTENT_TYPE]),
         );
     }
-    // Without the query: a client may have put a secret there by mistake.
+    // Without the query: a client may have put a secret in it by mistake.
     router.layer(
         TraceLayer::new_for_http().make_span_with(|request: &Request| {
             let (method, path) = (request.method(), request.uri().path());

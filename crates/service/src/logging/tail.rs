@@ -1,4 +1,4 @@
-//! Keeps the last lines of the log in memory, for the page and for diagnostics, without the secrets given to [`conceal`].
+//! Keeps the last log lines in memory, for the page and for diagnostics, without the secrets given to [`conceal`].
 
 use crate::config::MASK;
 use parking_lot::{Mutex, RwLock};
@@ -14,10 +14,10 @@ use tracing_subscriber::fmt::{FormatFields, MakeWriter};
 use tracing_subscriber::registry::LookupSpan;
 use utoipa::ToSchema;
 
-/// Lines that are kept, and the most bytes of one.
+/// The number of lines kept, and the maximum length of one in bytes.
 const KEPT: usize = 1000;
 const LONGEST: usize = 4096;
-/// Shorter ones would be found in ordinary words.
+/// The minimum length of a concealed secret: shorter ones would match in ordinary words.
 const SHORTEST_SECRET: usize = 4;
 
 static LAST: Mutex<VecDeque<LogLine>> = Mutex::new(VecDeque::new());
@@ -47,12 +47,12 @@ impl fmt::Display for LogLine {
     }
 }
 
-/// At most `most` of the newest lines with a number above `number`, oldest first.
+/// Returns at most `most` of the newest lines with a number above `number`, oldest first.
 pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
     after(&LAST.lock(), number, most)
 }
 
-/// Masks `secret` in all lines, those that are already kept among them.
+/// Masks `secret` in all lines, including those already kept.
 pub fn conceal(secret: &str) {
     let secret = secret.trim();
     if secret.len() < SHORTEST_SECRET {
@@ -90,7 +90,7 @@ fn after(lines: &VecDeque<LogLine>, number: u64, most: usize) -> Vec<LogLine> {
     new.skip(over).cloned().collect()
 }
 
-/// The layer that keeps each event as a line.
+/// Creates the layer that keeps each event as a line.
 pub(super) fn layer<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
     tracing_subscriber::fmt::layer()
         .with_ansi(false)
@@ -101,7 +101,7 @@ pub(super) fn layer<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
         .with_writer(Tail)
 }
 
-/// Fields of spans without colours: layers share what formatters of one type have written.
+/// Formats span fields without colours: layers with a formatter of the same type share the formatted fields.
 struct PlainFields;
 
 impl<'w> FormatFields<'w> for PlainFields {
@@ -110,10 +110,10 @@ impl<'w> FormatFields<'w> for PlainFields {
     }
 }
 
-/// Makes a line of what is written for an event.
+/// Makes a log line from the text of an event.
 struct Tail;
 
-/// Level and target of the event that is written.
+/// The level and the target of an event.
 struct Line(Level, String);
 
 impl MakeWriter<'_> for Tail {
@@ -129,10 +129,10 @@ impl MakeWriter<'_> for Tail {
 }
 
 impl io::Write for Line {
-    /// Takes all of an event, which is written at once.
+    /// Takes a whole event, which is written at once.
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
-        // Before it is cut: a secret's first half is no less a secret.
+        // Before truncation: the first half of a secret is also secret.
         mask(&mut text);
         if text.len() > LONGEST {
             text.truncate(text.floor_char_boundary(LONGEST));
