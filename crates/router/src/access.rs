@@ -1,9 +1,9 @@
 //! Generates the router's access rules from the certificates.
 //!
-//! Zenoh's rules have no templates, so each node gets its own rules; what no rule allows is denied. A node may send its
-//! status and counters, query under its own name, and declare its own token. A hub may read all nodes and answer them. A
-//! router forwards everything. What the router sends to a session is bounded by what that session may declare and query, so
-//! the rules for that direction go by role.
+//! Zenoh's rules have no templates, so each node gets its own rules; whatever no rule allows is denied. A node may send
+//! its status and counters, query under its own name, and declare its own token. A hub may read all nodes and answer
+//! them. A router forwards everything. What the router sends to a session is limited by what that session may declare
+//! and query, so the rules for that direction depend only on the role.
 
 use crate::authority::{Entry, Role, subject};
 use crate::error::{RouterError, other};
@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
 
-/// Zenoh's section `access_control` for the certificates in `folder` that are not revoked, with keys under `prefix`. With
-/// `pictures`, a hub may ask nodes for camera pictures.
+/// Returns Zenoh's `access_control` section for the unrevoked certificates in `folder`, with keys under `prefix`. With
+/// `pictures`, a hub may query nodes for camera pictures.
 ///
 /// # Errors
-/// When a certificate is not what the list says, or there is none.
+/// [`RouterError`] if a certificate does not match the list, or if there is none.
 pub fn access_control(
     folder: &Path,
     entries: &[Entry],
@@ -67,7 +67,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
     let mut to_nodes = vec![
         rule("to nodes", "egress", &["put"], &changed),
         rule("answers to nodes", "egress", &["reply"], &queried),
-        // Of what is declared, nodes learn the hub's side: whether somebody takes what they send.
+        // Nodes see only the hub's declarations: they show if anybody receives what a node sends.
         rule(
             "declarations to nodes",
             "egress",
@@ -150,7 +150,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
     if subjects.is_empty() {
         return other("there is no valid certificate: no one would be let in");
     }
-    // Zenoh warns of rules that no policy names.
+    // Zenoh warns about rules that no policy names.
     let named: HashSet<&str> = (policies.iter())
         .filter_map(|policy: &Value| policy["rules"].as_array())
         .flatten()

@@ -1,9 +1,9 @@
-//! A certificate authority in a folder: certificates for nodes, hubs and routers, renewed and revoked.
+//! A certificate authority in a folder: issues, renews and revokes certificates for nodes, hubs and routers.
 //!
-//! The common name of a certificate says whose it is: `ROLE/NAME/ISSUE`, `node/car-7/1`. Zenoh knows no lists of revoked
-//! certificates, and its access control knows common names alone. So a certificate that is revoked takes its issue with
-//! it: the rules no longer name that common name, and the next certificate of the same name has the next issue. A
-//! renewed certificate has the issue of the old one, which stays good until it ends.
+//! A certificate's common name identifies its holder: `ROLE/NAME/ISSUE`, such as `node/car-7/1`. Zenoh does not support
+//! revocation lists, and its access control knows only common names. Revoking a certificate therefore retires its
+//! issue: the rules no longer name that common name, and the next certificate of the same name has the next issue. A
+//! renewed certificate keeps the issue of the old one, which stays valid until it expires.
 
 mod list;
 
@@ -24,28 +24,28 @@ use std::time::Duration;
 use x509_parser::pem::parse_x509_pem;
 use x509_parser::time::ASN1Time;
 
-/// The authority's certificate, which every member of the fleet has.
+/// The authority's certificate, which every member of the fleet needs.
 pub(crate) const AUTHORITY: &str = "authority.pem";
 const AUTHORITY_KEY: &str = "authority.key";
 
-/// A day.
+/// One day.
 pub const DAY: Duration = Duration::from_secs(86_400);
 
-/// How far certificates reach back, seconds: the clock of a board that has just started may be behind.
+/// How far back the validity of certificates starts, seconds: the clock of a board that just booted may be behind.
 const REACH_BACK: i64 = 86_400;
 
-/// Where a certificate and its key were written.
+/// The paths of a new certificate and its key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Issued {
     /// The certificate.
     pub certificate: PathBuf,
-    /// Its private key, readable by its owner alone.
+    /// Its private key, readable only by its owner.
     pub key: PathBuf,
-    /// What the list says of it.
+    /// Its entry in the list.
     pub entry: Entry,
 }
 
-/// An authority: its certificate and key, and the list of what it made.
+/// An authority: its certificate and key, and the list of the certificates it issued.
 pub struct Authority {
     folder: PathBuf,
     name: String,
@@ -54,10 +54,10 @@ pub struct Authority {
 }
 
 impl Authority {
-    /// Makes an authority in `folder`.
+    /// Creates an authority in `folder`.
     ///
     /// # Errors
-    /// When there is one already, or a file cannot be written.
+    /// [`RouterError`] if one already exists or a file cannot be written.
     pub fn create(folder: &Path, name: &str, lasts: Duration) -> Result<Self, RouterError> {
         let file = folder.join(AUTHORITY);
         if file.exists() || folder.join(AUTHORITY_KEY).exists() {
@@ -77,10 +77,10 @@ impl Authority {
         Self::open(folder)
     }
 
-    /// Opens the authority in `folder`. Nobody else can change it meanwhile.
+    /// Opens the authority in `folder` and locks it against other changes.
     ///
     /// # Errors
-    /// When there is none, or its files cannot be read.
+    /// [`RouterError`] if there is none or its files cannot be read.
     pub fn open(folder: &Path) -> Result<Self, RouterError> {
         let list = List::open(folder)?;
         let file = folder.join(AUTHORITY);
@@ -95,16 +95,16 @@ impl Authority {
         })
     }
 
-    /// What was made, the good and the revoked.
+    /// All issued certificates, valid and revoked.
     pub fn entries(&self) -> &[Entry] {
         self.list.entries()
     }
 
-    /// Makes a certificate that is good for `lasts` from now on. `hosts` are the names and addresses that the holder is reached at;
-    /// for routers, and hubs that are one.
+    /// Issues a certificate that is valid for `lasts` from now on. `hosts` are the holder's host names and addresses,
+    /// for routers and for hubs that act as routers.
     ///
     /// # Errors
-    /// When the name cannot be used or has a good certificate, or a file cannot be written.
+    /// [`RouterError`] if the name is invalid or already has a valid certificate, or if a file cannot be written.
     pub fn issue(
         &mut self,
         role: Role,
@@ -129,10 +129,10 @@ impl Authority {
         self.make(entry, lasts)
     }
 
-    /// Replaces a certificate that is good by one with a new key. The old one stays good until it ends.
+    /// Replaces a valid certificate by one with a new key. The old one stays valid until it expires.
     ///
     /// # Errors
-    /// When there is no good one, or a file cannot be written.
+    /// [`RouterError`] if there is no valid one or a file cannot be written.
     pub fn renew(
         &mut self,
         role: Role,
@@ -143,10 +143,10 @@ impl Authority {
         self.make(entry, lasts)
     }
 
-    /// Takes a certificate, and all with its common name, out of the access control that is generated from now on.
+    /// Revokes a certificate and all others with its common name: access rules generated from now on exclude them.
     ///
     /// # Errors
-    /// When there is no good one, or the list cannot be written.
+    /// [`RouterError`] if there is no valid one or the list cannot be written.
     pub fn revoke(&mut self, role: Role, name: &str) -> Result<Entry, RouterError> {
         let mut entry = self.list.good(role, name)?.clone();
         entry.revoked_s = Some(unix_milliseconds() / 1000);
@@ -154,13 +154,13 @@ impl Authority {
         Ok(entry)
     }
 
-    /// Makes the newest certificate of an entry.
+    /// Creates the newest certificate of an entry.
     fn make(&mut self, mut entry: Entry, lasts: Duration) -> Result<Issued, RouterError> {
         let mut params = CertificateParams::new(entry.hosts.clone())?;
         entry.ends_s = set_validity(&mut params, lasts)?;
         params.distinguished_name = common_name(&entry.common_name());
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        // A router connects to others of the fleet, and to itself to see whether it still takes sessions.
+        // A router connects to others of the fleet, and to itself to check that it still accepts sessions.
         params.extended_key_usages = match entry.role {
             Role::Node => vec![ExtendedKeyUsagePurpose::ClientAuth],
             Role::Hub | Role::Router => vec![
@@ -178,7 +178,7 @@ impl Authority {
             entry,
         };
         create_folder(&self.folder.join(issued.entry.role.as_str()))?;
-        // The key first: a certificate with the key of another is worse than a key without its certificate.
+        // The key first: a certificate with the wrong key is worse than a key without its certificate.
         write_private(&issued.key, &key.serialize_pem())?;
         write_public(&issued.certificate, &certificate.pem())?;
         self.list.put(issued.entry.clone())?;
@@ -212,15 +212,15 @@ fn create_folder(folder: &Path) -> Result<(), RouterError> {
         .map_err(at(folder))
 }
 
-/// What only the owner may read.
+/// Writes a file that only the owner may read.
 fn write_private(file: &Path, text: &str) -> Result<(), RouterError> {
     write(file, text, 0o600).map_err(at(file))
 }
 
-/// Writes a file that anybody may read, whole or not at all, and synced.
+/// Writes a world-readable file atomically and syncs it.
 ///
 /// # Errors
-/// When it cannot be written, with its name.
+/// [`RouterError`] with the file's name if it cannot be written.
 pub fn write_public(file: &Path, text: &str) -> Result<(), RouterError> {
     write(file, text, 0o644).map_err(at(file))
 }
@@ -239,7 +239,7 @@ fn write(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
 /// The common name of the certificate in a file.
 ///
 /// # Errors
-/// When the file has no certificate with a common name.
+/// [`RouterError`] if the file has no certificate with a common name.
 pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
     let text = read(file)?;
     let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(at(file))?;
@@ -250,7 +250,7 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
         .ok_or_else(|| at(file)("the certificate has no common name"))
 }
 
-/// Sets the span in which a certificate is good: `lasts` from now on. Returns when it ends, seconds since the Unix epoch.
+/// Sets the validity to `lasts` from now on. Returns its end in seconds since the Unix epoch.
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
     let no_time = || RouterError::Other("that time cannot stand in a certificate".to_owned());
     let now = unix_milliseconds() / 1000;

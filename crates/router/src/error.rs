@@ -1,20 +1,20 @@
-//! Why something cannot be done with certificates, rules or a router.
+//! Errors of certificates, rules and routers.
 
 use albireo_service::http::HttpError;
 use albireo_wire::KeyError;
 use std::fmt::Display;
 use std::path::Path;
 
-/// Why something cannot be done with certificates, rules or a router.
+/// The reason an operation on certificates, rules or a router failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RouterError {
-    /// A name or the prefix cannot be used.
+    /// A name or the prefix is invalid.
     #[error(transparent)]
     Key(#[from] KeyError),
-    /// A certificate cannot be made.
+    /// A certificate cannot be created.
     #[error("the certificate cannot be made: {0}")]
     Certificate(#[from] rcgen::Error),
-    /// The HTTP interface may not be offered as configured.
+    /// The HTTP interface is not allowed as configured.
     #[error("[http] {0}")]
     Http(#[from] HttpError),
     /// Another reason, in words.
@@ -22,12 +22,12 @@ pub enum RouterError {
     Other(String),
 }
 
-/// A reason in words.
+/// Returns an error with a reason in words.
 pub(crate) fn other<T>(reason: impl Into<String>) -> Result<T, RouterError> {
     Err(RouterError::Other(reason.into()))
 }
 
-/// For what goes wrong with a file.
+/// Converts an error about a file.
 pub(crate) fn at<E: Display>(file: &Path) -> impl Fn(E) -> RouterError + '_ {
     move |reason| RouterError::Other(format!("{}: {reason}", file.display()))
 }

@@ -1,4 +1,4 @@
-//! Serves health and metrics of a router.
+//! Serves the health and metrics of a router.
 
 use crate::probe::Probes;
 use albireo_service::metrics::MetricsPage;
@@ -10,23 +10,23 @@ use axum::{Json, Router};
 use std::sync::{Arc, OnceLock};
 use zenoh::Session;
 
-/// What the routes read.
+/// The state that the routes read.
 #[derive(Clone, Debug)]
 pub(crate) struct RouterView {
     pub(crate) probes: Probes,
-    /// Once it is open.
+    /// The router's session, once open.
     pub(crate) session: Arc<OnceLock<Session>>,
     pub(crate) max_sessions: u64,
 }
 
 impl RouterView {
-    /// Sessions of others, once the router is open.
+    /// The number of sessions of others, once the router is open.
     async fn sessions(&self) -> Option<usize> {
         let session = self.session.get()?;
         Some(session.info().transports().await.count())
     }
 
-    /// Why the router does not do its work; empty when it does.
+    /// Why the router does not work; `None` if it does.
     pub(crate) fn reason(&self) -> Option<String> {
         match self.session.get() {
             None => Some("it does not listen yet".to_owned()),

@@ -1,5 +1,5 @@
-//! Runs the Zenoh router of a fleet, and makes the certificates ([`authority`]) and access rules ([`access`]) that keep
-//! strangers out of it.
+//! Runs the Zenoh router of a fleet, and creates the certificates ([`authority`]) and access rules ([`access`]) that
+//! keep strangers out.
 
 pub mod access;
 pub mod authority;

@@ -1,4 +1,4 @@
-//! Opens a session to the router from time to time, as a node would. A router can run and accept no session any more
+//! Opens a session to the router at intervals, as a node would. A running router may have stopped accepting sessions
 //! (zenoh#2735); only an attempt shows it.
 
 use albireo_service::session;
@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use zenoh::{Config, Wait};
 
-/// How long an attempt may take.
+/// The time limit of an attempt.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Attempts in a row that must fail before the router counts as stuck: one may meet a storm of nodes that join.
+/// Consecutive failures before the router counts as stuck: one attempt may meet a storm of joining nodes.
 const STUCK_AFTER: u32 = 3;
 
 #[derive(Debug, Default)]
@@ -23,22 +23,22 @@ struct Seen {
     error: String,
 }
 
-/// What the attempts have shown.
+/// The results of the attempts.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Probes(Arc<Mutex<Seen>>);
 
 impl Probes {
-    /// Attempts that failed since the start.
+    /// The number of failed attempts since the start.
     pub(crate) fn failed(&self) -> u64 {
         self.0.lock().failed
     }
 
-    /// How long the last attempt took; `None` when it failed, or before the first.
+    /// The duration of the last attempt; `None` if it failed, or before the first.
     pub(crate) fn took(&self) -> Option<Duration> {
         self.0.lock().took
     }
 
-    /// Why the router takes no sessions any more, if that is so.
+    /// Why the router no longer accepts sessions, if so.
     pub(crate) fn stuck(&self) -> Option<String> {
         let state = self.0.lock();
         (state.failures >= STUCK_AFTER).then(|| {
@@ -109,7 +109,7 @@ impl Probes {
     }
 }
 
-/// A client of `router`, with the router's own certificate.
+/// The configuration of a client of `router`, with the router's own certificate.
 fn client(router: &Config, endpoint: &str) -> Result<Config, String> {
     let own = |key: &str| -> serde_json::Value {
         let text = router.get_json(&format!("transport/link/tls/{key}"));
@@ -123,7 +123,7 @@ fn client(router: &Config, endpoint: &str) -> Result<Config, String> {
         "connect_certificate": own("listen_certificate"),
         "connect_private_key": own("listen_private_key"),
         "enable_mtls": own("enable_mtls"),
-        // It is reached by an address that its certificate need not name.
+        // The address of the router need not be in its certificate.
         "verify_name_on_connect": false,
     });
     let settings = [

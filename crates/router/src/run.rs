@@ -14,22 +14,22 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use zenoh::{Config, Wait};
 
-/// How long the session may take to close.
+/// The time limit for closing the session.
 const STOP_LIMIT: Duration = Duration::from_secs(4);
 
-/// What a router runs with: options of `albireo router`.
+/// The options of `albireo router`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RouterOptions {
     /// Zenoh's configuration file: endpoints, certificates, limits.
     #[arg(long, short, env = "ALBIREO_ROUTER_CONFIG", value_name = "FILE")]
     config: PathBuf,
-    /// Who may do what, as `albireo acl` writes it.
+    /// Access rules, as written by `albireo acl`.
     #[arg(long, env = "ALBIREO_ROUTER_ACCESS", value_name = "FILE")]
     access: Option<PathBuf>,
-    /// Run without access rules although certificates are asked for: every certificate may do everything.
+    /// Run without access rules although certificates are required: every certificate may do everything.
     #[arg(long, conflicts_with = "access")]
     no_access_control: bool,
-    /// Where health and metrics are. Other than loopback needs a token.
+    /// Address of health and metrics. Addresses other than loopback need a token.
     #[arg(
         long,
         env = "ALBIREO_ROUTER_HTTP",
@@ -37,7 +37,7 @@ pub struct RouterOptions {
         default_value = "127.0.0.1:8095"
     )]
     http: SocketAddr,
-    /// File whose first line is the token that metrics need.
+    /// File whose first line is the token required for metrics.
     #[arg(long, env = "ALBIREO_ROUTER_HTTP_TOKEN_FILE", value_name = "FILE")]
     http_token_file: Option<PathBuf>,
     /// Seconds between two attempts of the router to open a session to itself, as a node would.
@@ -46,10 +46,10 @@ pub struct RouterOptions {
 }
 
 impl RouterOptions {
-    /// Zenoh's configuration of it.
+    /// Returns the router's Zenoh configuration.
     ///
     /// # Errors
-    /// When a file cannot be read, or Zenoh does not take what is in it.
+    /// [`RouterError`] if a file cannot be read or Zenoh rejects its contents.
     pub fn zenoh(&self) -> Result<Config, RouterError> {
         let own = |error| at(&self.config)(plain(&error));
         let mut config = Config::from_file(&self.config).map_err(own)?;
@@ -76,7 +76,7 @@ impl RouterOptions {
         Ok(config)
     }
 
-    /// Health and metrics.
+    /// Returns the HTTP configuration for health and metrics.
     pub fn http(&self) -> HttpConfig {
         HttpConfig {
             listen: self.http,
@@ -86,10 +86,10 @@ impl RouterOptions {
     }
 }
 
-/// Runs a router until `shutdown`; health and metrics are on `listener`.
+/// Runs a router until `shutdown`, with health and metrics on `listener`.
 ///
 /// # Errors
-/// When a file cannot be used, an endpoint cannot be listened on, or the HTTP interface may not be offered.
+/// [`RouterError`] if a file or an endpoint cannot be used, or the HTTP interface is not allowed as configured.
 pub async fn run(
     options: &RouterOptions,
     listener: TcpListener,
@@ -120,7 +120,7 @@ pub async fn run(
     let (served, routed) = tokio::join!(
         async {
             let ended = served.await;
-            // Without its interface a router cannot be watched: it ends.
+            // A router without its interface cannot be monitored, so it ends.
             shutdown.cancel();
             ended
         },
@@ -144,7 +144,7 @@ async fn route(
         .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
     let endpoints = session.info().locators().await;
     let endpoints: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
-    // It is opened once.
+    // Set only once.
     let _ = view.session.set(session.clone());
     tracing::info!(
         zenoh = ?endpoints,

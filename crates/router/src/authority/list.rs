@@ -11,18 +11,18 @@ use std::path::{Path, PathBuf};
 const LIST: &str = "list.json";
 const LOCK: &str = "list.lock";
 
-/// The version of the list's file.
+/// The version of the list's file format.
 const VERSION: u32 = 1;
 
-/// What the holder of a certificate may do.
+/// The role of a certificate's holder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Report under its own name.
     Node,
-    /// Take reports, tune, hear everybody.
+    /// Receive reports, tune, read all nodes.
     Hub,
-    /// Hand on everything.
+    /// Forward everything.
     Router,
 }
 
@@ -36,7 +36,7 @@ impl Role {
         }
     }
 
-    /// The common name of a certificate: `node/car-7/1`. Names have no slash, so no two are the same.
+    /// The common name of a certificate: `node/car-7/1`. Names contain no slash, so common names are unique.
     pub fn common_name(self, name: &str, issue: u32) -> String {
         format!("{self}/{name}/{issue}")
     }
@@ -48,21 +48,21 @@ impl fmt::Display for Role {
     }
 }
 
-/// A common name that the authority has given, with the newest certificate of it.
+/// An issued common name with its newest certificate.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Entry {
-    /// What the holder may do.
+    /// The holder's role.
     pub role: Role,
     /// The holder's name.
     pub name: String,
-    /// Number of the common name, counted up when the one before is revoked.
+    /// The number of the common name, incremented when the previous one is revoked.
     pub issue: u32,
-    /// Names and addresses the holder is reached at.
+    /// The holder's host names and addresses.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub hosts: Vec<String>,
-    /// When the newest certificate ends, seconds since the Unix epoch.
+    /// The expiry of the newest certificate, seconds since the Unix epoch.
     pub ends_s: i64,
-    /// When it was revoked, seconds since the Unix epoch.
+    /// The time of revocation, seconds since the Unix epoch.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked_s: Option<i64>,
 }
@@ -73,7 +73,7 @@ impl Entry {
         self.role.common_name(&self.name, self.issue)
     }
 
-    /// Where the newest certificate is, in the authority's folder.
+    /// The path of the newest certificate in the authority's folder.
     pub(crate) fn certificate(&self) -> PathBuf {
         Path::new(self.role.as_str()).join(format!("{}.pem", self.name))
     }
@@ -89,7 +89,7 @@ struct Stored {
 pub(super) struct List {
     file: PathBuf,
     stored: Stored,
-    /// Held while this lives.
+    /// Locked while the list exists.
     _lock: File,
 }
 
@@ -134,7 +134,7 @@ impl List {
         self.stored.issued.iter().filter(of_it)
     }
 
-    /// The one of that name that is not revoked.
+    /// The unrevoked entry of that name.
     pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
         self.of(role, name)
             .find(|entry| entry.revoked_s.is_none())
@@ -144,12 +144,12 @@ impl List {
             })
     }
 
-    /// The highest issue of that name; 0 when there is none.
+    /// The highest issue of that name; 0 if there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
         (self.of(role, name).map(|entry| entry.issue).max()).unwrap_or(0)
     }
 
-    /// Adds an entry, in place of one with the same common name, and writes the list.
+    /// Adds an entry, replacing one with the same common name, and writes the list.
     pub(super) fn put(&mut self, entry: Entry) -> Result<(), RouterError> {
         let issued = &mut self.stored.issued;
         issued.retain(|known| known.common_name() != entry.common_name());
