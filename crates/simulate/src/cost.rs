@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::fmt;
 use std::time::Instant;
 
-/// A process whose cost is followed.
+/// A process whose cost is measured.
 #[derive(Debug)]
 pub(crate) struct Process {
     name: String,
@@ -22,21 +22,21 @@ struct Sample {
     resident: u64,
 }
 
-/// What a process cost.
+/// The cost of a process.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProcessCost {
     /// Its name in the table.
     pub name: String,
-    /// Mean processor time, share of one core, since its first sample; absent when it could not be read.
+    /// Mean processor time since the first sample, as a share of one core; absent if it could not be read.
     pub cores: Option<f64>,
-    /// Resident memory now, bytes.
+    /// Present resident memory, bytes.
     pub resident: Option<u64>,
     /// Largest resident memory seen, bytes.
     pub largest: Option<u64>,
 }
 
 impl Process {
-    /// Counting begins now, so that starting up is not counted.
+    /// Starts counting now, so that the start-up is not counted.
     pub(crate) fn begin(name: impl Into<String>, pid: u32) -> Self {
         let first = read(pid).ok();
         Self {
@@ -48,7 +48,7 @@ impl Process {
         }
     }
 
-    /// Reads it.
+    /// Takes a sample.
     pub(crate) fn sample(&mut self) {
         if let Ok(sample) = read(self.pid) {
             self.largest = self.largest.max(sample.resident);

@@ -1,12 +1,12 @@
-//! Why a fleet cannot be played.
+//! Errors of a simulated fleet.
 
-/// Why a fleet cannot be played.
+/// The reason a fleet cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// A node's name cannot be part of a key.
+    /// A node's name is not valid in a key.
     #[error("a simulated node's name: {0}")]
     Key(#[from] albireo_wire::KeyError),
-    /// The task of a session ended before its time.
+    /// The task of a session ended early.
     #[error("a simulated session failed: {0}")]
     Task(#[from] tokio::task::JoinError),
     /// Another reason, in words.
@@ -15,7 +15,7 @@ pub enum SimulateError {
 }
 
 impl SimulateError {
-    /// For what goes wrong with something.
+    /// Creates an error about `what`.
     pub(crate) fn at(what: impl std::fmt::Display, error: impl std::fmt::Display) -> Self {
         Self::Other(format!("{what}: {error}"))
     }

@@ -1,5 +1,5 @@
-//! Plays a fleet of nodes to a hub over real Zenoh sessions: status, reports, reactions to what is
-//! desired. It reports what it sent, what was acknowledged, and what it and other processes cost.
+//! Simulates a fleet of nodes for a hub over real Zenoh sessions: status, reports, and reactions to desired settings.
+//! Reports what it sent, what was acknowledged, and the cost of its own and other processes.
 
 mod cost;
 mod error;
@@ -27,15 +27,15 @@ use tokio_util::sync::CancellationToken;
 use totals::Totals;
 use zenoh::Session;
 
-/// Sessions that are opened at the same time.
+/// The number of sessions opened concurrently.
 const OPEN_AT_ONCE: usize = 64;
-/// Time between two lines of progress.
+/// The time between two progress lines.
 const PROGRESS_EVERY: Duration = Duration::from_secs(10);
 
-/// Plays the fleet until its time is over or `shutdown`. `progress` gets a line from time to time.
+/// Simulates the fleet until its time is over or `shutdown`. `progress` receives a line at intervals.
 ///
 /// # Errors
-/// When the options are out of bounds or a session cannot be opened.
+/// [`SimulateError`] if the options are out of bounds or a session cannot be opened.
 pub async fn run(
     options: Options,
     shutdown: CancellationToken,
@@ -84,7 +84,7 @@ pub async fn run(
         }
     }
     let played_s = began.elapsed().as_secs_f64();
-    // What the drain costs is not what the load costs.
+    // Before the drain, whose cost is not part of the load.
     for process in &mut processes {
         process.sample();
     }
@@ -119,14 +119,14 @@ pub async fn run(
     })
 }
 
-/// Opens every session, a few at a time.
+/// Opens all sessions, a few at a time.
 async fn open_all(options: &Arc<Options>) -> Result<Vec<Session>, SimulateError> {
     let places = Arc::new(Semaphore::new(OPEN_AT_ONCE));
     let mut opening = JoinSet::new();
     for index in 0..options.sessions {
         let (options, places) = (Arc::clone(options), Arc::clone(&places));
         opening.spawn(async move {
-            // Never closed, so there is always a place in the end.
+            // The semaphore is never closed, so acquiring cannot fail.
             let _place = places.acquire_owned().await;
             play::open(&options, index).await
         });

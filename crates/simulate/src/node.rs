@@ -1,4 +1,4 @@
-//! One simulated node: what it reports, how it takes what is desired. No network and no clock of its own.
+//! One simulated node: its reports and its reactions to desired settings, without network or clock.
 
 use super::options::{Behaviour, Options};
 use albireo_wire::{
@@ -12,40 +12,40 @@ use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
 use uuid::{Builder, Uuid};
 
-/// The value that every node begins with.
+/// The initial value of every node.
 pub(crate) const FIRST_U: f64 = 3e-4;
-/// Its one camera.
+/// The node's only camera.
 const CAMERA: &str = "front";
-/// Frames of a second.
+/// Frames per second.
 const FRAMES_PER_S: f64 = 30.0;
-/// The range of `u`, as the policy has it.
+/// The range of `u`, as in the policy.
 const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
-/// Between which values a target moves `u`.
+/// The range within which a target moves `u`.
 const HELD_WITHIN: (f64, f64) = (1.5e-4, 2e-3);
-/// Skip rate at [`FIRST_U`], and how much a decade of `u` adds.
+/// The skip rate at [`FIRST_U`], and its increase per decade of `u`.
 const SKIP: (f64, f64) = (0.55, 0.2);
-/// What a detector on every frame adds, watts.
+/// The power that a detector on every frame adds, watts.
 const DETECTOR_WATTS: f64 = 9.0;
 
-/// One simulated node. Its reports are computed from their numbers, so that a backlog of hours takes no memory.
+/// One simulated node. Its reports are computed from their numbers, so a backlog of hours uses no memory.
 #[derive(Debug)]
 pub(crate) struct SimNode {
     pub(crate) name: String,
     seed: u64,
-    /// Region and model of its labels.
+    /// The labels: the region, and a mark that the node is simulated.
     labels: BTreeMap<String, String>,
     started_ns: u64,
     behaviour: Behaviour,
     clip_s: f64,
-    /// Reports made, and those that a hub has acknowledged.
+    /// Reports made, and reports that a hub has acknowledged.
     pub(crate) made: u64,
     pub(crate) acknowledged: u64,
     revision: u64,
-    /// From which report on which value held, in order.
+    /// The values with the first report that used each, in order.
     values: Vec<(u64, f64)>,
     source: SettingSource,
     refused: Option<RefusedDesired>,
-    /// What it holds, and the status of that.
+    /// The target it holds, with its status.
     target: Option<NodeTarget>,
     seq: u64,
     full_due: bool,
@@ -53,7 +53,7 @@ pub(crate) struct SimNode {
 }
 
 impl SimNode {
-    /// Node number `index` of a run that began at `started_ns`.
+    /// Creates node number `index` of a run that began at `started_ns`.
     pub(crate) fn new(index: usize, options: &Options, started_ns: u64) -> Self {
         let seed = mix(options.seed, index as u64);
         let region = ["north", "east", "south", "west"][index % 4];
@@ -82,8 +82,8 @@ impl SimNode {
         }
     }
 
-    /// Lets the node begin somewhere between two batches, as a fleet that runs for long is found: else nothing is
-    /// reported for as long as the first batch takes to gather.
+    /// Starts the node somewhere between two batches, like a fleet that has been running for long: otherwise nothing
+    /// would be reported until the first batch is gathered.
     pub(crate) fn begin_within(&mut self, gather: u64) {
         let waiting = mix(self.seed, 6) % gather.max(1);
         self.made += waiting;
@@ -96,12 +96,12 @@ impl SimNode {
         self.revision
     }
 
-    /// Reports that wait.
+    /// The number of waiting reports.
     pub(crate) const fn waiting(&self) -> u64 {
         self.made - self.acknowledged
     }
 
-    /// The oldest reports that wait at the time `now_ns`, at most `most`.
+    /// The oldest waiting reports at the time `now_ns`, at most `most`.
     pub(crate) fn batch(&self, most: u64, now_ns: u64) -> Option<ReportBatch> {
         let count = self.waiting().min(most);
         (count > 0).then(|| ReportBatch {
@@ -114,12 +114,12 @@ impl SimNode {
         })
     }
 
-    /// The oldest reports that wait are acknowledged, that many of them.
+    /// Marks the oldest `reports` waiting reports as acknowledged.
     pub(crate) fn answered(&mut self, reports: u64) {
         self.acknowledged = (self.acknowledged + reports).min(self.made);
     }
 
-    /// Takes what is desired. Returns whether the status has to be sent at once.
+    /// Applies a desired setting. Returns true if the status must be sent at once.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
         let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
@@ -154,8 +154,8 @@ impl SimNode {
         true
     }
 
-    /// Holds a target, or nothing. Its street has a skip rate for each `u`, so that it is at once where a controller
-    /// would end; of power, time and recall it has no figures.
+    /// Holds a target, or none. The simulated street has a skip rate for each `u`, so the target is reached at once, as
+    /// if a controller had settled; there are no figures for power, time and recall.
     fn hold(&mut self, target: Option<Target>, revision: u64) {
         self.full_due = true;
         self.refused = None;
@@ -190,7 +190,7 @@ impl SimNode {
         self.values.last().map_or(FIRST_U, |(_, u)| *u)
     }
 
-    /// The payload of the next status; a heartbeat where nothing changed.
+    /// The payload of the next status; a heartbeat if nothing changed.
     pub(crate) fn status_payload(&mut self, now_ns: u64) -> Result<Vec<u8>, serde_json::Error> {
         let reported = self.reported_revision.replace(self.revision) == Some(self.revision);
         let message = self.status(now_ns);
@@ -205,7 +205,7 @@ impl SimNode {
         heartbeat.to_payload()
     }
 
-    /// The next status; in full at the first, after a change, and when it was asked for.
+    /// The next status; a full one at first, after a change, and on request.
     pub(crate) fn status(&mut self, now_ns: u64) -> StatusMessage {
         let full = std::mem::take(&mut self.full_due).then(|| Box::new(self.full()));
         let seq = self.seq;
@@ -254,7 +254,7 @@ impl SimNode {
         }
     }
 
-    /// Nothing here was read from a meter.
+    /// The energy quality to report; no figure comes from a meter.
     const fn quality(&self) -> EnergyQuality {
         if self.behaviour.measured {
             EnergyQuality::Measured
@@ -263,7 +263,7 @@ impl SimNode {
         }
     }
 
-    /// The report that is number `number` from 0: a day of a street, drawn from the node's seed.
+    /// Report number `number`, from 0: a day of a street, drawn from the node's seed.
     fn report(&self, number: u64) -> ClipReport {
         let u = self
             .values
@@ -274,7 +274,7 @@ impl SimNode {
         let mut random = Pcg64Mcg::seed_from_u64(mix(self.seed, 1_000 + number));
         let mut noise = || normal(&mut random);
         let frames = (self.clip_s * FRAMES_PER_S).round().max(1.0);
-        // A decade of `u` is a fifth of the frames; nodes and clips differ.
+        // A decade of `u` changes a fifth of the frames; nodes and clips differ.
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
         let skip =
             (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
@@ -354,7 +354,7 @@ impl SimNode {
 }
 
 impl SimNode {
-    /// The identity of a report of a clip that began at `started_ns`: drawn from the node's seed and its time.
+    /// The id of the report of a clip that began at `started_ns`, drawn from the node's seed and the clip's time.
     fn report_id(&self, number: u64, started_ns: u64) -> Uuid {
         let drawn = mix(self.seed, 2_000_000 + number).to_le_bytes();
         let mut random = [0; 10];
@@ -364,7 +364,7 @@ impl SimNode {
     }
 }
 
-/// One number out of two (splitmix64's finish).
+/// Mixes two numbers to one (splitmix64's finalizer).
 pub(crate) const fn mix(a: u64, b: u64) -> u64 {
     let mut z = a ^ b.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -372,12 +372,12 @@ pub(crate) const fn mix(a: u64, b: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A hash as a number from 0 to 1.
+/// Maps a hash to a number from 0 to 1.
 pub(crate) fn unit(hash: u64) -> f64 {
     (hash >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// About normal: twelve uniform numbers less six.
+/// An approximately normal number: the sum of twelve uniform numbers, less six.
 fn normal(random: &mut Pcg64Mcg) -> f64 {
     (0..12).map(|_| unit(random.next_u64())).sum::<f64>() - 6.0
 }

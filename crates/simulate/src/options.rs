@@ -5,50 +5,50 @@ use std::net::ToSocketAddrs;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Most nodes of a run.
+/// The maximum number of nodes in a run.
 const MOST_NODES: usize = 1_000_000;
-/// Most sessions of a run: each is a connection with threads' worth of state on both ends.
+/// The maximum number of sessions in a run: each is a connection with threads' worth of state on both ends.
 const MOST_SESSIONS: usize = 20_000;
-/// Longest run.
+/// The maximum duration of a run.
 const LONGEST: Duration = Duration::from_secs(86_400);
 
-/// Headings of the help.
+/// Headings of the help text.
 const REPORTS: &str = "Reports";
 const FAULTS: &str = "What goes wrong";
 
-/// How the nodes' figures depend on the threshold.
+/// The dependence of the nodes' figures on the threshold.
 #[derive(Clone, Copy, Debug, PartialEq, clap::Args)]
 pub struct Behaviour {
-    /// Above this threshold clips cost more energy and time.
+    /// Above this threshold, clips cost more energy and time.
     #[arg(long, help_heading = FAULTS, value_name = "U")]
     pub spoilt_above: Option<f64>,
-    /// How many times as much.
+    /// The factor by which they cost more.
     #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
     pub spoilt_by: f64,
-    /// Whether the reports call their made-up energy measured; otherwise estimated.
+    /// Marks the invented energy in reports as measured instead of estimated.
     #[arg(skip)]
     pub measured: bool,
 }
 
-/// What is to be played: the options of `albireo simulate`.
+/// The options of `albireo simulate`.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 pub struct Options {
-    /// Nodes.
+    /// Number of nodes.
     #[arg(long, default_value_t = 100)]
     pub nodes: usize,
-    /// Zenoh sessions that they share; at most one a node.
+    /// Zenoh sessions that the nodes share; at most one per node.
     #[arg(long, default_value_t = 4)]
     pub sessions: usize,
     /// Endpoint of a hub or router on this machine.
     #[arg(long, default_value = "tcp/127.0.0.1:7448", value_name = "ENDPOINT")]
     pub connect: String,
-    /// A Zenoh configuration to begin with, for TLS.
+    /// Base Zenoh configuration, for TLS.
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
-    /// What the nodes' names begin with.
+    /// Prefix of the nodes' names.
     #[arg(long, default_value = "sim-")]
     pub name: String,
-    /// How long, seconds, from when all sessions are open.
+    /// Duration from when all sessions are open, seconds.
     #[arg(long = "seconds", alias = "for", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Duration,
     /// Seconds between two heartbeats.
@@ -60,22 +60,22 @@ pub struct Options {
     /// Reports that a node gathers before it sends them.
     #[arg(long, help_heading = REPORTS, default_value_t = 12)]
     pub gather: u64,
-    /// Reports that every node has to deliver when it starts.
+    /// Reports that every node has waiting at the start.
     #[arg(long, help_heading = REPORTS, default_value_t = 0)]
     pub backlog: u64,
-    /// Nodes do not listen for notices: they learn of a value from the answer to a report.
+    /// Nodes do not subscribe to notices: they learn a new value from the answer to a report.
     #[arg(long = "no-notices", action = clap::ArgAction::SetFalse)]
     pub notices: bool,
-    /// How figures depend on the threshold.
+    /// The dependence of the figures on the threshold.
     #[command(flatten)]
     pub behaviour: Behaviour,
-    /// How long to go on in the end until everything is acknowledged, seconds.
+    /// Longest time to wait at the end until everything is acknowledged, seconds.
     #[arg(long, help_heading = REPORTS, default_value = "30", value_name = "SECONDS", value_parser = seconds)]
     pub drain: Duration,
     /// Seed of the times and figures; random by default.
     #[arg(long, default_value_t = now_ns(), hide_default_value = true)]
     pub seed: u64,
-    /// A process whose cost is reported too, `hub=4711`; may be given several times.
+    /// A process whose cost is also reported, `hub=4711`; may be given several times.
     #[arg(long = "pid", value_name = "NAME=PID", value_parser = named_pid)]
     pub watch: Vec<(String, u32)>,
 }
@@ -115,10 +115,10 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Whether the run is bounded and stays on this machine.
+    /// Checks that the run is bounded and stays on this machine.
     ///
     /// # Errors
-    /// What is wrong and what would do.
+    /// The error, and what is allowed, in words.
     pub(crate) fn check(&self) -> Result<(), String> {
         let within = |what: &str, value: f64, least: f64, most: f64| {
             let is_within = (least..=most).contains(&value);
@@ -145,7 +145,7 @@ impl Options {
     }
 }
 
-/// Whether an endpoint such as `tcp/127.0.0.1:7448` is.
+/// True if an endpoint such as `tcp/127.0.0.1:7448` is on this machine.
 fn is_on_this_machine(endpoint: &str) -> bool {
     let address = endpoint.split_once('/').map(|(_, address)| address);
     let host = address.and_then(|address| address.split(['?', '#']).next());

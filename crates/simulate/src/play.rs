@@ -1,4 +1,4 @@
-//! Plays one node on a Zenoh session that it shares with others.
+//! Simulates one node on a Zenoh session that it shares with others.
 
 use super::error::SimulateError;
 use super::node::{SimNode, mix, unit};
@@ -19,25 +19,25 @@ use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
-/// How long an answer to a batch or a pull is awaited.
+/// The time limit for the answer to a batch or a pull.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
-/// First and longest pause after a batch that was not acknowledged.
+/// The first and longest pause after an unacknowledged batch.
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-/// Most reports of a batch.
+/// The maximum number of reports per batch.
 const MOST_REPORTS: u64 = 90;
-/// First part of every key.
+/// The first part of every key.
 const PREFIX: &str = "albireo";
-/// Within this time all nodes send their first status.
+/// The time within which all nodes send their first status.
 const FIRST_STATUSES: Duration = Duration::from_secs(5);
 
-/// So long after the beginning the flood that all nodes make by beginning at once is over.
+/// The time after the start at which the initial flood of all nodes is over.
 pub(crate) const SETTLED: Duration = Duration::from_secs(20);
 
-/// What was asked of the hub, with its good or bad answer, if one came.
+/// A request to the hub with its answer, good or error, if one came.
 enum Asked {
     Desired(Option<Answer>),
-    /// A batch of so many reports, and how long the answer took.
+    /// A batch with its number of reports and the time until the answer.
     Batch(u64, Duration, Option<Answer>),
 }
 
@@ -50,7 +50,7 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
             .map_err(|error| SimulateError::at(file.display(), error))?,
         None => zenoh::Config::default(),
     };
-    // Thousands that lost their router come back spread out.
+    // Spread over time when thousands reconnect to a lost router.
     let first_retry = 500 + mix(options.seed, index as u64) % 2_000;
     let retry = serde_json::json!({"period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2});
     for (key, value) in [
@@ -62,7 +62,7 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
         ("listen/endpoints", serde_json::json!([])),
         ("scouting/multicast/enabled", serde_json::json!(false)),
         ("scouting/gossip/enabled", serde_json::json!(false)),
-        // As a node's uplink.
+        // Same as a node's uplink.
         ("transport/shared_memory/enabled", serde_json::json!(false)),
         ("transport/link/tx/lease", serde_json::json!(120_000)),
         ("transport/link/tx/batch_size", serde_json::json!(8_192)),
@@ -77,7 +77,7 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
         .map_err(|error| SimulateError::at(format!("session {index}"), error))
 }
 
-/// A node that is played.
+/// Simulates one node.
 pub(crate) struct Player {
     session: Session,
     node: SimNode,
@@ -85,12 +85,12 @@ pub(crate) struct Player {
     options: Arc<Options>,
     totals: Arc<Totals>,
     asked: JoinSet<Asked>,
-    /// A batch is under way.
+    /// True while a batch is in flight.
     sending: bool,
-    /// When a batch that was not acknowledged is sent again, and the pause after the next one.
+    /// When to resend an unacknowledged batch, and the pause after the next one.
     again: Option<Instant>,
     pause: Duration,
-    /// No more clips are made: what is left is sent, however little.
+    /// True once no more clips are made: the rest is sent, however little.
     ending: bool,
 }
 
@@ -117,7 +117,7 @@ impl Player {
         })
     }
 
-    /// Plays until `end`; then sends what is left until `stop`.
+    /// Runs until `end`, then sends the rest until `stop`.
     pub(crate) async fn play(
         mut self,
         began: Instant,
@@ -132,7 +132,7 @@ impl Player {
             .transpose()?;
         let status = Duration::from_secs_f64(self.options.status_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
-        // All nodes' times are spread over the period.
+        // Spreads the times of all nodes over the period.
         let name = self.node.name.bytes();
         let name = name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
         let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
@@ -145,7 +145,7 @@ impl Player {
                 Some(Ok(asked)) = self.asked.join_next() => self.answered(asked, began),
                 () = notice.notified() => self.pull(),
                 () = sleep_until(next_status), if !self.ending => {
-                    // All are known soon; from then on their times are spread over the whole period.
+                    // All nodes are known soon; from then on, their times are spread over the whole period.
                     let period = if next_status < began + FIRST_STATUSES { spread(status, 3) } else { status };
                     next_status += period.max(FIRST_STATUSES.min(status));
                     self.status();
@@ -174,7 +174,7 @@ impl Player {
         count(&mut self.totals.counts.lock());
     }
 
-    /// Sends each notice of the hub to `notice`.
+    /// Forwards each notice of the hub to `notice`.
     fn hear(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
         let notice = Arc::clone(notice);
         let notices = self
@@ -235,7 +235,7 @@ impl Player {
         }
     }
 
-    /// A batch was not acknowledged: again after a pause that grows.
+    /// Schedules an unacknowledged batch for resending after a growing pause.
     fn send_later(&mut self, refusal: Option<ReportRefusal>) {
         self.count(
             |counts| match refusal.as_ref().map(|refusal| refusal.reason) {
@@ -273,7 +273,7 @@ impl Player {
         }
     }
 
-    /// Sends the oldest reports if at least so many wait and none are under way.
+    /// Sends the oldest reports if at least `least` wait and no batch is in flight.
     fn send(&mut self, least: u64) {
         if self.sending || self.node.waiting() < least {
             return;
@@ -281,7 +281,7 @@ impl Player {
         let Some(batch) = self.node.batch(MOST_REPORTS, now_ns()) else {
             return;
         };
-        // What a batch costs its sender is multiplied by all the nodes that are played here.
+        // All simulated nodes compress in this process, so the quick level limits the cost.
         let Ok(payload) = batch.to_payload(BatchCompression::Quick) else {
             return;
         };
@@ -311,7 +311,7 @@ impl Player {
     }
 }
 
-/// A query with a payload and its first answer: good or error.
+/// Sends a query with a payload and returns its first answer, good or error.
 async fn ask(session: Session, key: String, payload: Vec<u8>) -> Option<Answer> {
     let replies = session
         .get(key)

@@ -5,28 +5,28 @@ use super::totals::{Counts, DelaySummary};
 use serde::Serialize;
 use std::fmt;
 
-/// What a run came to.
+/// The results of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Nodes.
+    /// The number of nodes.
     pub nodes: usize,
-    /// Sessions they shared.
+    /// The number of sessions they shared.
     pub sessions: usize,
     /// Seconds until all sessions were open.
     pub opened_s: f64,
-    /// Seconds played from then on.
+    /// Seconds simulated from then on.
     pub played_s: f64,
-    /// Seconds that the end took until everything was acknowledged, or it was given up.
+    /// Seconds at the end until everything was acknowledged or given up.
     pub drained_s: f64,
-    /// What was sent and answered.
+    /// The counts of messages sent and answered.
     #[serde(flatten)]
     pub counts: Counts,
-    /// Delay from sending a batch to its acknowledgement.
+    /// The delay from sending a batch to its acknowledgement.
     pub answers: DelaySummary,
-    /// The same without two floods that only this program makes: all nodes begin at once, and send what they have at once
-    /// at the end.
+    /// The same without two floods that only the simulation has: all nodes start at once, and all send their rest at
+    /// once at the end.
     pub settled: DelaySummary,
-    /// What processes cost while the load ran.
+    /// The cost of processes during the load.
     pub costs: Vec<ProcessCost>,
 }
 

@@ -4,14 +4,14 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Delays as they were measured, microseconds.
+/// Measured delays, microseconds.
 #[derive(Debug, Default)]
 pub(crate) struct Delays(Mutex<Vec<u32>>);
 
-/// Middle, tail and largest of some delays.
+/// Median, 99th percentile and maximum of some delays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DelaySummary {
-    /// How many.
+    /// The number of delays.
     pub count: u64,
     /// Median, milliseconds.
     pub p50_ms: f64,
@@ -44,26 +44,26 @@ impl Delays {
     }
 }
 
-/// What was sent and answered.
+/// The counts of messages sent and answered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Reports made, those of the backlog included.
+    /// Reports made, including the backlog.
     pub made: u64,
     /// Reports acknowledged.
     pub acknowledged: u64,
     /// Status messages sent.
     pub statuses: u64,
-    /// Batches sent, those sent again included.
+    /// Batches sent, including resent ones.
     pub batches: u64,
-    /// Their bytes.
+    /// The bytes of all batches sent.
     pub batch_bytes: u64,
     /// Pulls sent.
     pub pulls: u64,
-    /// Batches that the hub was too busy for.
+    /// Batches refused because the hub was busy.
     pub busy: u64,
-    /// Batches that the hub refused for another reason.
+    /// Batches refused by the hub for another reason.
     pub refused: u64,
-    /// Batches that nobody answered.
+    /// Batches without an answer.
     pub no_reply: u64,
 }
 
@@ -72,7 +72,7 @@ pub struct Counts {
 pub(crate) struct Totals {
     pub(crate) counts: Mutex<Counts>,
     pub(crate) answers: Delays,
-    /// Those between the floods of the beginning and of the end.
+    /// Delays between the floods at the start and at the end.
     pub(crate) settled: Delays,
 }
 
