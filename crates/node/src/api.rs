@@ -1,4 +1,4 @@
-//! Offers the interfaces of a running node: HTTP and Zenoh keys.
+//! The interfaces of a running node: HTTP and Zenoh keys.
 
 pub mod http;
 pub(crate) mod keys;

@@ -1,4 +1,4 @@
-//! Routes the requests to a node.
+//! The HTTP routes of a node.
 
 mod cameras;
 mod change;
@@ -42,7 +42,7 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// What every handler gets.
+/// State shared by all handlers.
 #[derive(Clone)]
 struct RouteState {
     board: Arc<Board>,
@@ -50,14 +50,14 @@ struct RouteState {
     limits: FrameLimits,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
-    /// The right to decode a picture: memory holds one that is decoded, however many are asked for.
+    /// Locked while a picture is decoded, so that memory holds one decoded picture at a time.
     decoding: Arc<Mutex<()>>,
-    /// Pictures decoded to be shown.
+    /// The number of pictures decoded for display.
     decoded: Counter,
-    /// Places for event streams.
+    /// Permits for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
-    /// For the index.
+    /// The routes listed by the index.
     routes: Arc<[Route]>,
 }
 
@@ -79,7 +79,7 @@ impl RouteState {
     }
 }
 
-/// What is asked for behind the `?` of a request; `allowed` are the names that may be there.
+/// Parses the query string of a request; `allowed` are the names that it may contain.
 fn query<T>(
     query: Result<Query<T>, QueryRejection>,
     allowed: &[&'static str],
@@ -90,7 +90,7 @@ fn query<T>(
     }
 }
 
-/// The `value` that is asked for as `name`, if it is in `range`.
+/// Returns the `value` of the parameter `name` if it is in `range`.
 fn within(name: &str, value: usize, range: RangeInclusive<usize>) -> Result<usize, Problem> {
     if range.contains(&value) {
         return Ok(value);
@@ -113,8 +113,8 @@ fn bad_request(detail: String) -> Problem {
     ),
     components(schemas(
         Problem,
-        // What the events carry and what goes over Zenoh: a stream's contents cannot be described, the messages in
-        // it can.
+        // Messages in events and on Zenoh: the document cannot describe a stream's contents, but it can describe
+        // these.
         CountersMessage,
         DetectionsMessage,
         SettledMessage,
@@ -162,7 +162,7 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(metrics::text))
 }
 
-/// The OpenAPI document of a node, as `/openapi.json` gives it.
+/// The node's OpenAPI document, as served at `/openapi.json`.
 pub fn openapi() -> OpenApi {
     described().split_for_parts().1
 }
@@ -172,7 +172,7 @@ pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToke
     let (router, openapi) = described().split_for_parts();
     #[cfg(feature = "swagger")]
     let router = router.merge(
-        // The document itself is served below: this only names its address to the page.
+        // The document is served below: this only gives its address to the page.
         utoipa_swagger_ui::SwaggerUi::new("/docs")
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );

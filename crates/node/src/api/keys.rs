@@ -1,4 +1,4 @@
-//! Serves values of the node on Zenoh keys: a query reads one, a put or a query with a payload changes it.
+//! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
 use crate::state::board::{Board, CameraBoard, set_thresholds};
 use albireo_service::rate_limit::SharedLimit;
@@ -14,22 +14,22 @@ use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 
-/// Largest message read; a valid one has a few dozen bytes.
+/// The largest message that is read; a valid one has a few dozen bytes.
 const MAX_MESSAGE_BYTES: usize = 4096;
 
-/// Requests that may wait for the file to be written; a person or a hub sends a few a second at most.
+/// The maximum number of requests that wait for the file; a person or a hub sends a few per second at most.
 const WAITING: usize = 64;
 
-/// The value that a key holds.
+/// The value on a key.
 pub(crate) enum KeyValue {
-    /// The threshold of a camera.
+    /// A camera's threshold.
     Threshold(Arc<CameraBoard>),
-    /// The target of the node.
+    /// The node's target.
     Target(Arc<Board>),
 }
 
 impl KeyValue {
-    /// Changes it to what `payload` says. Writes a file.
+    /// Changes the value to the one in `payload`. Writes a file.
     fn change(&self, payload: &[u8]) -> Result<(), String> {
         match self {
             Self::Threshold(camera) => {
@@ -49,7 +49,7 @@ impl KeyValue {
         }
     }
 
-    /// Returns what is in force, as JSON.
+    /// Returns the value in force, as JSON.
     fn in_force(&self) -> Result<Vec<u8>, String> {
         let json = match self {
             Self::Threshold(camera) => serde_json::to_vec(&ThresholdMessage {
@@ -63,7 +63,7 @@ impl KeyValue {
     }
 }
 
-/// A put or a query that came over Zenoh.
+/// A put or a query received over Zenoh.
 struct Request {
     key: Arc<str>,
     value: Arc<KeyValue>,
@@ -71,8 +71,8 @@ struct Request {
     query: Option<Query>,
 }
 
-/// The keys of a node: requests come in until it is dropped, and are answered while [`run`](Self::run) runs, one after
-/// the other, in the order in which they came.
+/// The node's keys: requests are received until it is dropped, and are answered while [`run`](Self::run) runs, one at a
+/// time, in the order of arrival.
 pub(crate) struct NodeKeyValues {
     declared: Vec<Box<dyn Any + Send + Sync>>,
     requests: mpsc::Sender<Request>,
@@ -91,11 +91,11 @@ impl NodeKeyValues {
         }
     }
 
-    /// Declares a key. Zenoh's own threads only hand requests on: a change writes a file, which may take a moment on a slow
-    /// card.
+    /// Declares a key. Zenoh's threads only queue requests, because a change writes a file, which may take a moment on
+    /// a slow card.
     ///
     /// # Errors
-    /// When Zenoh refuses the declaration.
+    /// An error if Zenoh rejects the declaration.
     pub(crate) async fn add(
         &mut self,
         session: &Session,
@@ -111,7 +111,7 @@ impl NodeKeyValues {
                 payload,
                 query,
             };
-            // A query that does not fit goes unanswered, as if the key were not served.
+            // A query without room goes unanswered, as if nobody served the key.
             if requests.try_send(request).is_err() {
                 too_many.log(|held_back| {
                     tracing::warn!(
@@ -187,10 +187,10 @@ fn serve(request: Request, refused: &SharedLimit) {
     }
 }
 
-/// A payload, of one that is too long no more than shows it: a large one is never copied whole.
+/// Copies a payload, or only enough of an oversized one to detect it.
 fn beginning(payload: &ZBytes) -> Vec<u8> {
     let mut read = Vec::new();
-    // Reading from memory does not fail.
+    // Reading from memory cannot fail.
     let _ = payload
         .reader()
         .take(MAX_MESSAGE_BYTES as u64 + 1)
@@ -198,7 +198,7 @@ fn beginning(payload: &ZBytes) -> Vec<u8> {
     read
 }
 
-/// Reads a message. `v` may be left out, as in a hand-typed put, so the versioned reader does not fit.
+/// Reads a message. `v` may be missing, as in a put typed by hand, so the versioned reader does not fit.
 fn read<T: DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String> {
     serde_json::from_slice(payload)
         .map_err(|error| format!("expected JSON such as {example}: {error}"))

@@ -1,8 +1,8 @@
-//! Holds the node's name on the network by a liveliness token, which says that the node lives and its name is taken.
+//! Holds the node's name on the network with a liveliness token, which shows that the node is alive and owns its name.
 //!
-//! A node that hears of no claim to the name declares one, a token under the name with its session's id, and asks
-//! again when that has had time to spread. So two nodes that start together hear of each other, and the lower id gets
-//! the name. Otherwise both would ask, hear nothing, and take it.
+//! A node that finds no claim to its name declares one, a token under the name with its session's id, and queries again
+//! after the claim has had time to spread. Two nodes that start together thus find each other's claims, and the lower
+//! id gets the name. Without claims, both would query, find nothing, and take the name.
 
 use albireo_service::readiness::Part;
 use albireo_service::session::jittered;
@@ -12,27 +12,27 @@ use std::time::Duration;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
-/// A claim may take this long to get around, for a peer answers by what it has heard itself.
+/// The time for a claim to spread: a peer answers from the claims it has received itself.
 const GETTING_AROUND: Duration = Duration::from_secs(1);
 
-/// Others may take this long to say that they have the name.
+/// The time for others to report that they own the name.
 const ASKING: Duration = Duration::from_secs(2);
 
-/// Interval at which a waiting node checks the name, between half and one and a half of that.
+/// The interval at which a waiting node checks the name, times 0.5 to 1.5.
 const LOOK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 5000 });
 
-/// Interval at which the holder checks the name: separate networks may join.
+/// The interval at which the owner checks the name: separate networks may join.
 const LOOK_AGAIN_EVERY: Duration = Duration::from_secs(60);
 
 const TAKEN: &str = "another node of this name is on the network: both answer its frames";
 
-/// The tokens of a name, once it is taken: they are there until the session is closed, or the last clone is dropped.
+/// The tokens of a name, once owned: they last until the session is closed or the last clone is dropped.
 #[derive(Clone, Default)]
 pub(crate) struct NodeName(Arc<Mutex<Vec<LivelinessToken>>>);
 
 impl NodeName {
-    /// Declares the token `key` as soon as no other node holds it, and keeps it. Until then, and when another turns up
-    /// later, `part` says that two nodes have one name: both answer its frames.
+    /// Declares the token `key` once no other node holds it, and keeps it. Until then, and if another node appears
+    /// later, `part` reports that two nodes have the same name: both answer its frames.
     pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
         while let Err(error) = self.hold_on(&session, &key, &part).await {
             tracing::warn!(%error, key, "the liveliness token cannot be declared now");
@@ -69,7 +69,7 @@ impl NodeName {
         }
     }
 
-    /// Takes the name, unless somebody with a lower id claims it at the same time; whether that went well.
+    /// Claims the name, and returns true unless a node with a lower id claims it at the same time.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
         let claim = session.liveliness().declare_token(own).await?;
         tokio::time::sleep(GETTING_AROUND).await;

@@ -1,4 +1,4 @@
-//! Lists the cameras and their states.
+//! Routes that list the cameras and their states.
 
 use super::RouteState;
 use crate::state::advice::Advice;

@@ -1,4 +1,4 @@
-//! Reads the body of a request that changes something, and makes the change off the async workers.
+//! Reads the body of a change request, and makes the change outside the async workers.
 
 use albireo_service::http::{BODY_LIMIT, Problem};
 use axum::body::Bytes;
@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::fmt::Display;
 
-/// Reads the message out of a request. `expected` says what it should be, in words.
+/// Reads the message in a request. `expected` describes it in words.
 pub(super) fn message<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
@@ -22,8 +22,8 @@ pub(super) fn message<T: DeserializeOwned>(
         .and_then(|name| name.split(';').next())
         .unwrap_or_default()
         .trim();
-    // None at all, and the one that curl sends by itself, are taken too: no page of another origin can send a PUT without
-    // being asked for leave first, whatever its content type.
+    // No content type and curl's default one are also accepted: no page of another origin can send a PUT without a
+    // preflight, whatever its content type.
     let taken = ["", "application/json", "application/x-www-form-urlencoded"];
     if !taken
         .iter()
@@ -53,14 +53,14 @@ pub(super) fn message<T: DeserializeOwned>(
     let no_json = |error| fault(StatusCode::BAD_REQUEST, &error);
     serde_json::from_slice::<Value>(&body).map_err(no_json)?;
     let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
-    // Serde would also read a list of the fields' values.
+    // Serde would also accept a list of the fields' values.
     if !body.trim_ascii_start().starts_with(b"{") {
         return Err(not_this(&"it is no JSON object"));
     }
     serde_json::from_slice(&body).map_err(|error| not_this(&error))
 }
 
-/// Changing writes a file, which may take a moment on a slow card: not on the runtime's own threads.
+/// Runs a change on a blocking thread: it writes a file, which may take a moment on a slow card.
 pub(super) async fn off_the_runtime<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {

@@ -1,4 +1,4 @@
-//! Lists recent clip reports.
+//! The route that lists recent clip reports.
 
 use super::{RouteState, query, within};
 use crate::state::board::RECENT_CLIPS;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
-/// Which clips.
+/// The selection of clips.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -63,7 +63,7 @@ pub(super) async fn list(
         shared.camera(camera)?;
     }
     let Selection { before, after, .. } = selection;
-    // One more than requested shows whether there are more.
+    // One more than requested shows if there are more.
     let board = &shared.board;
     let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;

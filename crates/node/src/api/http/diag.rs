@@ -1,4 +1,4 @@
-//! Packs the diagnostics of a node into one archive.
+//! The route that packs a node's diagnostics into one archive.
 
 use super::{RouteState, cameras, metrics, node, states};
 use albireo_service::archive;
@@ -10,7 +10,7 @@ use axum::response::Response;
 use serde::Serialize;
 use serde_json::json;
 
-/// Clips in the archive.
+/// The maximum number of clips in the archive.
 const MOST_CLIPS: usize = 64;
 
 fn text(value: &impl Serialize) -> Vec<u8> {

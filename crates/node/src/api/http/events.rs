@@ -1,4 +1,4 @@
-//! Streams what happens on the node as server-sent events (WHATWG HTML, section 9.2).
+//! Streams the node's events as server-sent events (WHATWG HTML, section 9.2).
 
 use super::{RouteState, bad_request, query};
 use crate::state::board::{Event, News};
@@ -20,13 +20,13 @@ use tokio::sync::broadcast::{self, error::RecvError};
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
-/// Event streams at a time: each holds a connection.
+/// The maximum number of concurrent event streams: each holds a connection.
 pub(super) const MOST_STREAMS: usize = 64;
 
-/// Name of the event that there is beside those of [`News`].
+/// The name of the only event that is not a [`News`].
 const LAGGED: &str = "lagged";
 
-/// Which events.
+/// The selection of events.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -38,13 +38,13 @@ pub(super) struct Selection {
     types: Option<String>,
 }
 
-/// A stream's wishes and sources.
+/// The selection and the sources of one stream.
 struct Reader {
     camera: Option<String>,
     types: Vec<String>,
     events: broadcast::Receiver<Arc<Event>>,
     shutdown: CancellationToken,
-    /// Given back when the stream ends.
+    /// Released when the stream ends.
     _place: OwnedSemaphorePermit,
 }
 
@@ -143,7 +143,7 @@ pub(super) async fn stream(
     let reader = Reader {
         camera,
         types,
-        // Before the present state is read, so that no change falls between the two.
+        // Subscribes before the present state is read, so that no change is missed in between.
         events: board.subscribe(),
         shutdown: shared.shutdown.clone(),
         _place: place,

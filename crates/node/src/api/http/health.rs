@@ -1,4 +1,4 @@
-//! Answers whether the node lives and is ready.
+//! Reports liveness and readiness.
 
 use super::RouteState;
 use crate::state::board::{Board, provider};
@@ -57,7 +57,7 @@ pub(super) struct NotReady {
     readiness: Readiness,
 }
 
-/// How the node is now.
+/// The present readiness of the node.
 pub(super) fn readiness(board: &Board) -> Readiness {
     let health = board.readiness.health();
     Readiness {
@@ -80,7 +80,7 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
     alive(&shared.board.node, shared.board.uptime())
 }
 
-/// Answers that the process of `node` is there.
+/// The answer that the process of `node` is alive.
 pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Health> {
     Json(Health {
         status: "ok",

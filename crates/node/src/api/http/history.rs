@@ -1,4 +1,4 @@
-//! Shows the recent past of a node to a page that has just been opened.
+//! Returns the recent past of a node, for a page that was just opened.
 
 use super::{RouteState, bad_request, query, within};
 use crate::state::board::{
@@ -14,7 +14,7 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-/// How much of the past.
+/// The amount of history.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -130,7 +130,7 @@ pub(super) async fn power(State(shared): State<RouteState>) -> Json<PowerHistory
     })
 }
 
-/// Which values.
+/// The threshold values to estimate.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -154,7 +154,7 @@ pub(super) struct SkipEstimates {
     threshold: Threshold,
 }
 
-/// Most values of one question.
+/// The maximum number of values per request.
 const MOST_VALUES: usize = 64;
 
 fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
@@ -210,7 +210,7 @@ pub(super) async fn skip_estimate(
             .map(|step| about.default * 10_f64.powf((f64::from(step) - 20.0) / 10.0))
             .collect(),
     };
-    // Some milliseconds of computing: not on a thread that frames wait for.
+    // Computes for some milliseconds: not on a thread that frames wait for.
     let (name, camera) = (camera.name().to_owned(), std::sync::Arc::clone(camera));
     let computed = tokio::task::spawn_blocking(move || camera.skip_estimate(&values));
     let Ok(Some(estimate)) = computed.await else {

@@ -1,4 +1,4 @@
-//! Lists the routes.
+//! The list of routes.
 
 use super::RouteState;
 use albireo_service::http::Route;

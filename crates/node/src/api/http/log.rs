@@ -1,4 +1,4 @@
-//! Shows the last lines of the log.
+//! The route that returns the last log lines.
 
 use super::{query, within};
 use albireo_service::http::Problem;
@@ -9,10 +9,10 @@ use axum::extract::rejection::QueryRejection;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-/// Most lines of one answer: as many as are kept.
+/// The maximum number of lines per answer: all that are kept.
 const MOST: usize = 1000;
 
-/// Which lines.
+/// The selection of lines.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]

@@ -1,4 +1,4 @@
-//! Writes the metrics for Prometheus.
+//! Writes the Prometheus metrics.
 
 mod cameras;
 
@@ -40,7 +40,7 @@ pub(super) fn page(shared: &RouteState) -> MetricsPage {
     page
 }
 
-/// What runs, and whether its parts work.
+/// The build, and the state of the node's parts.
 fn node(page: &mut MetricsPage, board: &Board) {
     let (status, health) = (board.detector_status(), board.readiness.health());
     let version = ("version", env!("CARGO_PKG_VERSION"));
@@ -102,7 +102,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
     );
 }
 
-/// What the detector and the empty-scene screen have counted.
+/// The counts of the detector and of the empty-scene screen.
 fn detector(page: &mut MetricsPage, board: &Board) {
     let (counts, screen) = board.worker_counts();
     let (worker, head) = (&counts.worker, &counts.head);
@@ -161,7 +161,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
     }
 }
 
-/// What is wanted of the node, what is measured of it, and whether it is met; no figure while there is no target.
+/// The target, its measured value, and if it is met; nothing without a target.
 fn target(page: &mut MetricsPage, board: &Board) {
     let report = board.target.report();
     let target = report.target;

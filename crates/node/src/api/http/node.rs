@@ -1,4 +1,4 @@
-//! Sums the node up in one answer, for the head of the page.
+//! Summarises the node in one answer, for the head of the page.
 
 use super::RouteState;
 use super::health::{Readiness, readiness};

@@ -1,4 +1,4 @@
-//! Shows the latest picture of a camera.
+//! The route that returns a camera's latest picture.
 
 use super::RouteState;
 use albireo_service::http::Problem;
@@ -8,7 +8,7 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 
-/// Which frame it is: its sequence number, as in the frame's detections.
+/// The frame's sequence number, as in its detections.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
 /// The latest picture received from a camera
@@ -29,7 +29,7 @@ pub(super) async fn jpeg(
     Path(camera): Path<String>,
 ) -> Result<Response, Problem> {
     let board = shared.camera(&camera)?;
-    // One picture is decoded at a time. One that nobody waits for any more is finished all the same, for the next request.
+    // Decodes one picture at a time, even if nobody waits for it any more: the next request can use it.
     let turn = Arc::clone(&shared.decoding).lock_owned().await;
     let frame = board.latest_frame().ok_or_else(|| {
         let detail = format!("no picture came from camera `{camera}` yet");

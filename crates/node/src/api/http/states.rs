@@ -1,4 +1,4 @@
-//! Shows the frame-state counters.
+//! The routes of the frame-state counters.
 
 use super::RouteState;
 use crate::state::board::{CameraBoard, CameraSnapshot};
@@ -66,7 +66,7 @@ pub(super) struct NodeStates {
 }
 
 impl FrameCounts {
-    /// Of these cameras together.
+    /// Sums the counts of these cameras.
     fn of<'a>(cameras: impl IntoIterator<Item = &'a CameraSnapshot>) -> Self {
         let mut states = FrameStates::default();
         let mut calls = DetectorCalls::default();

@@ -1,4 +1,4 @@
-//! Reads and sets the target.
+//! The routes that read and set the target.
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};

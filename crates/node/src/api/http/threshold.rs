@@ -1,4 +1,4 @@
-//! Reads and sets the uncertainty threshold.
+//! The routes that read and set the uncertainty threshold.
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
@@ -95,7 +95,7 @@ fn one_threshold(board: &Board, camera: &CameraBoard) -> Json<CameraThreshold> {
     })
 }
 
-/// Sets the threshold of these cameras to what a request says.
+/// Sets the threshold of these cameras to the value in a request.
 async fn put(
     cameras: Vec<Arc<CameraBoard>>,
     headers: &HeaderMap,

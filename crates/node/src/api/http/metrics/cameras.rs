@@ -7,7 +7,7 @@ use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::{AuditRate, AuditReport};
 
-/// The families of the cameras.
+/// The metric families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
     let cameras: Vec<_> = (board.cameras.iter())
         .map(|camera| (("camera", camera.name()), &**camera, camera.snapshot()))
@@ -20,7 +20,7 @@ pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
 /// A camera's label, its part of the board, and its state.
 type Camera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 
-/// A counter of each camera: name, help, and its value.
+/// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 
 const COUNTERS: [CameraCounter; 8] = [
@@ -82,7 +82,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
         "albireo_detector_calls_total",
         "Frames that the detector was called for, by cause, whether or not it was available",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
-            // A cause that this policy does not have would be a row of zeros for ever.
+            // Causes that the policy does not have would be rows of zeros for ever.
             let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
             some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
         }),
@@ -118,7 +118,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     );
 }
 
-/// Whether frames come, and what is known of the newest.
+/// The arrival of frames, and the figures of the newest.
 fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
     let health = board.readiness.health();
     let silent = |name: &str| {
@@ -170,7 +170,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
     );
 }
 
-/// What the audit has found: sums that add up over cameras and nodes, and each camera's rates.
+/// The audit's results: sums over cameras and nodes, and rates of each camera.
 fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     let audited = || {
         let on = cameras.iter();
