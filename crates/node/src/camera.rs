@@ -1,5 +1,5 @@
-//! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answers and
-//! counts the open clip. One task per camera; the detector, the screen and the meter are shared.
+//! A camera's loop: takes frames from the ring, runs the policy on each, publishes the answers and counts the
+//! open clip. One task per camera; the detector, the screen and the meter are shared.
 
 pub mod answer;
 pub mod audit;
@@ -35,30 +35,30 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// These parts of a camera stay when its loop is started again.
+/// The parts of a camera that survive a restart of its loop.
 pub(crate) struct CameraParts {
-    /// It shows the camera to HTTP and metrics.
+    /// Shows the camera in HTTP and metrics.
     pub board: Arc<CameraBoard>,
-    /// Its frames come from there.
+    /// The source of its frames.
     pub receiver: Arc<FrameReceiver>,
-    /// Answers go there.
+    /// Publishes the answers.
     pub detections: Outlet,
-    /// The final answers of pending frames go there, if frames are answered at once.
+    /// Publishes the final answers of pending frames, if frames are answered at once.
     pub late: Option<Outlet>,
-    /// Every frame goes there once more when its boxes are settled.
+    /// Publishes every frame again once its boxes are settled.
     pub settled: Option<Arc<Outlet>>,
-    /// It selects the boxes that are published.
+    /// Selects the boxes to publish.
     pub min_confidence: MinConfidence,
-    /// Names of the detector's classes.
+    /// The names of the detector's classes.
     pub class_names: Arc<[String]>,
-    /// Clips that have ended go there. It is unbounded, because a clip is some kilobytes every some seconds and must not be
-    /// lost. Their reporter's own waiting is bounded.
+    /// Sends closed clips. Unbounded, because a clip is a few kilobytes every few seconds and must not be lost; the
+    /// reporter's wait per clip is bounded.
     pub closed: mpsc::UnboundedSender<Clip>,
-    /// Frames that the detector is to examine afterwards are left there.
+    /// Receives the frames that the detector audits afterwards.
     pub audit: Arc<CameraAudit>,
-    /// The camera's part of the node's energy.
+    /// The camera's share of the node's energy.
     pub energy: CameraEnergy,
-    /// It is true if a new clip id of the camera makes the policy forget its objects.
+    /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
 }
 
@@ -75,46 +75,46 @@ impl CameraParts {
 /// One camera's loop.
 pub(crate) struct Camera {
     parts: Arc<CameraParts>,
-    /// It decides frames.
+    /// Decides frames.
     decider: Decider,
-    /// The frames that are held back until their boxes are settled.
+    /// The frames held back until their boxes are settled.
     settled: Option<SettledStream>,
     /// The open clip.
     tracker: ClipTracker,
     threshold: watch::Receiver<Option<f64>>,
-    /// Highest index and newest stream of the camera so far.
+    /// The highest index and newest stream of the camera so far.
     newest: Option<(u64, u64)>,
-    /// Index of the first frame that the policy knows of, and counts from.
+    /// The index of the policy's first frame, from which it counts.
     first_index: Option<u64>,
-    /// The camera's name for the clip of the frame before.
+    /// The camera's clip name of the previous frame.
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
 
-/// A frame whose turn has come.
+/// A frame in progress.
 struct BegunFrame {
     incoming: SequencedFrame,
     head: FrameHead,
     clip: Arc<str>,
     threshold: Option<Threshold>,
-    /// It was taken from the ring at this time.
+    /// The time at which it was taken from the ring.
     taken: Instant,
-    /// From its reception to its prediction, if that has been published before the final answer.
+    /// The time from reception to its prediction, if that was published before the final answer.
     first_answer: Option<Duration>,
-    /// The time that its answer has taken so far.
+    /// The time spent on its answer so far.
     times: Times,
 }
 
-/// A frame with its final answer: given once to everything that counts frames.
+/// A frame with its final answer, passed once to everything that counts frames.
 #[derive(Clone, Debug)]
 pub struct FrameRecord {
     /// The final answer, as published.
     pub detections: Arc<DetectionsMessage>,
-    /// It was published at this time.
+    /// The time of publication.
     pub answered: Instant,
-    /// From reception to the first answer, which may have been pending.
+    /// The time from reception to the first answer, which may have been pending.
     pub first_answer: Duration,
-    /// The time that the final answer took.
+    /// The time spent on the final answer.
     pub(crate) times: Times,
 }
 
@@ -131,7 +131,7 @@ impl FrameRecord {
 }
 
 impl Camera {
-    /// A loop that knows of no frame yet.
+    /// Creates a loop that has seen no frame.
     pub(crate) fn new(
         parts: Arc<CameraParts>,
         decider: Decider,
@@ -153,18 +153,18 @@ impl Camera {
         }
     }
 
-    /// Runs until `shutdown`; finishes the current or pending frame, and closes the open clip.
+    /// Runs until `shutdown`, then finishes the current or pending frame and closes the open clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         loop {
             let settled = self.settled.as_ref().and_then(SettledStream::deadline);
             let due = self.tracker.deadline().into_iter().chain(settled).min();
-            // Where a frame is answered when everything is known, those after it wait.
+            // If frames are answered only when everything is known, later frames wait.
             let waits = self.decider.is_pending() && !self.decider.answers_at_once();
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
                 fetched = self.decider.fetched() => self.deliver(fetched),
-                // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
+                // Before the clock: a camera with waiting frames is not silent, only the detector is slow.
                 incoming = self.parts.receiver.ring.next(), if !waits => self.process(incoming),
                 () = at(due), if !waits => self.tick(),
             }
@@ -187,7 +187,7 @@ impl Camera {
         }
     }
 
-    /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
+    /// Stops taking frames, counts the waiting ones as dropped, and ends the open clip. A second call does nothing.
     fn end(&mut self) {
         let parts = &self.parts;
         for mut frame in parts.receiver.ring.close() {
@@ -202,8 +202,8 @@ impl Camera {
         parts.hand_over(self.tracker.shutdown(Instant::now()));
     }
 
-    /// Counts for the open clip what others have counted: dropped frames, and what the audit has found. Without one it goes
-    /// to the next.
+    /// Adds the counts of others to the open clip: dropped frames and audit results. Without an open clip, they go to
+    /// the next one.
     fn count_others(&mut self) {
         if self.tracker.clip().is_some() {
             let (dropped, found) = self.parts.board.take_unreported();
@@ -244,8 +244,8 @@ impl Camera {
         }
     }
 
-    /// Publishes and counts the final answer of a frame, whose first one may have been published, and leaves the frame to
-    /// the audit if it is drawn.
+    /// Publishes and counts the final answer of a frame, whose first answer may already be published, and offers the
+    /// frame to the audit if it is drawn.
     fn conclude(&mut self, frame: &BegunFrame) {
         let message = self.answer(frame, false);
         let BegunFrame { incoming, .. } = frame;
@@ -270,7 +270,7 @@ impl Camera {
         }
     }
 
-    /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
+    /// Prepares a frame: its place in the stream, the threshold in force, its clip. `None` if the frame was overtaken.
     fn begin(&mut self, incoming: SequencedFrame) -> Option<BegunFrame> {
         let taken = Instant::now();
         let frame = &incoming.frame;
@@ -300,7 +300,7 @@ impl Camera {
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
-        // What was dropped before this frame belongs to the clip that was open then.
+        // Frames dropped before this one belong to the clip that was open then.
         self.count_others();
         let parts = &self.parts;
         let clip = frame.clip.as_deref();
@@ -318,8 +318,8 @@ impl Camera {
         })
     }
 
-    /// Publishes an answer of a frame: a `pending` one, before the final one, or that. Of the boxes in the outcome those
-    /// stay that are published.
+    /// Publishes an answer of a frame: a `pending` one before the final one, or the final one. Leaves only the
+    /// published boxes in the outcome.
     fn answer(&mut self, frame: &BegunFrame, pending: bool) -> Arc<DetectionsMessage> {
         let (parts, outcome) = (&self.parts, &mut self.outcome);
         // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
@@ -358,7 +358,7 @@ impl Camera {
         message
     }
 
-    /// Takes a changed threshold over, so that it holds from this frame on.
+    /// Applies a changed threshold from this frame on.
     fn take_threshold(&mut self) {
         if !self.threshold.has_changed().unwrap_or(false) {
             return;
@@ -371,17 +371,17 @@ impl Camera {
     }
 }
 
-/// Also where the loop panicked or was given up: what was counted until then is reported.
+/// Also runs if the loop panicked or was aborted, so that the counts until then are reported.
 impl Drop for Camera {
     fn drop(&mut self) {
-        // What panicked may be what is asked here; a second panic must not end the process.
+        // The cause of a panic may be used here; a second panic must not end the process.
         if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
             tracing::error!(camera = self.parts.board.name(), "the open clip is lost");
         }
     }
 }
 
-/// Waits until `due`; forever without one.
+/// Waits until `due`; for ever if `None`.
 async fn at(due: Option<Instant>) {
     match due {
         Some(due) => tokio::time::sleep_until(due).await,

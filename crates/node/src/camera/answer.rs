@@ -6,8 +6,9 @@ use albireo_core::policy::{Outcome, OutputBox};
 use albireo_service::clock::significant;
 use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
 
-/// The message of a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to what
-/// they mean: corners to a hundredth of a pixel, confidence to four digits, τ to six. Boxes are clipped to the picture; those of which nothing is in
+/// The message for a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to
+/// significant digits: corners to a hundredth of a pixel, confidence to four digits, τ to six. Boxes are clipped to
+/// the picture; boxes entirely outside are left out.
 /// the picture are left out.
 pub fn detections_message(
     outcome: &Outcome,
@@ -34,7 +35,7 @@ pub fn detections_message(
     }
 }
 
-/// The boxes on the wire, of a picture of that size.
+/// The boxes for the wire, for a picture of that size.
 pub(super) fn box_messages(
     boxes: &[OutputBox],
     size: PictureSize,
@@ -61,14 +62,14 @@ fn box_message(output: &OutputBox, size: PictureSize, names: &[String]) -> Optio
     })
 }
 
-/// Left, top, right, bottom in pixels, to a hundredth of a pixel; `None` when nothing of the box is in
+/// Left, top, right and bottom in pixels, to a hundredth of a pixel; `None` if the box is entirely outside
 /// the picture.
 fn clipped_corners(bounding_box: BoundingBox, size: PictureSize) -> Option<[f32; 4]> {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let corners = bounding_box.pixel_corners(size);
     let (x1, x2) = (corners.x1.clamp(0.0, width), corners.x2.clamp(0.0, width));
     let (y1, y2) = (corners.y1.clamp(0.0, height), corners.y2.clamp(0.0, height));
-    // NaN fails the comparison and is left out too.
+    // NaN fails the comparison and is also left out.
     let visible = x2 > x1 && y2 > y1;
     visible.then(|| [x1, y1, x2, y2].map(|edge| ((edge * 100.0).round() / 100.0) as f32))
 }

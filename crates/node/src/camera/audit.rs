@@ -1,7 +1,7 @@
-//! The audit of a camera: a share of the frames that its policy answered without the detector is looked at by the
-//! detector afterwards, when that has nothing else to do, and what was shown is compared with what it finds.
+//! The audit of a camera: the idle detector examines a sample of the frames that the policy answered without it, and
+//! the published boxes are compared with its results.
 //!
-//! It changes nothing: a frame is drawn by its number after its answer is out, and what the detector then finds reaches
+//! It changes nothing: a frame is drawn by its number after its answer is published, and the detector's results reach
 //! neither the policy nor the screen.
 
 mod frames;
@@ -16,11 +16,11 @@ use albireo_core::audit::AuditDraw;
 use serde::{Deserialize, Serialize};
 use std::hash::{BuildHasher, RandomState};
 
-/// How many of the skipped frames are looked at afterwards: the `[audit]` section of the configuration.
+/// The `[audit]` section: the share of skipped frames that is examined afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuditConfig {
-    /// Share of the frames answered without the detector; 0 for no audit.
+    /// Share of the frames answered without the detector; 0 disables the audit.
     pub share: f64,
 }
 
@@ -31,8 +31,8 @@ impl Default for AuditConfig {
 }
 
 impl AuditConfig {
-    /// The draw of one camera. Each call gives another one: frames are counted from 0 at every start, and a camera that is
-    /// always started at the same place must not have the same frames drawn each time.
+    /// Creates the draw of one camera. Each call returns a different one: frames are counted from 0 at every start, and
+    /// a camera that always starts at the same place must not have the same frames drawn each time.
     fn draw(self) -> AuditDraw {
         AuditDraw::new(
             self.share,

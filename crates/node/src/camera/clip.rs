@@ -13,13 +13,13 @@ pub(crate) use tracker::ClipTracker;
 
 use serde::{Deserialize, Serialize};
 
-/// The `[clip]` section of the configuration: it says when a clip ends, where the camera does not.
+/// The `[clip]` section: when a clip ends, if the camera does not end it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClipConfig {
-    /// Seconds of one clip of a camera that names none (BDD100K clips have 40).
+    /// Length of one clip of a camera that names none, seconds (BDD100K clips have 40).
     pub window_s: f64,
-    /// Most seconds of one report: a clip that lasts longer is reported in parts, so that a power cut costs at most one.
+    /// Longest time of one report, seconds: a longer clip is reported in parts, so a power cut costs at most one part.
     pub longest_s: f64,
     /// Seconds without a frame after which the open clip ends.
     pub silence_s: f64,

@@ -1,25 +1,25 @@
-//! When a camera's frames are answered, and what is published: `node.answer`, `camera.answer`, `[settle]` and `[report]`.
+//! Settings for answers and published boxes: `node.answer`, `camera.answer`, `[settle]` and `[report]`.
 
 use serde::{Deserialize, Serialize};
 
-/// When a frame is answered.
+/// The time at which a frame is answered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnswerTime {
-    /// When the detector has answered, if it is needed: frames that come meanwhile wait or are dropped.
+    /// When the detector has answered, if it is needed: frames that arrive meanwhile wait or are dropped.
     #[default]
     WhenKnown,
-    /// When the frame comes, by prediction; what the detector finds is published later.
+    /// When the frame arrives, by prediction; the detector's results are published later.
     AtOnce,
 }
 
-/// The `[settle]` section of the configuration.
+/// The `[settle]` section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SettleConfig {
-    /// Whether each frame is published once more, with its boxes drawn between two detector calls.
+    /// Publishes each frame again, with its boxes interpolated between two detector calls.
     pub enabled: bool,
-    /// Longest time a frame is held back for the second of them, milliseconds.
+    /// Longest time a frame is held back for the second call, milliseconds.
     pub longest_ms: u64,
 }
 
@@ -32,11 +32,11 @@ impl Default for SettleConfig {
     }
 }
 
-/// The `[report]` section of the configuration.
+/// The `[report]` section.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReportConfig {
-    /// Least confidence of a published box, 0 to 1. By default that of the detector for detected boxes, and half of it for
-    /// the others.
+    /// Minimum confidence of a published box, 0 to 1. By default the detector's for detected boxes, and half of it for
+    /// other boxes.
     pub confidence: Option<f64>,
 }

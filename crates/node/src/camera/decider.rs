@@ -1,4 +1,4 @@
-//! A camera's policy, and the one frame that waits for evidence.
+//! A camera's policy, and the frame that waits for evidence.
 
 use super::BegunFrame;
 use super::evidence::LiveEvidence;
@@ -12,20 +12,20 @@ use tokio::time::Instant;
 
 static BROKEN: SharedLimit = SharedLimit::new();
 
-/// Decides a camera's frames, one after the other: gives the policy what it needs of each.
+/// Decides a camera's frames one at a time, and gives the policy the evidence it needs.
 pub(crate) struct Decider {
     pub policy: LatePolicy,
-    /// The frame that waits for evidence, and what it needs.
+    /// The frame that waits for evidence, and its need.
     pending: Option<(BegunFrame, Need)>,
-    /// Evidence comes from there. It is away while some is being fetched.
+    /// The source of evidence; `None` while it is fetching.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
 }
 
-/// A frame that waits no longer: its final answer is known, unless its picture is broken and it gets none.
+/// A frame that no longer waits: with its final answer, or the fault of a broken picture that gets none.
 pub(super) type Decided = Result<BegunFrame, FrameFault>;
 
-/// The evidence that was fetched of frame `index` of the camera.
+/// The evidence fetched for frame `index` of the camera.
 pub(super) struct Fetched {
     index: u64,
     need: Need,
@@ -34,7 +34,7 @@ pub(super) struct Fetched {
 }
 
 impl Decider {
-    /// Decides by `policy`.
+    /// Creates a decider for `policy`.
     pub(crate) fn new(policy: LatePolicy, evidence: LiveEvidence) -> Self {
         Self {
             policy,
@@ -44,17 +44,17 @@ impl Decider {
         }
     }
 
-    /// Says whether a frame waits for evidence.
+    /// True if a frame waits for evidence.
     pub(super) fn is_pending(&self) -> bool {
         self.pending.is_some()
     }
 
-    /// Says whether frames that need evidence are answered by prediction first.
+    /// True if frames that need evidence are answered by prediction first.
     pub(super) fn answers_at_once(&self) -> bool {
         !self.policy.waits()
     }
 
-    /// Fetches what a frame needs.
+    /// Fetches the evidence for a frame.
     pub(super) fn fetch(&mut self, frame: BegunFrame, need: Need) {
         self.pending = Some((frame, need));
         if let Some(evidence) = &mut self.evidence {
@@ -63,7 +63,7 @@ impl Decider {
         self.fetch_next();
     }
 
-    /// Begins to fetch what the pending frame needs, unless the frame before is still being examined.
+    /// Starts fetching for the pending frame, unless the previous frame is still being examined.
     fn fetch_next(&mut self) {
         let Some((frame, need)) = &self.pending else {
             return;
@@ -84,7 +84,7 @@ impl Decider {
         }));
     }
 
-    /// Waits for what is being fetched; forever when that is nothing.
+    /// Waits for the evidence being fetched; for ever if there is none.
     pub(super) async fn fetched(&mut self) -> Fetched {
         let Some(fetching) = &mut self.fetching else {
             return std::future::pending().await;
@@ -94,8 +94,8 @@ impl Decider {
         fetched
     }
 
-    /// Gives the pending frame what was fetched, and fetches what it needs next; the frame, if it waits no longer. Its final
-    /// answer is in `outcome` then.
+    /// Gives the fetched evidence to the pending frame and fetches its next need. Returns the frame if it no longer
+    /// waits; its final answer is then in `outcome`.
     pub(super) fn deliver(&mut self, fetched: Fetched, outcome: &mut Outcome) -> Option<Decided> {
         let Fetched {
             index,
@@ -118,7 +118,7 @@ impl Decider {
                 evidence.end_frame();
             }
         } else {
-            // Of a frame that was given up. Another one may wait for its turn.
+            // For a frame that was given up. Another one may be waiting.
             evidence.next_frame();
         }
         self.evidence = Some(evidence);
@@ -126,7 +126,7 @@ impl Decider {
         decided
     }
 
-    /// Takes what the policy predicts for the final answer of the pending frame, if there is one.
+    /// Makes the policy's prediction the final answer of the pending frame, if there is one.
     pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<BegunFrame> {
         while self.pending.is_some() {
             if let Some(frame) = self.give(Evidence::Unavailable, outcome) {
@@ -136,7 +136,7 @@ impl Decider {
         None
     }
 
-    /// The pending frame's picture is broken: it gets no answer, unless it has one that stays.
+    /// Handles a broken picture of the pending frame: it gets no answer, unless its first answer stands.
     fn broken(&mut self, fault: FrameFault, outcome: &mut Outcome) -> Option<Decided> {
         if self.answers_at_once() {
             BROKEN.log(|held_back| {
@@ -147,7 +147,7 @@ impl Decider {
         self.pending.take().map(|_| Err(fault))
     }
 
-    /// Gives the policy evidence for the pending frame; the frame, if it needs nothing more.
+    /// Gives the policy evidence for the pending frame. Returns the frame if it needs nothing more.
     fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<BegunFrame> {
         let (mut frame, _) = self.pending.take()?;
         let deciding = Instant::now();

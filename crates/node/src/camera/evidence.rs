@@ -1,5 +1,5 @@
-//! Gets a policy the evidence it asks for: decodes the picture when the first need of pixels comes, asks
-//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here.
+//! Fetches the evidence that a policy needs: decodes the picture when pixels are first needed, runs the screen
+//! and the detector, and records the times. A frame that needs nothing costs nothing here.
 
 #[cfg(test)]
 mod tests;
@@ -15,30 +15,30 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// The times of the steps of one frame.
+/// The times of the steps for one frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Times {
-    /// The time of each step. That of the detector includes resizing the picture, waiting for a place to decode it in and
-    /// waiting for other cameras. `total` and `waiting` are not known here.
+    /// The time of each step. The detector's includes resizing the picture, waiting for a decoding place and waiting
+    /// for other cameras. `total` and `waiting` are not set here.
     pub latency: Latency,
-    /// The run that answered, and this frame's part in it.
+    /// The detector run that answered, and this frame's part of it.
     pub detector_run: Option<DetectorRun>,
-    /// It is true if a grey picture was looked at.
+    /// True if a grey picture was examined.
     pub examined: bool,
-    /// The detector was asked although the screen said "empty", too often in a row.
+    /// True if the detector was called because the screen reported "empty" too often in a row.
     pub overruled: bool,
 }
 
-/// The part of a detector's run that a frame's camera used. A run that failed or took too long is nobody's.
+/// A camera's part of a detector run. Runs that failed or timed out are charged to no camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DetectorRun {
-    /// It ended at this time.
+    /// The end of the run.
     pub end: Instant,
-    /// The frame's part of its time: an even part for each of the pictures it looked at.
+    /// The frame's part of the run time: an equal part for each of its pictures.
     pub used: Duration,
 }
 
-/// One camera's evidence: what its pictures, the screen and the detector say.
+/// One camera's evidence, from its pictures, the screen and the detector.
 pub struct LiveEvidence {
     detector: DetectorHandle,
     screen: CameraScreen,
@@ -46,27 +46,27 @@ pub struct LiveEvidence {
     pixels: PixelWork,
     /// The current frame.
     current: Current,
-    /// Once cancelled neither detector nor screen is waited for.
+    /// Once cancelled, it waits for neither detector nor screen.
     give_up: CancellationToken,
 }
 
-/// All that is known of the current frame.
+/// The evidence so far for the current frame.
 #[derive(Default)]
 struct Current {
-    /// The pixels that were prepared from its picture.
+    /// The pixels prepared from its picture.
     frame: PreparedFrame,
-    /// The screen's verdict on it.
+    /// The screen's verdict.
     empty: Option<bool>,
-    /// The boxes that the detector found in it.
+    /// The detected boxes.
     detected: Option<Detected>,
     times: Times,
-    /// It waited this long until its picture might be decoded: all cameras share as many places as keep the detector busy.
+    /// The wait for a decoding place: all cameras share as many places as keep the detector busy.
     place: Duration,
 }
 
 impl LiveEvidence {
-    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`. Once `give_up` is
-    /// cancelled no answer is waited for: the node stops, and a frame must not keep it.
+    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`. Once
+    /// `give_up` is cancelled, no answer is awaited: the node is stopping and must not wait for a frame.
     pub fn new(
         detector: DetectorHandle,
         screen: CameraScreen,
@@ -84,18 +84,18 @@ impl LiveEvidence {
         }
     }
 
-    /// Forgets the last frame.
+    /// Resets for the next frame.
     pub fn next_frame(&mut self) {
         self.screen.next_frame();
         self.current = Current::default();
     }
 
-    /// Drops what was prepared from the current frame's picture: others wait for its place.
+    /// Drops the current frame's pixels: other frames wait for its decoding place.
     pub(crate) fn end_frame(&mut self) {
         self.current.frame = PreparedFrame::default();
     }
 
-    /// Returns the times of the current frame so far.
+    /// The times of the current frame so far.
     pub(crate) fn times(&self) -> Times {
         Times {
             overruled: self.screen.is_overruled(),
@@ -103,10 +103,10 @@ impl LiveEvidence {
         }
     }
 
-    /// Fetches what `need` asks for of the current frame, whose picture is `encoded`, for [`fetched`](Self::fetched).
+    /// Fetches `need` for the current frame, whose picture is `encoded`. [`fetched`](Self::fetched) returns the result.
     ///
     /// # Errors
-    /// [`FrameFault`] when the picture cannot be decoded.
+    /// [`FrameFault`] if the picture cannot be decoded.
     pub async fn fetch(&mut self, need: Need, encoded: &EncodedPicture) -> Result<(), FrameFault> {
         match need {
             Need::Nothing => {}
@@ -121,7 +121,7 @@ impl LiveEvidence {
         Ok(())
     }
 
-    /// Returns what was fetched from the current frame for `need`.
+    /// The evidence fetched for `need` of the current frame.
     pub fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
@@ -142,10 +142,10 @@ impl LiveEvidence {
         known.unwrap_or(Evidence::Unavailable)
     }
 
-    /// Asks the screen whether nothing is in view. `None` when it cannot say, or when there is no screen.
+    /// Returns the screen's verdict, true if the scene is empty; `None` if it has none or there is no screen.
     ///
     /// # Errors
-    /// [`FrameFault`] when the picture cannot be decoded.
+    /// [`FrameFault`] if the picture cannot be decoded.
     async fn screen(&mut self, encoded: &EncodedPicture) -> Result<Option<bool>, FrameFault> {
         if self.screen.is_none() {
             return Ok(None);
@@ -164,12 +164,12 @@ impl LiveEvidence {
         Ok(empty)
     }
 
-    /// Returns what the detector finds; `None` when it is not available for this frame.
+    /// Returns the detected boxes; `None` if the detector is not available for this frame.
     ///
     /// # Errors
-    /// [`FrameFault`] when the picture cannot be decoded.
+    /// [`FrameFault`] if the picture cannot be decoded.
     async fn detect(&mut self, encoded: &EncodedPicture) -> Result<Option<Detected>, FrameFault> {
-        // A picture without a use is not decoded.
+        // Does not decode a picture that nothing would use.
         if self.detector.accepts().is_err() {
             return Ok(None);
         }
@@ -197,12 +197,12 @@ impl LiveEvidence {
         Ok(answer)
     }
 
-    /// Says whether the detector is asked about this frame although the screen said "empty", too often in a row.
+    /// True if the detector is called for this frame because the screen reported "empty" too often in a row.
     pub fn screen_is_overruled(&self) -> bool {
         self.screen.is_overruled()
     }
 
-    /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
+    /// Prepares the pixels for `stage`, unless that is done or `give_up` is cancelled. The screen and the detector
     /// share the pixels.
     async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
         if !self.current.frame.has(stage) {

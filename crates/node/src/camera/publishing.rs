@@ -1,8 +1,8 @@
 //! Publishes a camera's messages.
 //!
-//! A put may wait for room in Zenoh's queues: that of a live camera for a millisecond, after which Zenoh drops what does
-//! not fit; that of a camera that loses none for as long as its subscriber takes. Each kind has its priority, as each
-//! priority has a queue and a lock in Zenoh: a report that waits for a slow subscriber never delays a detection.
+//! A put may wait for room in Zenoh's queues: for a live camera one millisecond, after which Zenoh drops the message;
+//! for a camera that loses none, as long as its subscriber takes. Each kind of message has its own priority, because
+//! Zenoh has a queue and a lock per priority: a report that waits for a slow subscriber never delays a detection.
 
 use crate::error::NodeError;
 use crate::state::board::CameraBoard;
@@ -23,7 +23,7 @@ pub(crate) const CLIPS: Priority = Priority::DataLow;
 /// Priority of counters and status.
 pub(crate) const COUNTERS: Priority = Priority::Background;
 
-/// A key that messages about a camera are put on.
+/// A key for messages about a camera.
 pub(crate) struct Outlet {
     publisher: Publisher<'static>,
     camera: Arc<CameraBoard>,
@@ -33,7 +33,7 @@ impl Outlet {
     /// Declares the key.
     ///
     /// # Errors
-    /// When Zenoh refuses the declaration.
+    /// [`NodeError`] if Zenoh rejects the declaration.
     pub(crate) async fn declare(
         session: &Session,
         key: String,
@@ -52,7 +52,7 @@ impl Outlet {
         })
     }
 
-    /// Puts a message. Where nothing may be lost, it waits for room, and the worker's other tasks go elsewhere.
+    /// Puts a message. If nothing may be lost, it waits for room, and the worker's other tasks move to other workers.
     pub(crate) fn put(&self, message: &impl Serialize) {
         let put = || -> zenoh::Result<()> {
             let put = self.publisher.put(serde_json::to_vec(message)?);

@@ -1,4 +1,4 @@
-//! Publishes each frame once more, in order, with its boxes drawn between two detector calls.
+//! Publishes each frame again, in order, with its boxes interpolated between two detector calls.
 
 use super::answer::box_messages;
 use super::publishing::Outlet;
@@ -18,7 +18,7 @@ pub(crate) struct SettledStream {
     start: Instant,
 }
 
-/// The messages of the frames that are held back.
+/// The messages of the frames held back.
 struct Messages {
     /// In order, without boxes.
     waiting: VecDeque<SettledMessage>,
@@ -29,7 +29,7 @@ struct Messages {
 }
 
 impl SettledStream {
-    /// Holds a frame back for at most `longest`.
+    /// Creates a stream that holds frames back for at most `longest`.
     pub(crate) fn new(
         longest: Duration,
         outlet: Arc<Outlet>,
@@ -49,7 +49,7 @@ impl SettledStream {
         }
     }
 
-    /// Takes the answer of a frame, as the policy gave it. A frame of another clip ends the clip before it.
+    /// Adds a frame's answer as the policy gave it. A frame of another clip ends the previous clip.
     pub(super) fn frame(
         &mut self,
         incoming: &SequencedFrame,
@@ -78,24 +78,24 @@ impl SettledStream {
         (self.settler).frame(index, time, outcome, pending, |frame| messages.put(&frame));
     }
 
-    /// Takes the final answer of a pending frame.
+    /// Adds the final answer of a pending frame.
     pub(super) fn late(&mut self, index: u64, outcome: &Outcome) {
         let messages = &mut self.messages;
         (self.settler).late(index, outcome, |frame| messages.put(&frame));
     }
 
-    /// Returns when [`tick`](Self::tick) should be called, should no frame come before.
+    /// The time to call [`tick`](Self::tick) if no frame arrives before.
     pub(super) fn deadline(&self) -> Option<Instant> {
         Some(self.start + self.settler.deadline()?)
     }
 
-    /// Gives up the frames that have waited for too long.
+    /// Releases the frames that have waited too long.
     pub(super) fn tick(&mut self) {
         let (messages, time) = (&mut self.messages, self.start.elapsed());
         self.settler.tick(time, |frame| messages.put(&frame));
     }
 
-    /// Ends the clip: nothing is held back any more.
+    /// Ends the clip: releases all frames held back.
     pub(super) fn flush(&mut self) {
         let messages = &mut self.messages;
         self.settler.flush(|frame| messages.put(&frame));

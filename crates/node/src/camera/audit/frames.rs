@@ -1,4 +1,4 @@
-//! The drawn frames of one camera that wait, and what came of those that do not.
+//! The waiting drawn frames of one camera, and the counts of missed ones.
 
 use super::AuditConfig;
 use crate::state::board::CameraBoard;
@@ -11,26 +11,26 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use tokio::sync::Notify;
 
-/// Most drawn frames of a camera that wait: each holds its encoded picture.
+/// The maximum number of waiting drawn frames per camera: each holds its encoded picture.
 const MOST_WAITING: usize = 2;
 
-/// A drawn frame that was missed, with that many boxes shown on it.
+/// The report of a missed frame with that many published boxes.
 fn missed(shown: usize) -> AuditReport {
     let mut count = AuditReport::default();
     count.sums.add_missed(shown);
     count
 }
 
-/// A frame that was drawn, to run the detector on.
+/// A drawn frame for the detector.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnFrame {
-    /// The picture, still encoded.
+    /// The encoded picture.
     pub picture: EncodedPicture,
-    /// The boxes that were published for it.
+    /// The boxes published for it.
     pub shown: Vec<OutputBox>,
 }
 
-/// One camera's audit, shared between its loop and the task that runs the detector. The loop only leaves frames here.
+/// One camera's audit, shared by its loop and the task that runs the detector. The loop only adds frames.
 #[derive(Debug)]
 pub(crate) struct CameraAudit {
     draw: AuditDraw,
@@ -43,12 +43,12 @@ pub(crate) struct CameraAudit {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<DrawnFrame>,
-    /// The number of boxes that were shown on the frame that is being compared.
+    /// The number of published boxes of the frame that is being compared.
     comparing: Option<usize>,
 }
 
 impl CameraAudit {
-    /// For the camera of `board`.
+    /// Creates the audit of the camera of `board`.
     pub(crate) fn new(config: AuditConfig, board: Arc<CameraBoard>) -> Self {
         Self {
             draw: config.draw(),
@@ -59,17 +59,17 @@ impl CameraAudit {
         }
     }
 
-    /// Share of the skipped frames that is drawn; `None` without an audit.
+    /// The share of skipped frames that is drawn; `None` without an audit.
     pub(crate) fn share(&self) -> Option<f64> {
         (!self.draw.is_off()).then_some(self.share)
     }
 
-    /// Says whether the frame with this number is drawn.
+    /// True if the frame with this number is drawn.
     pub(crate) const fn draws(&self, frame: u64) -> bool {
         self.draw.draw(frame)
     }
 
-    /// Leaves a drawn frame to be looked at. Where too many wait already, it is missed.
+    /// Adds a drawn frame. If too many are waiting, it counts as missed.
     pub(crate) fn offer(&self, frame: DrawnFrame) {
         let mut state = self.state.lock();
         if state.waiting.len() >= MOST_WAITING {
@@ -80,7 +80,7 @@ impl CameraAudit {
         self.came.notify_one();
     }
 
-    /// The next frame to look at.
+    /// The next frame to examine.
     pub(crate) async fn next(&self) -> DrawnFrame {
         loop {
             if let Some(frame) = self.take_waiting() {
@@ -97,8 +97,8 @@ impl CameraAudit {
         Some(frame)
     }
 
-    /// Counts the result of the current frame; `None` when the detector did not run on it in time. A frame that was given up
-    /// meanwhile is counted already.
+    /// Counts the result of the current frame; `None` if the detector did not run on it in time. A frame that was
+    /// already given up is not counted again.
     pub(crate) fn done(&self, found: Option<AuditReport>) {
         let mut state = self.state.lock();
         if let Some(shown) = state.comparing.take() {
@@ -107,7 +107,7 @@ impl CameraAudit {
         }
     }
 
-    /// Gives up the current frame and those that wait: the camera's last clip ends, and all that was drawn must be in it.
+    /// Gives up the current and the waiting frames: the camera's last clip ends and must include all drawn frames.
     pub(crate) fn give_up(&self) {
         let mut state = self.state.lock();
         let waiting = std::mem::take(&mut state.waiting);

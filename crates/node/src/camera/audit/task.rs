@@ -11,26 +11,26 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
 
-/// A drawn frame that the detector had no time for in this long counts as missed. A detector that is busy for longer is
-/// overloaded, and waiting on would keep pictures in memory.
+/// A drawn frame counts as missed after waiting this long for the detector. A detector that is busy for longer is
+/// overloaded, and longer waits would keep pictures in memory.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
-/// Looks at one camera's drawn frames.
+/// Examines one camera's drawn frames.
 pub(crate) struct Auditor {
-    /// They wait there.
+    /// The drawn frames.
     pub audit: Arc<CameraAudit>,
-    /// It runs on them.
+    /// The detector that runs on them.
     pub detector: DetectorHandle,
-    /// The input of the screen that the camera's frames are decoded for too, where that is a model.
+    /// The screen's input, which the camera's frames are also decoded for, if the screen is a model.
     pub screen: Option<InputFormat>,
-    /// It decodes pictures.
+    /// Decodes pictures.
     pub pixels: PixelWork,
-    /// The energy of the audit's camera.
+    /// The energy of the audited camera.
     pub energy: CameraEnergy,
 }
 
 impl Auditor {
-    /// Looks at frames, forever. What it looks at when it is dropped is counted as missed where the last clip ends.
+    /// Examines frames for ever. If it is dropped during a frame, that frame counts as missed when the last clip ends.
     pub(crate) async fn run(self) {
         loop {
             let frame = self.audit.next().await;
@@ -39,7 +39,7 @@ impl Auditor {
         }
     }
 
-    /// Compares a frame; `None` when the detector has no time for it, or its picture is broken.
+    /// Compares a frame; `None` if the detector has no time for it or its picture is broken.
     async fn look(&self, frame: &DrawnFrame) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;

@@ -2,8 +2,8 @@
 
 use albireo_wire::Percentiles;
 
-/// The percentile of values by the nearest-rank method: the smallest value with at least `percent` of all values at or
-/// below it. `None` without values.
+/// The percentile by the nearest-rank method: the smallest value with at least `percent` of all values at or below it.
+/// `None` without values.
 pub(crate) fn percentile(sorted: &[f32], percent: usize) -> Option<f32> {
     let rank = (sorted.len() * percent).div_ceil(100);
     sorted.get(rank.checked_sub(1)?).copied()

@@ -1,4 +1,4 @@
-//! Counts the frames of a clip, and makes its report.
+//! Counts the frames of a clip and creates its report.
 
 use super::latencies::percentiles;
 use crate::camera::FrameRecord;
@@ -9,31 +9,31 @@ use std::time::Duration;
 use tokio::time::Instant;
 use uuid::{NoContext, Timestamp, Uuid};
 
-/// The last report may wait this long for its energy when the node stops: for two samples at usual intervals.
+/// How long the last report may wait for its energy when the node stops: two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
 
-/// Most threshold values in one report; after that only the newest is kept up to date.
+/// The maximum number of threshold values in one report; beyond it, only the newest is updated.
 const MOST_CHANGES: usize = 256;
 
-/// A clip that is open or has ended.
+/// An open or ended clip.
 #[derive(Debug)]
 pub(crate) struct Clip {
-    /// Its report, as far as it is known: the counters while it is open, then why it ended.
+    /// Its report so far: the counters while it is open, then also the reason for its end.
     pub report: ClipReport,
-    /// It began at this time: the arrival of its first frame, or the end of the window before.
+    /// The start: the arrival of its first frame, or the end of the previous window.
     pub start: Instant,
-    /// It ended at this time; its start as long as it is open.
+    /// The end; equal to the start while it is open.
     pub end: Instant,
-    /// Latencies from reception to publication, milliseconds. A clip is reported in parts, which bounds their number.
+    /// Latencies from reception to publication, milliseconds. Clips are reported in parts, which bounds their number.
     pub total: Vec<f32>,
-    /// Latencies of the detector, over the frames where it ran.
+    /// Latencies of the detector, for the frames on which it ran.
     pub detector: Vec<f32>,
-    /// Its energy, being measured.
+    /// Its running energy measurement.
     pub energy: Measurement,
 }
 
 impl Clip {
-    /// From its start to its end.
+    /// The time from its start to its end.
     pub(crate) fn duration(&self) -> Duration {
         self.end.saturating_duration_since(self.start)
     }
@@ -67,8 +67,8 @@ impl Clip {
         report.threshold = threshold;
     }
 
-    /// Its energy, once it has ended. Waits for the meter's first sample after that, at most an interval where the meter
-    /// answers, and not at all without one. To be awaited away from the frames' way.
+    /// Returns its energy after its end. Waits for the meter's next sample, at most one interval if the meter answers,
+    /// and not at all without a meter. Await it off the path of frames.
     pub(crate) async fn energy(&self) -> Measured {
         let patience = match self.report.ended_by {
             ClipEnd::Shutdown => PATIENCE_AT_THE_END,
@@ -78,8 +78,8 @@ impl Clip {
         measured.unwrap_or_default()
     }
 
-    /// The report, but for the names that the reporter knows. Sorts the latencies, which takes milliseconds for a long
-    /// clip.
+    /// Creates the report, except for the names that the reporter adds. Sorts the latencies, which takes milliseconds for
+    /// a long clip.
     pub(crate) fn into_report(self, measured: Measured) -> ClipReport {
         let duration = self.duration();
         let Self { mut report, .. } = self;
@@ -104,7 +104,7 @@ impl Clip {
     }
 }
 
-/// An id that no other report has, of the present time.
+/// A unique report id with the present time.
 fn new_id() -> Uuid {
     let now_ns = unix_nanoseconds();
     let (seconds, nanoseconds) = (now_ns / 1_000_000_000, now_ns % 1_000_000_000);
@@ -112,7 +112,7 @@ fn new_id() -> Uuid {
     Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
-/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). There is none without frames, and where
+/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). `None` without frames, or if
 /// samples do not cover the whole clip: the energy would be that of a part of the time.
 pub fn energy_delay_product(energy: &ClipEnergy, duration: Duration, frames: u64) -> Option<f64> {
     let joules = energy.whole_joules().filter(|_| frames > 0)?;

@@ -1,10 +1,10 @@
-//! Begins and ends clips, and counts what comes in between.
+//! Begins and ends clips, and counts the frames in between.
 //!
-//! A clip that the camera names ends when the camera names another, and is reported in parts of at most `longest_s`.
+//! A clip named by the camera ends when the camera names another, and is reported in parts of at most `longest_s`.
 //! Otherwise clips are windows of `window_s`. While frames keep coming, a window or a part begins where the last one
-//! ended, so that no time and no energy falls between two. Every clip also ends when the camera has been silent for
-//! `silence_s`, and on shutdown; it then ends one mean frame interval after its last frame arrived (or when that frame
-//! was answered, if that is later), so that the silence itself is not charged to it.
+//! ended, so that no time and no energy is lost in between. Every clip also ends after `silence_s` without a frame, and
+//! on shutdown; its end is then one mean frame interval after the arrival of its last frame (or the time when that
+//! frame was answered, if later), so the silence is not charged to it.
 
 use super::ClipConfig;
 use super::report::Clip;
@@ -15,18 +15,18 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The clip now open.
+/// The open clip.
 #[derive(Debug)]
 struct OpenClip {
     clip: Clip,
-    /// The camera's own name of it, or `window-N`.
+    /// The camera's name for it, or `window-N`.
     name: Arc<str>,
     windowed: bool,
     first_arrival: Instant,
     last_arrival: Instant,
     last_answered: Instant,
     arrivals: u64,
-    /// One of its frames waits for its final answer.
+    /// True while one of its frames waits for its final answer.
     pending: bool,
 }
 
@@ -34,7 +34,7 @@ struct OpenClip {
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
     energy: CameraEnergy,
-    /// Share of the skipped frames that an audit draws.
+    /// The share of the skipped frames that an audit draws.
     audit: Option<f64>,
     window: Duration,
     longest: Duration,
@@ -43,7 +43,7 @@ pub(crate) struct ClipTracker {
     open: Option<OpenClip>,
     /// A clip that ended before the final answer of its last frame.
     ended: Option<Clip>,
-    /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
+    /// The last window or part that ended because it was full: the next begins at its end if frames keep coming.
     full: Option<FullClip>,
 }
 
@@ -57,7 +57,7 @@ struct FullClip {
 }
 
 impl ClipTracker {
-    /// No clip yet, of a camera whose part of the node's energy is `energy`. Clips also report an audit that draws `share`.
+    /// Creates a tracker without a clip. `energy` is the camera's energy, `share` the share that an audit draws.
     pub(crate) fn new(config: ClipConfig, energy: CameraEnergy, share: Option<f64>) -> Self {
         let seconds =
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
@@ -74,7 +74,7 @@ impl ClipTracker {
         }
     }
 
-    /// Counts for the open clip, if there is one, frames that were not processed, and what an audit has found.
+    /// Adds unprocessed frames and audit results to the open clip, if there is one.
     pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: &AuditReport) {
         let Some(OpenClip { clip, .. }) = &mut self.open else {
             return;
@@ -85,8 +85,8 @@ impl ClipTracker {
         }
     }
 
-    /// Takes note of a frame about to be processed, of that capture time, clip (if the camera names one) and arrival: it
-    /// belongs to the clip that is open afterwards (see [`clip`](Self::clip)). Returns the clip that ended before it.
+    /// Records a frame about to be processed, with its capture time, clip (if the camera names one) and arrival. It belongs
+    /// to the clip that is open afterwards ([`clip`](Self::clip)). Returns the clip that ended before it.
     pub(crate) fn arrive(
         &mut self,
         t_ns: u64,
@@ -107,9 +107,9 @@ impl ClipTracker {
         closed
     }
 
-    /// The frame that arrived last, with sequence number `seq` and this threshold, gets its final answer by
-    /// [`count_late`](Self::count_late): until then the clip that it belongs to is not given back. At most one frame is
-    /// pending at a time.
+    /// Marks the last frame, with sequence number `seq` and this threshold, as pending: its final answer comes with
+    /// [`count_late`](Self::count_late), and its clip is not returned before that. At most one frame is pending at a
+    /// time.
     pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
         if let Some(open) = &mut self.open {
             open.pending = true;
@@ -117,7 +117,7 @@ impl ClipTracker {
         }
     }
 
-    /// Counts the outcome of the frame that arrived last.
+    /// Counts the outcome of the last frame.
     pub(crate) fn count(&mut self, frame: &FrameRecord) {
         self.count_energy(frame);
         if let Some(open) = &mut self.open {
@@ -138,7 +138,7 @@ impl ClipTracker {
         self.nothing_is_pending()
     }
 
-    /// The pending frame gets no answer. Returns its clip if that has ended.
+    /// Ends waiting for the pending frame, which gets no answer. Returns its clip if that has ended.
     pub(crate) fn nothing_is_pending(&mut self) -> Option<Clip> {
         if let Some(open) = &mut self.open {
             open.pending = false;
@@ -155,28 +155,28 @@ impl ClipTracker {
         }
     }
 
-    /// The clip the last frame belongs to.
+    /// The clip of the last frame.
     pub(crate) fn clip(&self) -> Option<&Arc<str>> {
         self.open.as_ref().map(|open| &open.name)
     }
 
-    /// Returns when [`tick`](Self::tick) should be called, should no frame arrive before.
+    /// The time to call [`tick`](Self::tick) if no frame arrives before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
         Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open.windowed)))
     }
 
-    /// Returns how long a window, or a part of another clip, may last.
+    /// The longest duration of a window, or of a part of another clip.
     const fn limit(&self, windowed: bool) -> Duration {
         if windowed { self.window } else { self.longest }
     }
 
-    /// Ends the clip whose window or part is full or whose camera has been silent for long enough. To be called
+    /// Ends the clip if its window or part is full or its camera has been silent for long enough. Call it only
     /// while no frame is being processed.
     pub(crate) fn tick(&mut self, now: Instant) -> Option<Clip> {
         let open = self.open.as_ref()?;
         let full = open.clip.start + self.limit(open.windowed);
-        // A camera that stopped before ends it by its silence, not by the clock.
+        // A camera that stopped before ends the clip by its silence, not by the clock.
         if now >= full && full <= open.last_arrival + self.silence {
             let ended_by = if open.windowed {
                 ClipEnd::Window
@@ -212,7 +212,7 @@ impl ClipTracker {
 
     fn begin(&mut self, t_ns: u64, clip: Option<&str>, arrival: Instant) {
         let windowed = clip.is_none();
-        // What was full goes on where frames keep coming; and what begins there is not over before the frame came.
+        // A full clip continues if frames keep coming, and its successor must not be over before the frame arrived.
         let full = self.full.take().filter(|full| {
             full.windowed == windowed
                 && clip.is_none_or(|clip| clip == &*full.clip)
@@ -286,12 +286,12 @@ impl OpenClip {
         self.keep_until_its_end();
     }
 
-    /// Keeps the energy up to where the clip ends if nothing more happens.
+    /// Keeps the energy up to the clip's provisional end.
     fn keep_until_its_end(&self) {
         self.clip.energy.until(self.natural_end());
     }
 
-    /// One mean frame interval after the last arrival, or when that frame was answered, if later.
+    /// One mean frame interval after the last arrival, or the time of its answer, if later.
     fn natural_end(&self) -> Instant {
         let between = self
             .last_arrival
