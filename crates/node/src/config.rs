@@ -1,5 +1,5 @@
 //! The configuration of a node: one TOML file, overridden by environment variables, checked as a whole
-//! before anything starts. Every key with its default is in `config/node.toml`.
+//! before anything starts. `config/node.toml` lists every key with its default.
 
 mod machine;
 mod validate;
@@ -27,13 +27,13 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NodeConfig {
-    /// Who the node is.
+    /// The node's identity.
     pub node: NodeSection,
-    /// How it reaches Zenoh.
+    /// The connection to Zenoh.
     pub zenoh: ZenohConfig,
     /// A separate session to the hub.
     pub uplink: UplinkConfig,
-    /// What waits for the hub.
+    /// The reports that wait for the hub.
     pub outbox: OutboxConfig,
     /// The HTTP interface.
     pub http: HttpConfig,
@@ -41,25 +41,25 @@ pub struct NodeConfig {
     pub detector: DetectorConfig,
     /// The empty-scene screen.
     pub screen: ScreenConfig,
-    /// What decides a frame.
+    /// The policy that decides frames.
     pub policy: PolicyConfig,
     /// The target that the node holds by moving its threshold.
     pub target: TargetConfig,
-    /// Which boxes are published.
+    /// The boxes to publish.
     pub report: ReportConfig,
-    /// Whether frames are published once more, for consumers that store boxes.
+    /// Publishes frames again, for consumers that store boxes.
     pub settle: SettleConfig,
-    /// How many skipped frames are looked at afterwards.
+    /// The share of skipped frames that is examined afterwards.
     pub audit: AuditConfig,
-    /// When a clip ends.
+    /// The end of clips.
     pub clip: ClipConfig,
     /// Limits of incoming frames.
     pub frame: FrameLimits,
-    /// Where power figures come from.
+    /// The source of power figures.
     pub power: PowerConfig,
     /// The log.
     pub log: LogConfig,
-    /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
+    /// Further tokens of the HTTP interface besides `http.token`, one `[[token]]` each.
     #[serde(rename = "token")]
     pub tokens: Vec<NamedToken>,
     /// The cameras, one `[[camera]]` each.
@@ -96,12 +96,12 @@ impl NodeConfig {
     /// The node's Zenoh keys.
     ///
     /// # Errors
-    /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
+    /// [`KeyError`] if a name is invalid; never for a checked configuration.
     pub fn keys(&self) -> Result<NodeKeys, KeyError> {
         NodeKeys::new(&self.node.prefix, &self.node.name)
     }
 
-    /// The files of its models, by key.
+    /// The files of the models, by key.
     fn model_files(&self) -> [(&'static str, Option<&Path>); 3] {
         let names = match &self.detector.class_names {
             Some(ClassNames::File(names)) => Some(names.as_path()),
@@ -114,15 +114,15 @@ impl NodeConfig {
         ]
     }
 
-    /// When a camera's frames are answered.
+    /// The time at which a camera's frames are answered.
     pub(crate) fn answer_time(&self, camera: &CameraConfig) -> AnswerTime {
         camera.answer.unwrap_or(self.node.answer)
     }
 
-    /// The key a camera's frames come on: its own `key`, else `{prefix}/{node}/{camera}/frame`.
+    /// The key of a camera's frames: its `key`, else `{prefix}/{node}/{camera}/frame`.
     ///
     /// # Errors
-    /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
+    /// [`KeyError`] if a name is invalid; never for a checked configuration.
     pub(crate) fn frame_key(&self, camera: &CameraConfig) -> Result<String, KeyError> {
         match &camera.key {
             Some(key) => Ok(key.clone()),
@@ -131,31 +131,31 @@ impl NodeConfig {
     }
 }
 
-/// Who the node is: the `[node]` section.
+/// The node's identity: the `[node]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NodeSection {
-    /// Its name, one part of every key: letters, digits, `-`, `_`, `.`.
+    /// Its name, one segment of every key: letters, digits, `-`, `_`, `.`.
     pub name: String,
-    /// First part (or parts) of every key.
+    /// First segment (or segments) of every key.
     pub prefix: String,
-    /// Folder for what must survive a restart: changed thresholds, undelivered clip reports. Without it
-    /// both are forgotten.
+    /// Folder for data that must survive a restart: changed thresholds, undelivered clip reports. Without it
+    /// both are lost.
     pub state_dir: Option<PathBuf>,
-    /// When frames are answered.
+    /// The time at which frames are answered.
     pub answer: AnswerTime,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
-    /// Longest time stopping may take, whatever hangs. No setting: service managers wait for 10 s and more.
+    /// Maximum time for stopping, whatever hangs. Not a setting: service managers wait for 10 s and more.
     #[serde(skip)]
     pub stop_timeout: Duration,
-    /// Under a service manager: a detector, screen or camera loop that has been broken for that long ends the feeding of
-    /// the watchdog, seconds.
+    /// With a service manager: seconds after which a broken detector, screen or camera loop stops the feeding of the
+    /// watchdog.
     pub stuck_after_s: f64,
 }
 
 impl NodeSection {
-    /// [`stuck_after_s`](Self::stuck_after_s) as a time.
+    /// [`stuck_after_s`](Self::stuck_after_s) as a duration.
     pub(crate) fn stuck_after(&self) -> Duration {
         Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
     }
@@ -179,36 +179,36 @@ impl Default for NodeSection {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CameraConfig {
-    /// Its name, one part of its keys: letters, digits, `-`, `_`, `.`. Empty by default, which no camera may be.
+    /// Its name, one segment of its keys: letters, digits, `-`, `_`, `.`. Empty by default, which is invalid.
     pub name: String,
-    /// Zenoh key its frames come on; by default `{prefix}/{node}/{camera}/frame`.
+    /// Zenoh key of its frames; by default `{prefix}/{node}/{camera}/frame`.
     pub key: Option<String>,
-    /// A source that the node itself opens, in place of the key.
+    /// A source that the node opens itself, instead of the key.
     pub source: Option<SourceAddress>,
-    /// The source's frames per second, at most.
+    /// Maximum frames per second of the source.
     pub max_rate: Option<f64>,
-    /// How an RTSP source sends its packets.
+    /// Packet transport of an RTSP source.
     pub rtsp_transport: RtspTransport,
-    /// What decodes the source instead of the processor: an acceleration or a decoder of ffmpeg.
+    /// Decoder of the source other than the processor: an acceleration or a decoder of ffmpeg.
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
     pub source_options: SourceOptions,
-    /// A source without a picture for this long is opened again, seconds. No setting: a camera that records only motion
+    /// A source without a picture for this long is reopened, seconds. Not a setting: a camera that records only motion
     /// needs a program that publishes it.
     #[serde(skip)]
     pub source_timeout_s: f64,
-    /// How its payload is to be read.
+    /// Payload format.
     pub format: PayloadFormat,
-    /// Which frames are processed when they come faster than the node works.
+    /// The frames to process when they arrive faster than the node works.
     pub delivery: Delivery,
-    /// Frames that may wait. No setting: a third one would only make answers later.
+    /// Maximum number of waiting frames. Not a setting: a third one would only delay answers.
     #[serde(skip)]
     pub ring: usize,
-    /// When its frames are answered, if not as `node.answer` says.
+    /// The time at which its frames are answered, if different from `node.answer`.
     pub answer: Option<AnswerTime>,
-    /// Threshold of this camera in place of the policy's.
+    /// Threshold of this camera, instead of the policy's.
     pub threshold: Option<f64>,
-    /// Whether a new clip id from the camera makes the policy forget its objects.
+    /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
 }
 
@@ -234,7 +234,7 @@ impl Default for CameraConfig {
 }
 
 impl CameraConfig {
-    /// A camera of that name with every other setting at its default.
+    /// A camera of that name with all other settings at their defaults.
     pub fn named(name: impl Into<String>) -> Self {
         Self {
             name: name.into(),
@@ -242,7 +242,7 @@ impl CameraConfig {
         }
     }
 
-    /// How its source is opened, if it has one.
+    /// The settings for opening its source, if it has one.
     pub(crate) fn source_settings(&self, limits: FrameLimits) -> Option<SourceSettings> {
         Some(SourceSettings {
             address: self.source.clone()?,
@@ -251,7 +251,7 @@ impl CameraConfig {
             hardware: self.hardware.clone(),
             options: self.source_options.clone(),
             silence: Duration::try_from_secs_f64(self.source_timeout_s).unwrap_or(Duration::MAX),
-            // Not coded again: most frames are never looked at.
+            // Not encoded again: most frames are never examined.
             decoded: Handover::Pixels,
             limits,
         })

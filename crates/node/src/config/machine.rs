@@ -1,5 +1,5 @@
-//! What a configuration needs of the machine it is to run on: files, folders, libraries, ports. Looked at by
-//! `albireo check` only; a node finds out when it opens them.
+//! Checks what a configuration needs on this machine: files, folders, libraries, ports. Used only by
+//! `albireo check`; a running node finds out when it opens them.
 
 use super::NodeConfig;
 use crate::input::source::LiveSource;
@@ -11,7 +11,7 @@ use std::net::TcpListener;
 use std::path::Path;
 
 impl NodeConfig {
-    /// Finds everything that is missing on this machine, without which a node would not start.
+    /// Finds everything missing on this machine without which a node would not start.
     pub fn missing_here(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         for (key, path) in self.model_files() {
@@ -37,7 +37,7 @@ impl NodeConfig {
         findings.into_vec()
     }
 
-    /// Finds what is in the way now and may not be later: ports in use, perhaps by this very node.
+    /// Finds obstacles that may be temporary: ports in use, perhaps by this very node.
     pub fn in_the_way(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         let port = self.http.listen;
@@ -66,7 +66,7 @@ impl NodeConfig {
         let Some(library) = findings.check("detector.onnxruntime", library) else {
             return;
         };
-        // Where another provider is listed after it, a missing one is no fault.
+        // Not an error if another provider is listed after the missing one.
         let name = match self.detector.providers.as_slice() {
             [ExecutionProvider::Cuda] => "cuda",
             [ExecutionProvider::TensorRt] => "tensorrt",
@@ -90,10 +90,10 @@ impl NodeConfig {
     }
 }
 
-/// Notes a named file that cannot be read.
+/// Adds an error if a named file cannot be read.
 fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     let Some(path) = path else { return };
-    // In full: a relative path starts in a folder that the reader may not have in mind.
+    // The full path: the reader may not know where a relative path starts.
     let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let shown = full.display();
     if path.is_dir() {
@@ -103,13 +103,13 @@ fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     }
 }
 
-/// Notes a folder that cannot be written to, or made.
+/// Adds an error if a folder cannot be written to or created.
 fn state_dir(folder: &Path, findings: &mut Findings) {
-    // The nearest that is there: the rest is made at the start.
+    // The nearest existing folder: the node creates the rest when it starts.
     let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {
         return;
     };
-    // By trying, for permissions are not the only reason.
+    // By writing, because permissions are not the only possible reason.
     let probe = there.join(format!(".albireo-check-{}", std::process::id()));
     if let Err(error) = std::fs::write(&probe, []) {
         let fault = format!("{} cannot be used as a folder: {error}", there.display());

@@ -75,7 +75,7 @@ power.sum: name one meter in power.source: `rapl` for the processor or `nvml` fo
 power.gpu_idle_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)
 power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
-    /// It does not look whether files are there: that is seen when they are opened.
+    /// Does not check that files exist: that shows when they are opened.
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         self.check_names(&mut findings);
@@ -145,10 +145,10 @@ impl NodeConfig {
             Ok(policy) => return Some(policy),
             Err(error) => error.to_string(),
         };
-        // The message begins with the key, as other users of the error want it.
+        // The message starts with the key, which other users of the error need.
         let (key, reason) = error.split_once(": ").unwrap_or(("policy", &error));
         findings.add(key, reason);
-        // A wrong name must not hide a wrong number.
+        // An invalid name must not hide an invalid number.
         if key == "policy.name" {
             findings.check("policy.u", Albireo::KNOB.check(self.policy.u));
             let lambda = ExpectedLoss::KNOB.check(self.policy.lambda);
@@ -213,7 +213,7 @@ impl NodeConfig {
         self.check_keys(findings);
     }
 
-    /// Two cameras on one key would be one camera twice, and a camera on a key that a node writes would hear itself.
+    /// Checks keys: cameras must not share one, and a camera on a key that the node writes would hear itself.
     fn check_keys(&self, findings: &mut Findings) {
         let Ok(node) = self.keys() else { return };
         let mut written = vec![node.target()];
