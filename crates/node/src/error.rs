@@ -1,9 +1,9 @@
-//! The error of a node that cannot start, or had to end.
+//! The error of a node that cannot start or had to stop.
 
 use std::error::Error;
 use std::fmt::Display;
 
-/// A node cannot start, or had to end: it names the part, and what is wrong with it.
+/// A node cannot start or had to stop: names the part and its error.
 #[derive(Debug, thiserror::Error)]
 #[error("{part}{source}")]
 pub struct NodeError {
@@ -12,13 +12,13 @@ pub struct NodeError {
 }
 
 impl NodeError {
-    /// An error that says itself what it is of.
+    /// Creates an error that already names its part.
     pub(crate) fn new(source: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         let (part, source) = (String::new(), source.into());
         Self { part, source }
     }
 
-    /// An error of this part.
+    /// Creates an error of this part.
     pub(crate) fn of<E: Into<Box<dyn Error + Send + Sync>>>(
         part: impl Display,
     ) -> impl FnOnce(E) -> Self {
@@ -28,7 +28,7 @@ impl NodeError {
         }
     }
 
-    /// What Zenoh refuses.
+    /// Creates an error for an operation that Zenoh rejected.
     pub(crate) fn refused(what: impl Display) -> impl FnOnce(zenoh::Error) -> Self {
         move |error| Self::of(what)(albireo_service::session::plain(&error))
     }

@@ -1,8 +1,8 @@
 //! Keeps clip reports until a hub has them.
 //!
-//! A report is written and synced once, before anything is sent, and goes on being kept for some days after a hub has
-//! acknowledged it, for a hub that loses it. While the disk fails, reports wait in memory, as many as are allowed, and
-//! are written when it returns; without a state directory they stay in memory, and the log says so.
+//! A report is written and synced once before it is sent, and kept for some days after a hub has acknowledged it, in
+//! case the hub loses it. While the disk fails, reports wait in memory, up to a limit, and are written when the disk
+//! works again; without a state directory they stay in memory, and the log reports it.
 
 mod config;
 mod disk;
@@ -30,46 +30,46 @@ use waiting::Waiting;
 /// The counts and the state of the outbox.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OutboxCounts {
-    /// The counts that the status has: reports that no hub has, that are lost as there was no room for them, and that a hub
-    /// refused for good or that could not be read; and whether reports survive a power loss now.
+    /// The counts in the status: reports that no hub has, that were lost for lack of room, and that a hub refused
+    /// permanently or that could not be read; and if reports survive a power loss now.
     pub status: OutboxStatus,
-    /// Reports that a hub lost, to be sent again.
+    /// Reports that a hub lost and that are sent again.
     pub again: u64,
-    /// The last time since the start at which reports were lost.
+    /// The time of the last loss since the start.
     pub last_loss: Option<Instant>,
-    /// Reports taken in since the node started.
+    /// Reports added since the node started.
     pub kept: u64,
     /// Reports acknowledged since the node started.
     pub acknowledged: u64,
-    /// The number of times that the disk failed.
+    /// The number of disk failures.
     pub disk_failures: u64,
-    /// The reason for which nothing can be kept on disk now.
+    /// Why nothing can be kept on disk now.
     pub failing: Option<String>,
 }
 
-/// A disk that failed is tried again at this interval.
+/// The interval at which a failed disk is tried again.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
-/// The outbox; clones are the same one. Methods that may write and sync a file say so: to be called away from async
+/// The outbox; clones share it. Methods that may write and sync a file are marked: call them outside async
 /// workers.
 #[derive(Clone, Debug)]
 pub struct Outbox(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
-    /// Locked while a disk is read or written.
+    /// Locked while the disk is read or written.
     waiting: Mutex<Waiting>,
-    /// The counts as they were after the last change, for readers that must not wait for a disk.
+    /// The counts after the last change, for readers that must not wait for the disk.
     counts: Mutex<OutboxCounts>,
     changed: Notify,
 }
 
 impl Outbox {
-    /// Opens the outbox in `directory`, or in memory without one. A disk that cannot be used now is tried again
-    /// later. Reads and writes files.
+    /// Opens the outbox in `directory`, or in memory without one. A disk that fails is tried again later. Reads and
+    /// writes files.
     ///
     /// # Errors
-    /// When another node uses the directory, or what is there is not ours. A disk that fails is no reason not to start.
+    /// [`NodeError`] if another node uses the directory or its file is not ours; not if the disk fails.
     pub fn open(config: &OutboxConfig, directory: Option<&Path>) -> Result<Self, NodeError> {
         let opened = match directory {
             None => {
@@ -101,7 +101,7 @@ impl Outbox {
         let mut waiting = Waiting::new(Some(disk), max_bytes)?;
         match waiting.open(now) {
             Err(error @ TableError::Unusable(_)) => Err(error),
-            // A disk that fails is tried again.
+            // A failed disk is tried again.
             Ok(()) | Err(_) => Ok(Self::of(waiting)),
         }
     }
@@ -114,39 +114,39 @@ impl Outbox {
         }))
     }
 
-    /// Returns the counts as they are. It never waits for a disk.
+    /// Returns the counts without waiting for the disk.
     pub fn counts(&self) -> OutboxCounts {
         self.0.counts.lock().clone()
     }
 
-    /// Returns when reports were added since the last call. For one task alone; never waits for a disk.
+    /// Returns when reports were added since the last call. For a single task; never waits for the disk.
     pub(crate) async fn changed(&self) {
         self.0.changed.notified().await;
     }
 
-    /// Keeps reports, in order, and gives them their running counts. Writes a file.
+    /// Keeps reports in order and sets their running counts. Writes a file.
     pub(crate) fn insert(&self, reports: &mut [ClipReport], now: Now) {
         self.with(|waiting| waiting.insert(reports, now));
         self.0.changed.notify_one();
     }
 
-    /// The oldest reports to be sent, as reports of `node`; with those that a hub has lost if they go `again` now. Reads,
-    /// and may write, a file.
+    /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost. Reads, and may
+    /// write, a file.
     pub(crate) fn batch(&self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
         self.with(|waiting| waiting.batch(node, again, now))
     }
 
-    /// Takes a hub's answer to `batch`; how many reports it has stored. Writes a file.
+    /// Applies a hub's answer to `batch` and returns the number of reports it has stored. Writes a file.
     pub(crate) fn answered(&self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
         self.with(|waiting| waiting.answered(batch, answer, now))
     }
 
-    /// Tries a disk that failed again. May write a file.
+    /// Tries a failed disk again. May write a file.
     pub(crate) fn retry_disk(&self, now: Now) {
         self.with(|waiting| waiting.retry_disk(now));
     }
 
-    /// Works on the reports, and publishes their counts.
+    /// Works on the reports, and updates their counts.
     fn with<T>(&self, work: impl FnOnce(&mut Waiting) -> T) -> T {
         let mut waiting = self.0.waiting.lock();
         let done = work(&mut waiting);
@@ -154,14 +154,14 @@ impl Outbox {
         done
     }
 
-    /// A disk that stalls until this is dropped.
+    /// Stalls the disk until the result is dropped.
     #[cfg(test)]
     pub(crate) fn stall(&self) -> impl Sized {
         self.0.waiting.lock()
     }
 }
 
-/// Tries a disk that failed again, for reports and settings, for as long as it is polled.
+/// Retries a failed disk, for reports and settings, for as long as it is polled.
 pub(crate) async fn retry_disk(outbox: Outbox, settings: Settings) {
     loop {
         tokio::time::sleep(RETRY_EVERY).await;

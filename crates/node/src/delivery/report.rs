@@ -1,5 +1,5 @@
-//! Makes reports of the clips that a camera's loop has closed: waits for the energy, keeps the report in the outbox and
-//! publishes it for subscribers.
+//! Creates the reports of clips that a camera's loop has closed: waits for the energy, keeps the report in the outbox
+//! and publishes it for subscribers.
 
 use crate::camera::clip::Clip;
 use crate::state::board::{Board, CameraBoard, provider};
@@ -14,15 +14,15 @@ use zenoh_ext::AdvancedPublisher;
 
 /// Keeps and publishes one camera's clip reports.
 pub(crate) struct Reporter {
-    /// It shows reports, and keeps them until a hub has them.
+    /// Shows reports, and keeps them until a hub has them.
     pub board: Arc<Board>,
-    /// It counts the reports that are not published.
+    /// Counts the unpublished reports.
     pub camera: Arc<CameraBoard>,
-    /// It sends reports to subscribers. The hub gets them from the outbox.
+    /// Publishes reports to subscribers. The hub gets them from the outbox.
     pub listeners: AdvancedPublisher<'static>,
 }
 
-/// Clips that are kept together when they end faster than a disk syncs.
+/// The maximum number of clips kept together when they end faster than the disk syncs.
 const MAX_BATCH: usize = 256;
 
 impl Reporter {

@@ -1,7 +1,7 @@
-//! The node's side of the hub: sends reports and the status, takes what is desired.
+//! The node's connection to the hub: sends reports and the status, receives the desired setting.
 //!
-//! Reports go as queries that are answered after the hub's commit; only such an answer acknowledges. No reply, an error,
-//! a refusal and a time-out all mean: keep, and try again after a pause.
+//! Reports are queries that the hub answers after its commit; only such an answer acknowledges them. After no reply, an
+//! error, a refusal or a time-out, the node keeps the reports and tries again after a pause.
 
 mod backoff;
 mod desired;
@@ -44,29 +44,29 @@ use zenoh::Session;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
-/// The status is compared with the one sent last at this interval.
+/// The interval at which the status is compared with the last sent one.
 const POLL_EVERY: Duration = Duration::from_secs(1);
 
-/// Reports that wait this long without any answer make the node open its uplink again.
+/// The time without any answer to waiting reports after which the node reopens its uplink.
 const STALE: Duration = Duration::from_secs(300);
 
-/// The last reports may take this long to reach a hub when the node stops. The outbox keeps those that do not arrive.
+/// How long the last reports may take when the node stops. The outbox keeps those that do not arrive.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
-/// After a session that served this long, pauses between attempts start short again.
+/// After a session of at least this length, the pauses between attempts start short again.
 const MIN_UPTIME: Duration = Duration::from_secs(10);
 
-/// This is all that the uplink works with.
+/// Everything the uplink works with.
 pub(crate) struct UplinkSetup {
     /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// It says how reports are delivered, and what the hub gets to know and to see.
+    /// How reports are delivered, and what the hub learns and sees.
     pub config: NodeConfig,
-    /// Keys toward the hub.
+    /// The keys toward the hub.
     pub keys: NodeKeys,
-    /// It knows what the hub desires, and what is in force.
+    /// The desired setting, and the revision in force.
     pub desired: DesiredKeeper,
-    /// The local session, if the hub is reached over it; otherwise a separate one is opened, and again when it is stale.
+    /// The local session, if it reaches the hub; otherwise a separate one is opened, and reopened when stale.
     pub local: Option<Session>,
 }
 
@@ -77,7 +77,7 @@ pub(crate) struct Uplink {
 }
 
 impl Uplink {
-    /// Starts the task. What is returned beside it is ready once the task has ended.
+    /// Starts the task. The returned future is ready once the task has ended.
     pub(crate) fn start(setup: UplinkSetup) -> (Self, impl Future<Output = ()>) {
         let stop = CancellationToken::new();
         let worker = Worker::new(setup, stop.clone());
@@ -92,7 +92,7 @@ impl Uplink {
         (Self { stop, ended }, waiting)
     }
 
-    /// Lets the task try once more, and waits until it has ended.
+    /// Makes the task try once more, and waits until it has ended.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         self.ended.cancelled().await;
@@ -105,28 +105,28 @@ struct Worker {
     status_sender: StatusSender,
     watched: Watched,
     schedule: Schedule,
-    /// Pauses between sessions that could not be opened or failed.
+    /// The pauses after sessions that could not be opened or failed.
     reconnect: Backoff,
 }
 
-/// The reason for which a session is served no longer.
+/// The reason serving a session ended.
 enum Served {
     Stopped,
     Stale,
 }
 
-/// A hub is asked to take reports, or what it desires.
+/// A query to the hub: to store reports, or for the desired setting.
 enum Asked {
     Batch,
     Pull,
 }
 
-/// The outcome of a question, with what the hub desires, if it said that.
+/// The outcome of a query, with the desired setting, if the answer has one.
 type Ended = (Asked, Result<Option<Desired>, Failure>);
 
 impl Worker {
     fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
-        // Each state is keyed by the operating system's random numbers.
+        // The operating system provides random keys for each `RandomState`.
         let random = RandomState::new().hash_one("uplink");
         let config = &setup.config.outbox;
         let run = (random >> 32) as u32;
@@ -293,7 +293,7 @@ impl Worker {
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
         }
-        // It writes a file.
+        // On a blocking thread, because it writes a file.
         let setup = Arc::clone(&self.setup);
         let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
         if taken.await.unwrap_or(false) {
@@ -310,7 +310,7 @@ impl Worker {
     }
 }
 
-/// Sends the oldest reports, and takes the answer to the outbox.
+/// Sends the oldest reports, and applies the answer to the outbox.
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
     let board = Arc::clone(&setup.board);
     let prepared = spawn_blocking(move || {
@@ -333,7 +333,7 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
     (Asked::Batch, ended)
 }
 
-/// Takes to the outbox what came of `batch`; what the hub desires, if it said that. Writes a file.
+/// Applies the outcome of `batch` to the outbox and returns the desired setting, if the answer has one. Writes a file.
 pub(crate) fn conclude(
     outbox: &Outbox,
     batch: &ReportBatch,
@@ -346,7 +346,7 @@ pub(crate) fn conclude(
     Ok(answer.desired)
 }
 
-/// Asks what is desired.
+/// Queries the desired setting.
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let request = PullRequest {
         v: VERSION,

@@ -1,21 +1,21 @@
-//! Reads the `[outbox]` section of the configuration.
+//! The `[outbox]` section of the configuration.
 
 use serde::{Deserialize, Serialize};
 
-/// It says how reports wait for the hub, and how they are sent. Fields that are no settings are there for tests.
+/// How reports wait for the hub and are sent. Fields that are not settings exist for tests.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutboxConfig {
-    /// Most bytes of the file. What a hub has goes first, then the oldest that wait, counted as lost.
+    /// Maximum file size, bytes. Reports that a hub has are deleted first, then the oldest waiting ones, as lost.
     #[serde(skip)]
     pub max_bytes: u64,
-    /// The longest a report waits for others, seconds; 0 sends each at once. While somebody watches the node at the hub,
-    /// and at the start, a report is sent at once in any case.
+    /// Longest time a report waits for others, seconds; 0 sends each at once. While somebody watches the node at the
+    /// hub, and at the start, reports are always sent at once.
     pub gather_s: u64,
-    /// A hub may take this long to answer, milliseconds.
+    /// Time limit for a hub's answer, milliseconds.
     #[serde(skip)]
     pub answer_timeout_ms: u64,
-    /// First pause after a batch that was not acknowledged, milliseconds; it doubles, with jitter.
+    /// First pause after an unacknowledged batch, milliseconds; it doubles, with jitter.
     #[serde(skip)]
     pub retry_min_ms: u64,
     /// Longest pause, milliseconds.

@@ -1,4 +1,4 @@
-//! Opens the file of the outbox in the state directory.
+//! Opens the outbox file in the state directory.
 
 use super::table::TableError;
 use rusqlite::Connection;
@@ -8,28 +8,28 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The file in the state directory.
+/// The file's name in the state directory.
 pub(super) const FILE: &str = "node.db";
 
-/// A place where the table of reports is kept.
+/// A place for the report table.
 pub(crate) trait Disk: Debug + Send {
-    /// Opens the file, or makes it.
+    /// Opens the file, or creates it.
     fn open(&mut self) -> Result<Connection, TableError>;
 
-    /// Fails when the file that was opened is no longer the one at its place.
+    /// Fails if the opened file is no longer at its path.
     fn check(&self) -> Result<(), TableError>;
 
-    /// Moves a damaged file out of the way, and returns its new place.
+    /// Moves a damaged file aside and returns its new path.
     fn set_aside(&mut self) -> std::io::Result<PathBuf>;
 }
 
-/// A file that this node alone has.
+/// A file that only this node uses.
 #[derive(Debug)]
 pub(crate) struct StateFile {
     directory: PathBuf,
     file: PathBuf,
     lock: Option<File>,
-    /// Device and number of the file that is open.
+    /// Device and inode number of the open file.
     opened: Option<(u64, u64)>,
 }
 
@@ -69,7 +69,7 @@ impl Disk for StateFile {
         db.pragma_update(None, "synchronous", "FULL")?;
         db.pragma_update(None, "journal_size_limit", 4 << 20)?;
         if is_new {
-            // The name of a new file is safe only when its folder is synced.
+            // The name of a new file is durable only once its folder is synced.
             File::open(&self.directory)?.sync_all()?;
         }
         self.opened = Some(self.inode()?);
@@ -104,7 +104,7 @@ impl Disk for StateFile {
     }
 }
 
-/// Takes the directory for this node alone.
+/// Locks the directory for this node.
 fn lock(directory: &Path) -> Result<File, TableError> {
     let lock = File::options()
         .create(true)

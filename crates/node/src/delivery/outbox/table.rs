@@ -1,11 +1,11 @@
-//! Stores reports in a table of SQLite, synced at each commit.
+//! Stores reports in an SQLite table, synced at each commit.
 
 use rusqlite::{Connection, ErrorCode, Transaction, params};
 use uuid::Uuid;
 
-/// "albi": other programs' files are not taken for this one's.
+/// "albi": marks the file as ours.
 const APPLICATION_ID: i64 = 0x616c_6269;
-/// Version 1 was that of 0.1.0.
+/// Version 1 is the layout of 0.1.0.
 const LAYOUT: i64 = 2;
 
 const SCHEMA: &str = "
@@ -30,13 +30,13 @@ const ACKNOWLEDGED: i64 = 2;
 /// Never to be sent again; the last of the states.
 pub(super) const REFUSED: i64 = 3;
 
-/// Most bytes of reports in memory: some thousand.
+/// The maximum size of reports in memory, bytes: some thousand reports.
 pub(super) const MEMORY_BYTES: u64 = 8 << 20;
 
-/// Databases of hubs that are remembered.
+/// The number of hub databases remembered.
 const MOST_DATABASES: i64 = 16;
 
-/// The reason for which a table cannot be used.
+/// The reason a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TableError {
     /// SQLite fails.
@@ -45,13 +45,13 @@ pub(crate) enum TableError {
     /// The file system fails.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// Waiting does not mend it: the folder is another node's, or the file is of another program or version.
+    /// Permanent: the folder belongs to another node, or the file to another program or version.
     #[error("{0}")]
     Unusable(String),
 }
 
 impl TableError {
-    /// Says whether the contents are broken rather than the access to them.
+    /// True if the contents are corrupt, rather than inaccessible.
     pub(super) fn is_corruption(&self) -> bool {
         let Self::Sqlite(error) = self else {
             return false;
@@ -61,7 +61,7 @@ impl TableError {
     }
 }
 
-/// A report as it is kept.
+/// A stored report.
 #[derive(Clone, Debug)]
 pub(super) struct StoredReport {
     pub(super) id: Uuid,
@@ -72,7 +72,7 @@ pub(super) struct StoredReport {
 }
 
 impl StoredReport {
-    /// One that no hub has.
+    /// Creates a report that no hub has.
     pub(super) fn new(id: Uuid, count: Option<u64>, json: Vec<u8>) -> Self {
         Self {
             id,
@@ -84,19 +84,19 @@ impl StoredReport {
     }
 }
 
-/// These counts go on over restarts.
+/// Counters that continue after a restart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counters {
-    /// The running count of reports; `None` while it is not known how many there were before.
+    /// The running count of reports; `None` while the earlier count is unknown.
     pub(super) made: Option<u64>,
     /// Reports lost.
     pub(super) lost: u64,
-    /// Reports that a hub refused for good, or that cannot be read.
+    /// Reports that a hub refused permanently, or that cannot be read.
     pub(super) undeliverable: u64,
 }
 
 impl Counters {
-    /// The larger of each: both count the same reports.
+    /// The larger of each counter: both count the same reports.
     pub(super) fn max(self, other: Self) -> Self {
         Self {
             made: self.made.max(other.made),
@@ -106,7 +106,7 @@ impl Counters {
     }
 }
 
-/// The changes that a hub's answer makes.
+/// The changes from a hub's answer.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Answered {
     /// Stored at the hub.
@@ -115,11 +115,11 @@ pub(super) struct Answered {
     pub(super) refused: Vec<Uuid>,
     /// The hub's database, if the answer named it.
     pub(super) database: Option<Uuid>,
-    /// Counts of which the hub misses the reports.
+    /// Ranges of running counts whose reports the hub misses.
     pub(super) missing: Vec<(u64, u64)>,
 }
 
-/// The open table, and what is counted: that is written with each change.
+/// The open table and its counters, which are written with each change.
 #[derive(Debug)]
 pub(super) struct Table {
     db: Connection,
@@ -128,7 +128,7 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Takes an open database, and makes the table in an empty one.
+    /// Uses an open database, and creates the table in an empty one.
     pub(super) fn new(db: Connection, most_bytes: u64) -> Result<Self, TableError> {
         let application: i64 = db.pragma_query_value(None, "application_id", |row| row.get(0))?;
         let layout: i64 = db.pragma_query_value(None, "user_version", |row| row.get(0))?;
@@ -157,7 +157,7 @@ impl Table {
         })
     }
 
-    /// An empty table that no disk holds, in which is counted on.
+    /// Creates an empty table in memory that continues `counters`.
     pub(super) fn in_memory(counters: Counters) -> Result<Self, TableError> {
         Ok(Self {
             counters,
@@ -178,8 +178,8 @@ impl Table {
         })
     }
 
-    /// Adds reports, with the state they have, and lets the oldest go until there is room: what is acknowledged first. How
-    /// many went that no hub has.
+    /// Adds reports with their states, and deletes the oldest until there is room, acknowledged ones first. Returns the
+    /// number of deleted reports that no hub has.
     pub(super) fn insert(&mut self, reports: &[StoredReport]) -> Result<u64, TableError> {
         let transaction = self.db.transaction()?;
         {
@@ -215,13 +215,13 @@ impl Table {
         Ok(lost)
     }
 
-    /// The reports to be sent, the oldest first, no more than `most`; those that a hub has lost behind those that none had,
-    /// and only if they go `again` now.
+    /// The reports to send, oldest first, at most `most`; with `again`, those that a hub has lost follow those that
+    /// none has.
     pub(super) fn due(&self, again: bool, most: usize) -> Result<Vec<StoredReport>, TableError> {
         self.reports(if again { AGAIN } else { WAITING }, most)
     }
 
-    /// Reports up to that state, the oldest of each first, no more than `most`.
+    /// The reports up to that state, by state and then oldest first, at most `most`.
     pub(super) fn reports(
         &self,
         last_state: i64,
@@ -243,7 +243,7 @@ impl Table {
         Ok(found.collect::<Result<_, _>>()?)
     }
 
-    /// Takes a hub's answer. What was acknowledged is kept for `kept_ms` after that.
+    /// Applies a hub's answer. Acknowledged reports are kept for `kept_ms` from then on.
     pub(super) fn answered(
         &mut self,
         answered: &Answered,
@@ -274,7 +274,7 @@ impl Table {
         if let Some(database) = answered.database {
             take_database(&transaction, database, &answered.acknowledged)?;
         }
-        // Only the oldest are examined, so that this costs no more than what is deleted.
+        // Examines only the oldest, so the cost is limited by the number of deleted rows.
         transaction.execute(
             "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
              (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
@@ -285,7 +285,7 @@ impl Table {
         Ok(())
     }
 
-    /// Reports that no hub has, and reports that a hub has lost.
+    /// The number of reports that no hub has, and of reports that a hub has lost.
     pub(super) fn waiting(&self) -> Result<(u64, u64), TableError> {
         let mut count = (self.db).prepare_cached("SELECT count(*) FROM report WHERE state = ?")?;
         let mut count = |state: i64| count.query_row([state], |row| row.get::<_, i64>(0));
@@ -301,8 +301,8 @@ impl Table {
     }
 }
 
-/// Remembers the database of a hub. A new one beside others has none of the reports that those have: but for those just
-/// `acknowledged` all are sent again.
+/// Remembers a hub's database. A new one, if others are known, has none of their reports: all except those just
+/// `acknowledged` are sent again.
 fn take_database(
     transaction: &Transaction<'_>,
     database: Uuid,
@@ -352,7 +352,7 @@ fn remove_oldest(transaction: &Transaction<'_>, state: i64, most: i64) -> rusqli
     Ok(deleted as u64)
 }
 
-/// Bytes of the pages that hold something.
+/// The size of the used pages, bytes.
 fn used_bytes(transaction: &Transaction<'_>) -> rusqlite::Result<u64> {
     let pragma =
         |name: &str| transaction.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
@@ -360,7 +360,7 @@ fn used_bytes(transaction: &Transaction<'_>) -> rusqlite::Result<u64> {
     Ok((pages * pragma("page_size")?).cast_unsigned())
 }
 
-/// SQLite's integers have a sign; what is counted here stays far below 2^63.
+/// Converts to SQLite's signed integers; the counts here stay far below 2^63.
 fn signed(number: u64) -> i64 {
     i64::try_from(number).unwrap_or(i64::MAX)
 }

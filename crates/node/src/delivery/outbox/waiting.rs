@@ -1,4 +1,4 @@
-//! Holds reports in the file of the state directory, and in memory while that fails. It has no clock: times are given.
+//! Holds reports in the file of the state directory, and in memory while that fails. Has no clock: callers pass times.
 
 use super::OutboxCounts;
 use super::disk::Disk;
@@ -10,41 +10,41 @@ use albireo_wire::{
 use std::collections::BTreeSet;
 use uuid::Uuid;
 
-/// Reports are kept this long for a hub that loses them, if there is room and a disk.
+/// How long acknowledged reports are kept in case a hub loses them, if there is room and a disk.
 const KEPT_MS: i64 = 7 * 86_400_000;
 
-/// Most reports that are taken to memory from a file that cannot be written.
+/// The maximum number of reports rescued to memory from a file that cannot be written.
 const MOST_RESCUED: usize = 2000;
 
-/// Bytes of a batch's reports at most: well below what a hub takes, and compressed far below what an uplink lets through.
+/// The maximum size of a batch's reports, bytes: well below a hub's limit and, compressed, far below an uplink's.
 pub(super) const BATCH_BYTES: usize = 1 << 20;
 
-/// Most reports of a batch.
+/// The maximum number of reports per batch.
 const BATCH_REPORTS: usize = 400;
 const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 
-/// Reports that no hub has, and those that one may lose again.
+/// Reports that no hub has, and acknowledged ones that a hub may lose.
 #[derive(Debug)]
 pub(super) struct Waiting {
     disk: Option<Box<dyn Disk>>,
     most_bytes: u64,
-    /// The open file, while it can be read and written.
+    /// The open file; `None` while it cannot be read and written.
     file: Option<Table>,
-    /// It takes the place of the file while there is none. Its reports go to the file when that can be opened again.
+    /// Replaces the file while there is none. Its reports move to the file once that can be opened again.
     memory: Table,
-    /// The file is set aside before it is opened again.
+    /// True if the file must be set aside before it is opened again.
     damaged: bool,
     counts: OutboxCounts,
 }
 
 impl Waiting {
-    /// Nothing waits yet, and no file is open.
+    /// Creates it without reports and without an open file.
     ///
     /// # Errors
-    /// When there is no memory for a table.
+    /// [`TableError`] if there is no memory for a table.
     pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
         let counters = Counters {
-            // Without a disk this run is all that there is to be counted.
+            // Without a disk, this run is all there is to count.
             made: disk.is_none().then_some(0),
             ..Counters::default()
         };
@@ -58,7 +58,7 @@ impl Waiting {
         })
     }
 
-    /// Opens the file, and brings to it what waits in memory. One that is damaged is set aside.
+    /// Opens the file and moves the reports in memory to it. Sets a damaged file aside.
     pub(super) fn open(&mut self, now: Now) -> Result<(), TableError> {
         let mut opened = self.open_file(now);
         if let Err(error) = &opened {
@@ -83,7 +83,7 @@ impl Waiting {
             );
         }
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
-        // What was counted since the start goes on from what was counted before.
+        // The counts since the start continue the earlier ones.
         file.counters = file.counters.max(self.memory.counters);
         let lost = file.insert(&self.memory.reports(REFUSED, usize::MAX)?)?;
         (self.counts.status.waiting, self.counts.again) = file.waiting()?;
@@ -96,15 +96,15 @@ impl Waiting {
         Ok(())
     }
 
-    /// Tries a disk that failed again.
+    /// Tries a failed disk again.
     pub(super) fn retry_disk(&mut self, now: Now) {
         if self.counts.failing.is_some() {
-            // The reason is noted there.
+            // `open` records the reason.
             let _ = self.open(now);
         }
     }
 
-    /// Takes note that the file cannot be used. As much of what waits in it as can be read goes to memory, and is delivered
+    /// Records that the file cannot be used. The waiting reports that can be read are copied to memory and delivered
     /// from there.
     fn fail(&mut self, error: &TableError) {
         let reason = format!("the state directory cannot be used: {error}");
@@ -119,14 +119,14 @@ impl Waiting {
         };
         self.memory.counters = file.counters;
         let kept = (file.due(true, MOST_RESCUED)).and_then(|found| self.memory.insert(&found));
-        // None of them is lost by that: they are on the disk, and come back with it.
+        // The rest is not lost: it is on the disk, and returns with it.
         self.memory.counters = file.counters;
         if let Err(error) = kept {
             tracing::warn!(%error, "clip reports on the disk cannot be read now");
         }
     }
 
-    /// Does `work` on the file, or in memory where that fails.
+    /// Does `work` on the file, or in memory if that fails.
     fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
         let work = |table: &mut Table| Ok((work(table)?, table.waiting()?));
         let mut done = None;
@@ -148,13 +148,13 @@ impl Waiting {
         }
     }
 
-    /// Returns the counters of the table that is in use.
+    /// The counters of the table in use.
     fn counters(&mut self) -> &mut Counters {
         let table = self.file.as_mut().unwrap_or(&mut self.memory);
         &mut table.counters
     }
 
-    /// Keeps reports, in order, and gives them their running counts.
+    /// Keeps reports in order and sets their running counts.
     pub(super) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
         let mut rows = Vec::with_capacity(reports.len());
         for report in reports {
@@ -162,7 +162,7 @@ impl Waiting {
             *made = made.map(|made| made + 1);
             report.count = *made;
             self.counts.kept += 1;
-            // A report holds numbers and text: writing it cannot fail. An empty row would count as undeliverable.
+            // Cannot fail: a report holds numbers and text. An empty row would count as undeliverable.
             let json = serde_json::to_vec(report).unwrap_or_default();
             rows.push(StoredReport::new(report.id, report.count, json));
         }
@@ -177,8 +177,8 @@ impl Waiting {
         }
     }
 
-    /// The oldest reports to be sent, as reports of `node`, with those that a hub has lost if they go
-    /// `again` now. One that cannot be read is counted as undeliverable.
+    /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost.
+    /// Unreadable reports are counted as undeliverable.
     pub(super) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
         loop {
             let (reports, unreadable) = self.work(|table| read(table, node, again));
@@ -202,7 +202,7 @@ impl Waiting {
         }
     }
 
-    /// Takes a hub's answer to `batch`; how many reports it has stored.
+    /// Applies a hub's answer to `batch` and returns the number of reports it has stored.
     pub(super) fn answered(&mut self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
         let sent: BTreeSet<Uuid> = batch.reports.iter().map(|report| report.id).collect();
         let refused: BTreeSet<Uuid> = (answer.refused.iter())
@@ -246,7 +246,7 @@ impl Waiting {
     }
 }
 
-/// The reports of a batch, and those that cannot be read.
+/// The reports of a batch, and the ids of unreadable ones.
 type Read = (Vec<ClipReport>, Vec<Uuid>);
 
 fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
@@ -265,7 +265,7 @@ fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
     Ok((reports, unreadable))
 }
 
-/// A stored report as one of `node`: the state directory may have been another's.
+/// A stored report as a report of `node`: the state directory may have belonged to another node.
 fn readable(report: &StoredReport, node: &str) -> Result<ClipReport, String> {
     if report.json.len() > LARGEST_REPORT_BYTES {
         let size = report.json.len();

@@ -1,8 +1,8 @@
-//! Paces attempts that failed.
+//! Paces failed attempts.
 
 use std::time::Duration;
 
-/// Doubles the pause at each failure, between half and one and a half of that, so that nodes spread out.
+/// A pause that doubles with each failure, times 0.5 to 1.5, so that nodes spread out.
 #[derive(Debug)]
 pub(super) struct Backoff {
     first_ms: u64,
@@ -12,7 +12,7 @@ pub(super) struct Backoff {
 }
 
 impl Backoff {
-    /// `random` differs from node to node.
+    /// `random` must differ between nodes.
     pub(super) fn new(first_ms: u64, longest_ms: u64, random: u64) -> Self {
         Self {
             first_ms: first_ms.max(1),
@@ -22,14 +22,14 @@ impl Backoff {
         }
     }
 
-    /// Counts a failure; the pause after it, of `at_least` that length.
+    /// Counts a failure and returns the pause after it, at least `at_least`.
     pub(super) fn next(&mut self, at_least: Option<Duration>) -> Duration {
         let doubled = self
             .first_ms
             .saturating_mul(1 << self.failures.min(20))
             .min(self.longest_ms);
         self.failures = self.failures.saturating_add(1);
-        // Knuth's linear congruential generator, of which the high bits are good.
+        // Knuth's linear congruential generator, whose high bits are good.
         self.random = (self.random)
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
@@ -37,7 +37,7 @@ impl Backoff {
         Duration::from_millis(jittered.max(1)).max(at_least.unwrap_or_default())
     }
 
-    /// The next failure is the first again.
+    /// Starts again with the first pause.
     pub(super) const fn reset(&mut self) {
         self.failures = 0;
     }

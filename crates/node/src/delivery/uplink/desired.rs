@@ -1,4 +1,4 @@
-//! Applies and acknowledges the setting that the hub desires.
+//! Applies and acknowledges the hub's desired setting.
 
 use crate::state::board::{Board, set_thresholds};
 use crate::state::settings::Settings;
@@ -8,38 +8,38 @@ use serde::{Deserialize, Serialize};
 
 const SETTING: &str = "desired";
 
-/// As it is kept in the state file.
+/// The part kept in the state file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub(in crate::delivery) struct Kept {
-    /// Highest revision seen.
+    /// The highest revision seen.
     pub revision: u64,
-    /// Highest revision that came into force, 0 for none.
+    /// The highest revision that came into force; 0 for none.
     pub in_force: u64,
-    /// The desired value that was not taken.
+    /// The refused desired value.
     pub refused: Option<RefusedDesired>,
 }
 
-/// Applies what is desired, once a revision.
+/// Applies the desired setting, once per revision.
 #[derive(Debug)]
 pub(crate) struct DesiredKeeper {
     kept: Mutex<Kept>,
 }
 
 impl DesiredKeeper {
-    /// With what was desired before the restart.
+    /// Starts with the state from before the restart.
     pub(crate) fn open(settings: &Settings) -> Self {
         Self {
             kept: Mutex::new(settings.get(SETTING).unwrap_or_default()),
         }
     }
 
-    /// Returns what is known of it.
+    /// Returns the kept state.
     pub(in crate::delivery) fn kept(&self) -> Kept {
         self.kept.lock().clone()
     }
 
-    /// Takes what is desired, and says whether anything changed. A lower revision never replaces a higher.
+    /// Applies `desired` and returns true if anything changed. A lower revision never replaces a higher one.
     pub(in crate::delivery) fn take(&self, desired: &Desired, board: &Board) -> bool {
         let (mut kept, revision) = (self.kept.lock(), desired.revision);
         if revision < kept.revision {

@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 use std::time::Duration;
 use zenoh::query::Querier;
 
-/// Queries the hub and waits for the first answer, no longer than the querier does.
+/// Queries the hub and waits for the first answer, at most until the querier's time-out.
 pub(super) async fn ask<T: DeserializeOwned>(
     querier: &Querier<'_>,
     payload: Vec<u8>,

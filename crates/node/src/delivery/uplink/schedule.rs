@@ -1,25 +1,25 @@
-//! Decides when the uplink sends what. It has no clock and no network: times and results are given.
+//! Decides when the uplink sends what. Has no clock and no network: callers pass times and results.
 
 use super::backoff::Backoff;
 use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
 use std::time::{Duration, Instant};
 
-/// Time between two batches with reports that a hub has lost: a whole fleet sends them at once.
+/// The time between two batches with reports that a hub has lost: a whole fleet sends them at the same time.
 const AGAIN_EVERY: Duration = Duration::from_secs(10);
 
-/// Reports that are gathered before a batch is sent.
+/// The number of reports gathered before a batch is sent.
 const GATHERED: u64 = 12;
 
-/// The reason for which a query brought nothing.
+/// The reason a query failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Failure {
-    /// The hub refused, perhaps with a time to come again.
+    /// The hub refused, possibly with the time until a retry.
     Refused(Option<Duration>),
     /// Nobody answered.
     Unanswered,
 }
 
-/// Queries of one kind: one at a time, with pauses after those that failed.
+/// Queries of one kind: one at a time, with pauses after failures.
 #[derive(Debug)]
 struct Attempts {
     under_way: bool,
@@ -55,17 +55,17 @@ impl Attempts {
     }
 }
 
-/// Reports are gathered until there are some, or the first has waited for long: each batch costs a query, an answer and
-/// what compression learns again. What waits when a session begins goes at once: its waiting time is unknown.
+/// Gathers reports until there are enough, or the first has waited long: each batch costs a query, an answer and a
+/// compressor that starts empty. Reports that wait when a session begins are sent at once: their age is unknown.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     gather: Duration,
-    /// The reports that wait are to be sent at this time. It is unknown while none waits.
+    /// When the waiting reports are due. `None` while none wait.
     due_at: Option<Instant>,
     reports: Attempts,
     pulls: Attempts,
     pull_wanted: bool,
-    /// Reports that a hub has lost may go from this time on.
+    /// The earliest time for a batch with reports that a hub has lost.
     again_at: Option<Instant>,
     /// The last time at which a hub answered, or had nothing to answer.
     answered_at: Instant,
@@ -85,7 +85,7 @@ impl Schedule {
         }
     }
 
-    /// A session begins: whatever was under way is not answered any more.
+    /// Begins a session: earlier queries get no answers.
     pub(crate) fn begin(&mut self, now: Instant) {
         self.reports.under_way = false;
         self.pulls.under_way = false;
@@ -94,18 +94,18 @@ impl Schedule {
         self.answered_at = now;
     }
 
-    /// Ends a pause: the node stops, so there is no later.
+    /// Ends a pause, because the node is stopping.
     pub(crate) fn send_now(&mut self, now: Instant) {
         self.due_at = Some(now);
         self.reports.not_before = None;
     }
 
-    /// Notes that the hub is to be asked what it desires.
+    /// Requests a pull of the desired setting.
     pub(crate) fn want_pull(&mut self) {
         self.pull_wanted = true;
     }
 
-    /// Says whether the reports that wait are worth a batch. While somebody watches the node (`watched`) one report is.
+    /// True if the waiting reports are worth a batch; a single one is while somebody watches the node (`watched`).
     fn is_due(&mut self, waiting: u64, watched: bool, now: Instant) -> bool {
         if waiting == 0 {
             self.due_at.take_if(|at| *at > now);
@@ -115,7 +115,7 @@ impl Schedule {
         watched || waiting >= GATHERED || now >= due_at
     }
 
-    /// Says whether a batch is to be sent now, and if so, whether with reports that a hub has lost. It is then under way.
+    /// Starts a batch if one is due. Returns true if it includes reports that a hub has lost.
     pub(crate) fn next_batch(
         &mut self,
         counts: &OutboxCounts,
@@ -137,7 +137,7 @@ impl Schedule {
         Some(again)
     }
 
-    /// A batch was answered, or not; or there was nothing to send.
+    /// Records the outcome of a batch, or that there was nothing to send.
     pub(crate) fn batch_ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.reports.ended(outcome, now);
         if !matches!(outcome, Err(Failure::Unanswered)) {
@@ -148,12 +148,12 @@ impl Schedule {
         }
     }
 
-    /// Says whether a batch is under way.
+    /// True if a batch is in flight.
     pub(crate) const fn sends(&self) -> bool {
         self.reports.under_way
     }
 
-    /// Says whether to ask now what is desired. The question is then under way.
+    /// Starts a pull of the desired setting if one is due, and returns true if so.
     pub(crate) fn next_pull(&mut self, now: Instant) -> bool {
         let pull = self.pull_wanted && self.pulls.may_begin(now);
         if pull {
@@ -163,7 +163,7 @@ impl Schedule {
         pull
     }
 
-    /// A question was answered, or not.
+    /// Records the outcome of a pull.
     pub(crate) fn pull_ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.pulls.ended(outcome, now);
         match outcome {
@@ -172,12 +172,12 @@ impl Schedule {
         }
     }
 
-    /// Says whether batches have been sent for too long without an answer.
+    /// True if batches have been unanswered for too long.
     pub(crate) fn is_stale(&self, after: Duration, now: Instant) -> bool {
         now.saturating_duration_since(self.answered_at) > after
     }
 
-    /// Returns when to look next, at the `latest` then. A pause that ends before is a reason to look at its end.
+    /// The time of the next check, at the latest `latest`. The end of a pause before that is an earlier one.
     pub(crate) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
         let times = [
             self.reports.not_before,

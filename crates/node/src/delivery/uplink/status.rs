@@ -9,13 +9,13 @@ use albireo_wire::{
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// A camera from which no frame came for this time is stale.
+/// A camera without a frame for this long is stale.
 const STALE: Duration = Duration::from_secs(10);
 
-/// Time between two heartbeats to the hub.
+/// The time between two heartbeats to the hub.
 const EVERY: Duration = Duration::from_secs(30);
 
-/// Full statuses are not sent faster than this, whatever changes.
+/// The shortest time between two full statuses, whatever changes.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
 /// Decides when which status is due.
@@ -24,9 +24,9 @@ pub(in crate::delivery) struct StatusSender {
     run: u32,
     started_ns: u64,
     seq: u64,
-    /// The full status sent last, without figures; none where the next is to be a full one.
+    /// The last full status sent, without figures; `None` if the next must be full.
     last: Option<NodeStatus>,
-    /// The revision that was reported last: a heartbeat says that it is in force.
+    /// The last reported revision: a heartbeat confirms that it is in force.
     sent_revision: Option<u64>,
     sent_at: Option<Instant>,
 }
@@ -45,13 +45,13 @@ impl StatusSender {
         }
     }
 
-    /// The next status is a full one, and soon.
+    /// Makes the next status a full one, and due soon.
     pub(in crate::delivery) fn full_is_due(&mut self) {
         self.last = None;
     }
 
-    /// The payload of a message, if one is due: in full at a change, and from time to time a heartbeat where nothing but
-    /// numbers has changed.
+    /// Returns the payload of a message, if one is due: a full status after a change, and at intervals a heartbeat if
+    /// only numbers have changed.
     pub(in crate::delivery) fn due(
         &mut self,
         now: Now,
@@ -90,7 +90,7 @@ impl StatusSender {
             full: changed.then(|| Box::new(status)),
         };
         self.last = Some(lasting);
-        // A status can always be written.
+        // A status can always be serialised.
         serde_json::to_vec(&message).ok()
     }
 
@@ -133,7 +133,7 @@ fn nanoseconds(now: Now) -> u64 {
     now.unix_ms.unsigned_abs() * 1_000_000
 }
 
-/// A status without the figures that change all the time: they alone are no reason to send it.
+/// A status without the figures that always change: they alone are no reason to send it.
 fn without_figures(mut status: NodeStatus) -> NodeStatus {
     status.outbox.waiting = 0;
     if let Some(target) = &mut status.target {

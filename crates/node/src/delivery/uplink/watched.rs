@@ -1,5 +1,5 @@
-//! Sends counters once a second, and pictures on request, over the uplink: only while somebody watches the node through
-//! the hub.
+//! Sends counters once per second, and pictures on request, over the uplink, but only while somebody watches the node
+//! through the hub.
 
 use super::UplinkSetup;
 use crate::state::board::CameraBoard;
@@ -12,20 +12,20 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-/// Longest time for which one message of the hub turns this on, seconds.
+/// The longest time that one message of the hub can request, seconds.
 const LONGEST: u32 = 3600;
-/// Questions for pictures that may wait; one more is not answered.
+/// The maximum number of waiting picture queries; further ones are not answered.
 const WAITING: usize = 4;
-/// Time between two counters of a camera, with room for one that comes a little early.
+/// The time between two counter messages of a camera, with some tolerance for early ones.
 const PERIOD: Duration = Duration::from_millis(950);
 
-/// The answer where pictures are not sent.
+/// The answer if pictures are disabled.
 const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
-/// A question for the picture of a camera.
+/// A query for the picture of a camera.
 pub(super) type PictureQuery = (Arc<CameraBoard>, Query);
 
-/// Knows whether somebody watches, and sends counters and pictures then.
+/// Tracks if somebody watches, and then sends counters and pictures.
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
@@ -36,7 +36,7 @@ pub(super) struct Watched {
 }
 
 impl Watched {
-    /// Nobody watches yet.
+    /// Starts without a watcher.
     pub(super) fn new() -> Self {
         let (queries, waiting_queries) = channel(WAITING);
         Self {
@@ -48,18 +48,18 @@ impl Watched {
         }
     }
 
-    /// A session begins: nothing is declared on it.
+    /// Begins a session: nothing is declared on it yet.
     pub(super) fn begin(&mut self) {
         self.pictures.clear();
     }
 
-    /// Somebody watches for that many seconds from now on.
+    /// Extends the watching to `seconds` from now.
     pub(super) fn extend(&mut self, seconds: u32) {
         let until = Instant::now() + Duration::from_secs(seconds.min(LONGEST).into());
         self.until = Some(until);
     }
 
-    /// Says whether somebody watches.
+    /// True while somebody watches.
     pub(super) fn is_on(&self, now: Instant) -> bool {
         self.until.is_some_and(|until| now < until)
     }
@@ -67,7 +67,7 @@ impl Watched {
     /// Sends what is due: nothing is declared or sent without a watcher.
     ///
     /// # Errors
-    /// When Zenoh refuses something.
+    /// An error if Zenoh rejects an operation.
     pub(super) async fn serve(
         &mut self,
         session: &Session,
@@ -79,7 +79,7 @@ impl Watched {
             return Ok(());
         }
         let early = |at: Instant| now.duration_since(at) < PERIOD;
-        // The local session carries counters anyway.
+        // The local session publishes counters anyway.
         let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
         let declares = self.pictures.is_empty();
         for camera in &setup.board.cameras {
@@ -89,7 +89,7 @@ impl Watched {
                 let queryable = session
                     .declare_queryable(keys.picture())
                     .callback(move |query| {
-                        // Zenoh's thread must not encode a picture; a question too many ends unanswered.
+                        // Zenoh's thread must not encode a picture; excess queries end unanswered.
                         let _ = queries.try_send((Arc::clone(&asked), query));
                     })
                     .await?;
@@ -110,13 +110,13 @@ impl Watched {
         Ok(())
     }
 
-    /// The next question for a picture.
+    /// The next picture query.
     pub(super) async fn question(&mut self) -> Option<PictureQuery> {
         self.waiting_queries.recv().await
     }
 }
 
-/// Answers a question for a picture. Encodes one: to be called away from async workers.
+/// Answers a picture query. Encodes the picture: call it outside async workers.
 pub(super) fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
     let answered = match camera.latest_frame() {
         _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
