@@ -1,4 +1,4 @@
-//! Takes in what cameras send: it reads and numbers frames, keeps them in a ring, and opens cameras.
+//! Receives what cameras send: reads and numbers frames, keeps them in a ring, and opens cameras.
 
 mod attachment;
 mod read;
@@ -14,12 +14,12 @@ pub use sequence::FrameNumber;
 
 use serde::{Deserialize, Serialize};
 
-/// The way in which the payload of a camera's samples is read.
+/// The format of the payload of a camera's samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PayloadFormat {
-    /// By the sample's Zenoh `Encoding`: `image/jpeg`, `image/png`, `image/raw;rgb8` (`bgr8`, `gray8`,
-    /// `nv12`; size in the attachment). Without an encoding the first bytes decide between JPEG and PNG.
+    /// From the sample's Zenoh `Encoding`: `image/jpeg`, `image/png`, `image/raw;rgb8` (`bgr8`, `gray8`,
+    /// `nv12`; size in the attachment). Without an encoding, the first bytes distinguish JPEG and PNG.
     #[default]
     Encoding,
     /// ROS 2 `sensor_msgs/msg/CompressedImage` in CDR.
@@ -28,14 +28,14 @@ pub enum PayloadFormat {
     Ros2Image,
 }
 
-/// The choice of frames that a camera's loop sees when they come faster than it works.
+/// The frames that a camera's loop sees when they arrive faster than it works.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Delivery {
     /// The newest; older ones are dropped and counted as overrun.
     #[default]
     Newest,
-    /// Every one: each frame comes as a query, answered when its turn has come, which holds the sender back; and the
+    /// Every frame: each comes as a query that is answered when its turn comes, which holds the sender back, and the
     /// detections wait for slow subscribers. For replays.
     Every,
 }

@@ -1,16 +1,16 @@
-//! Reads the attachment of a frame: this program's JSON, or what ROS 2's rmw_zenoh puts there.
+//! Reads the attachment of a frame: this program's JSON, or that of ROS 2's rmw_zenoh.
 
 use super::PayloadFormat;
 use albireo_vision::picture::FrameFault;
 use albireo_wire::FrameAttachment;
 
-/// Longest attachment that is read, bytes.
+/// The longest attachment that is read, bytes.
 const MAX_ATTACHMENT_BYTES: usize = 4096;
-/// Longest clip id, bytes: it goes into every message of the clip.
+/// The longest clip id, bytes: it goes into every message of the clip.
 const MAX_CLIP_BYTES: usize = 200;
 
-/// Reads the attachment. A ROS 2 camera's attachment is not this program's, so whatever it holds is
-/// either understood or passed over.
+/// Reads the attachment. A ROS 2 camera's attachment is not this program's, so its contents are understood or
+/// ignored.
 pub(super) fn read_attachment(
     attachment: Option<&[u8]>,
     format: PayloadFormat,
@@ -50,9 +50,9 @@ fn read_json(bytes: &[u8]) -> Result<FrameAttachment, FrameFault> {
 }
 
 /// Reads the attachment of rmw_zenoh (ros2/rmw_zenoh, rmw_zenoh_cpp/src/detail/attachment_helpers.cpp):
-/// sequence number and source time in nanoseconds as little-endian `int64`, then the sender's id of
-/// 16 bytes, in some releases with its length before it. The first releases put a name, with its
-/// length before it, before each of the three.
+/// sequence number and source time in nanoseconds as little-endian `int64`, then the sender's 16-byte
+/// id, with a length prefix in some releases. In the first releases, each of the three is preceded by a
+/// name with a length prefix.
 fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
     let (sequence, rest) = match strip_name(bytes, b"sequence_number") {
         Some(rest) => {
@@ -66,7 +66,7 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
     if !matches!(sender.len(), 16 | 17) {
         return None;
     }
-    // A publisher that starts again has another id, and numbers from the start.
+    // A restarted publisher has another id, and numbers from the start.
     let stream = sender.last_chunk::<16>().map(|id| {
         let id = u128::from_le_bytes(*id);
         (id >> 64) as u64 ^ id as u64

@@ -1,4 +1,4 @@
-//! Reads a Zenoh sample or query as a frame, whose picture stays encoded.
+//! Reads a Zenoh sample or query as a frame with a still encoded picture.
 
 use super::attachment::read_attachment;
 use super::{FrameNumber, PayloadFormat, ros2};
@@ -18,38 +18,38 @@ use zenoh::bytes::ZBytes;
 use zenoh::query::Query;
 use zenoh::sample::Sample;
 
-/// A sample of a frame key.
+/// A sample on a frame key.
 #[derive(Clone, Debug)]
 pub struct RawSample<'a> {
     /// The payload.
     pub payload: Bytes,
-    /// The sample's Zenoh encoding as text, for example `image/jpeg`; empty when it has none.
+    /// The sample's Zenoh encoding as text, for example `image/jpeg`; empty if it has none.
     pub encoding: Cow<'a, str>,
     /// The sample's attachment.
     pub attachment: Option<Cow<'a, [u8]>>,
     /// The sample's timestamp, nanoseconds since the Unix epoch.
     pub timestamp_ns: Option<u64>,
-    /// This many samples came on the key before. It is the sequence number of a camera that sends none.
+    /// The number of earlier samples on the key: the sequence number for a camera that sends none.
     pub arrival: u64,
-    /// It was received at this time.
+    /// The time of reception.
     pub received: Instant,
 }
 
 /// A frame, still encoded.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// The camera's sequence number; by arrival when it sends none.
+    /// The camera's sequence number; the number by arrival if it sends none.
     pub sequence: u64,
     /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
     /// this machine's clock.
     pub time_ns: u64,
-    /// The clip the camera says the frame belongs to.
+    /// The frame's clip, as named by the camera.
     pub clip: Option<Arc<str>>,
-    /// The picture, not decoded.
+    /// The picture, still encoded.
     pub picture: EncodedPicture,
-    /// The sample was received at this time.
+    /// The time at which the sample was received.
     pub received: Instant,
-    /// Size of the payload.
+    /// The size of the payload, bytes.
     pub payload_bytes: usize,
 }
 
@@ -81,9 +81,9 @@ impl<'a> From<&'a Query> for RawSample<'a> {
     }
 }
 
-/// The payload as shared bytes: no copy where Zenoh holds it in one piece.
+/// The payload as shared bytes: not copied if Zenoh holds it in one piece.
 fn shared_bytes(payload: &ZBytes) -> Bytes {
-    /// Owns the Zenoh buffer behind a `Bytes`; in one piece, as checked at construction.
+    /// Owns the Zenoh buffer behind a `Bytes`; contiguous, as checked at construction.
     struct OnePiece(ZBytes);
     impl AsRef<[u8]> for OnePiece {
         fn as_ref(&self) -> &[u8] {
@@ -98,8 +98,8 @@ fn shared_bytes(payload: &ZBytes) -> Bytes {
     }
 }
 
-/// Reads the number that the camera gives to a sample, and the sample as a frame, or the fault of one that is too large, of
-/// an unknown format, or not a picture. It decodes nothing, and checks all limits before it takes memory.
+/// Reads the camera's number of a sample, and the frame, or its fault if it is too large, has an unknown format or is
+/// not a picture. Decodes nothing, and checks all limits before it allocates.
 pub fn read_frame(
     raw: RawSample<'_>,
     format: PayloadFormat,
@@ -118,7 +118,7 @@ pub fn read_frame(
     };
     let frame = read.map(|(picture, stamp)| Frame {
         sequence: number.seq.unwrap_or(raw.arrival),
-        // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
+        // A ROS header's stamp is the time of capture, the attachment's the time of sending.
         time_ns: stamp
             .or(attachment.t_ns)
             .or(raw.timestamp_ns)
@@ -131,7 +131,7 @@ pub fn read_frame(
     (number, frame)
 }
 
-/// The picture, and the capture time where the payload has it.
+/// The picture, and its capture time if the payload has one.
 fn read_picture(
     raw: &RawSample<'_>,
     attachment: &FrameAttachment,
@@ -213,12 +213,12 @@ fn unknown_encoding(encoding: &str) -> FrameFault {
     FrameFault::unknown_format(format!("encoding {start:?} is not known; {ENCODINGS}"))
 }
 
-/// The rows of a ROS image, one after the other: the payload itself when its rows have no padding, else
-/// a copy no larger than the payload.
+/// The rows of a ROS image, packed: the payload itself if its rows have no padding, else a copy that is no
+/// larger than the payload.
 fn without_padding(payload: &Bytes, image: &ros2::Image) -> Result<Bytes, FrameFault> {
     let data = &payload[image.data.clone()];
     let (width, height) = (image.size.width as usize, image.size.height as usize);
-    // Rows of pixels, then, for NV12, rows of chroma: a Cb and a Cr byte for every two columns.
+    // Rows of pixels; for NV12, then rows of chroma: a Cb and a Cr byte per two columns.
     let (row, chroma_row, chroma_rows) = match image.format {
         PictureFormat::Gray8 => (width, 0, 0),
         PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),

@@ -1,5 +1,5 @@
-//! Takes a camera's frames as they arrive: reads them, follows their numbers, counts what cannot be used, and puts the
-//! rest into the camera's ring. Runs on Zenoh's receiving threads, so it neither decodes nor waits.
+//! Receives a camera's frames: reads them, follows their numbers, counts unusable ones, and puts the rest into the
+//! camera's ring. Runs on Zenoh's receiving threads, so it neither decodes nor waits.
 
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
@@ -25,12 +25,12 @@ use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 use zenoh::sample::Sample;
 
-/// Time between two log lines about dropped frames of one kind.
+/// The time between two log lines about dropped frames of one kind.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
-/// The same for frames that a newer one pushed out: a live camera that is faster than its detector.
+/// The same for frames replaced by a newer one, when a live camera is faster than its detector.
 const OVERRUN_LOG_PERIOD: Duration = Duration::from_secs(3600);
 
-/// Answers to frames sent as queries that may wait for the network.
+/// The maximum number of answers to queries that wait for the network.
 const MAX_ANSWERS: usize = 64;
 
 /// A frame in the ring, with its place in the stream.
@@ -38,17 +38,17 @@ const MAX_ANSWERS: usize = 64;
 pub(crate) struct SequencedFrame {
     /// The frame, still encoded.
     pub frame: Frame,
-    /// Its place in the stream, lost frames counted.
+    /// Its place in the stream, counting lost frames.
     pub index: u64,
-    /// The number of its stream. It grows each time a new stream begins, also when the frame that showed it could not be
-    /// used.
+    /// The number of its stream. It grows whenever a new stream begins, even if the frame that showed it is
+    /// unusable.
     pub epoch: u64,
-    /// The query it came as, which is answered when the frame is taken from the ring.
+    /// The frame's query, if it came as one; answered when the frame is taken from the ring.
     pub query: Option<FrameQuery>,
 }
 
 impl SequencedFrame {
-    /// Tells the sender, if it waits, that the frame's turn has come, or why it will not be processed.
+    /// Answers a waiting sender: the frame's turn has come, or the reason it will not be processed.
     pub(crate) fn answer(&mut self, refused: Option<&str>) {
         if let Some(query) = self.query.take() {
             query.answer(refused.map(str::to_owned));
@@ -56,19 +56,19 @@ impl SequencedFrame {
     }
 }
 
-/// A frame that came as a query: its sender waits for the answer before it sends the next one. A query that is dropped
-/// ends without an answer, and the sender asks again.
+/// A frame that came as a query: its sender waits for the answer before it sends the next one. A dropped query ends
+/// without an answer, and the sender repeats it.
 #[derive(Debug)]
 pub(crate) struct FrameQuery {
     query: Query,
-    /// Answers are sent there, off the threads that must not wait for the network.
+    /// Sends answers, off the threads that must not wait for the network.
     runtime: Handle,
-    /// One place for each answer that waits for the network.
+    /// One permit per answer that waits for the network.
     places: Arc<Semaphore>,
 }
 
 impl FrameQuery {
-    /// Tells the sender that its frame's turn has come, or why it will not be processed.
+    /// Answers the sender: the frame's turn has come, or the reason it will not be processed.
     fn answer(self, refused: Option<String>) {
         let Self {
             query,
@@ -97,10 +97,10 @@ impl FrameQuery {
     }
 }
 
-/// Finds the counter of the kind of frames that were not processed.
+/// Selects the counter for one kind of unprocessed frames.
 pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
 
-/// Returns the counter of frames with that fault.
+/// Returns the counter for frames with that fault.
 pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
     match fault {
         FrameFault::Undecodable { .. } => |dropped| &mut dropped.undecodable,
@@ -113,9 +113,9 @@ pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
 #[derive(Debug)]
 pub(crate) struct FrameReceiver {
     board: Arc<CameraBoard>,
-    /// Of the log, for each kind of dropped frames.
+    /// Limits the log, for each kind of dropped frames.
     log_limits: Mutex<BTreeMap<&'static str, RateLimit>>,
-    /// Frames that wait for the camera's loop.
+    /// The frames that wait for the camera's loop.
     pub ring: Ring<SequencedFrame>,
     format: PayloadFormat,
     limits: FrameLimits,
@@ -124,7 +124,7 @@ pub(crate) struct FrameReceiver {
     answers: Arc<Semaphore>,
 }
 
-/// The number that a camera gives to what it sent, and the frame, if it can be used.
+/// The camera's number of a sample, and the frame, if it is usable.
 type Read = (FrameNumber, Result<Frame, FrameFault>);
 
 #[derive(Debug, Default)]
@@ -135,7 +135,7 @@ struct StreamState {
 }
 
 impl FrameReceiver {
-    /// The receiver of the camera of `board`. Called where the runtime is that its answers are sent from.
+    /// Creates the receiver of the camera of `board`. Call it on the runtime that sends its answers.
     pub(crate) fn new(board: Arc<CameraBoard>, config: &CameraConfig, limits: FrameLimits) -> Self {
         Self {
             board,
@@ -149,7 +149,7 @@ impl FrameReceiver {
         }
     }
 
-    /// Takes a frame that was put.
+    /// Receives a frame that came as a put.
     pub(crate) fn take(&self, sample: &Sample) {
         if sample.payload().as_shm().is_some() {
             self.board.count_shared_frame();
@@ -157,7 +157,7 @@ impl FrameReceiver {
         self.place(None, |arrival| self.read(sample.into(), arrival));
     }
 
-    /// Takes a frame that came as a query. Without room for it the query ends without an answer.
+    /// Receives a frame that came as a query. If there is no room, the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
         let waiting = FrameQuery {
             query: query.clone(),
@@ -172,8 +172,8 @@ impl FrameReceiver {
         read_frame(raw, self.format, &self.limits)
     }
 
-    /// Takes one picture of a source that the node itself reads. `reopened`: it is the first since the source was
-    /// opened, so that nothing is known of what happened in between.
+    /// Receives a picture of a source that the node reads itself. `reopened` is true for the first picture after the
+    /// source was opened: what happened in between is unknown.
     pub(crate) fn take_picture(&self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
         if reopened {
             self.stream.lock().epoch += 1;
@@ -191,15 +191,15 @@ impl FrameReceiver {
         });
     }
 
-    /// The publisher of a stream came or left.
+    /// Records that the publisher of a stream appeared or left.
     pub(crate) fn publisher_changed(&self, stream: u64, gone: bool) {
         self.stream.lock().tracker.publisher_changed(stream, gone);
     }
 
-    /// Numbers what `read` reads and puts it into the ring.
+    /// Numbers the result of `read` and puts it into the ring.
     fn place(&self, mut query: Option<FrameQuery>, read: impl FnOnce(u64) -> Read) {
-        // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
-        // more than one thread.
+        // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
+        // threads.
         let mut stream = self.stream.lock();
         if let Some(FrameQuery { query, .. }) = &query
             && !(self.ring).has_room(query.payload().map_or(0, ZBytes::len))
@@ -211,17 +211,17 @@ impl FrameReceiver {
             let bytes = frame.frame.payload_bytes;
             self.count_pushed(self.ring.push(frame, bytes))
         });
-        // The next frame need not wait for this one's answer to get into the ring.
+        // The next frame need not wait for this one's answer.
         drop(stream);
         if let (Err(reason), Some(query)) = (refused, query) {
             query.answer(Some(reason));
         }
     }
 
-    /// Counts what is missing, and what cannot be used.
+    /// Counts missing and unusable frames.
     ///
     /// # Errors
-    /// Why it cannot be used.
+    /// The reason the frame is unusable.
     fn admit(
         &self,
         stream: &mut StreamState,
@@ -268,7 +268,7 @@ impl FrameReceiver {
         Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
     }
 
-    /// Counts `number` frames that will not be processed, and logs `reason` from time to time.
+    /// Counts `number` frames that will not be processed, and logs `reason` at limited intervals.
     pub(crate) fn count_dropped(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
         let mut more = DroppedFrames::default();
         *kind(&mut more) = number;
@@ -294,13 +294,13 @@ impl FrameReceiver {
         }
     }
 
-    /// Counts a frame that will not be processed, and returns why.
+    /// Counts a frame that will not be processed, and returns the reason.
     fn refuse(&self, kind: DropKind, reason: String) -> String {
         self.count_dropped(kind, 1, &reason);
         reason
     }
 
-    /// Counts what was pushed out by a frame, or the frame itself if it was not queued.
+    /// Counts the frame that was replaced, or the frame itself if it was not queued.
     fn count_pushed(&self, pushed: Pushed<SequencedFrame>) -> Result<(), String> {
         let (mut frame, kind, reason): (_, DropKind, _) = match pushed {
             Pushed::Queued => return Ok(()),
@@ -325,11 +325,11 @@ impl FrameReceiver {
     }
 }
 
-/// Takes the pictures of a source that the node keeps open.
+/// Receives the pictures of a source that the node keeps open.
 #[derive(Clone, Debug)]
 pub(crate) struct SourceFeed {
     pub receiver: Arc<FrameReceiver>,
-    /// The camera's part of the readiness.
+    /// The camera's part in the readiness.
     pub part: Part,
 }
 

@@ -1,35 +1,35 @@
-//! The bounded queue between reception and a camera's loop: when it is full, the oldest frame goes, or the new one is
-//! refused.
+//! The bounded queue between reception and a camera's loop: when it is full, the oldest frame is dropped, or the new
+//! one is refused.
 
 use super::Delivery;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use tokio::sync::Notify;
 
-/// Frames that may wait where none is to be missed. A sender that heeds the answers has one here.
+/// The number of frames that may wait if none may be missed. A sender that waits for answers has one here.
 const EVERY_FRAMES: usize = 64;
 
-/// The ways in which a push may end.
+/// The result of a push.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Pushed<T> {
-    /// It waits for its turn.
+    /// The item waits for its turn.
     Queued,
-    /// It waits for its turn; this, the oldest item, was dropped: an overrun.
+    /// The item waits for its turn; the oldest one, returned here, was dropped: an overrun.
     Replaced(T),
-    /// There is no room; the item comes back.
+    /// There is no room; returns the item.
     Full(T),
-    /// The ring is closed; the item comes back.
+    /// The ring is closed; returns the item.
     Closed(T),
 }
 
-/// Items on their way to the one task that takes them.
+/// Items on their way to a single consumer task.
 #[derive(Debug)]
 pub(crate) struct Ring<T> {
-    /// Items that may wait, at least 1.
+    /// The maximum number of items, at least 1.
     most_items: usize,
-    /// Bytes of all of them; a single one may have more.
+    /// The maximum bytes of all items; a single one may be larger.
     most_bytes: usize,
-    /// It is true if a new item pushes out the oldest when there is no room.
+    /// True if a new item replaces the oldest when there is no room.
     newest_wins: bool,
     state: Mutex<State<T>>,
     came: Notify,
@@ -37,17 +37,17 @@ pub(crate) struct Ring<T> {
 
 #[derive(Debug)]
 struct State<T> {
-    /// Each with its size.
+    /// The items, each with its size.
     items: VecDeque<(usize, T)>,
     closed: bool,
 }
 
 impl<T> Ring<T> {
-    /// The ring of a camera, open and empty: for `frames` that may wait, of at most `max_payload` bytes each.
+    /// Creates a camera's ring, open and empty, for `frames` waiting frames of at most `max_payload` bytes each.
     pub(crate) fn new(delivery: Delivery, frames: usize, max_payload: usize) -> Self {
         let (most_items, most_bytes) = match delivery {
             Delivery::Newest => (frames, usize::MAX),
-            // A few of the largest that are accepted, or many of the usual ones.
+            // Enough for a few frames of the largest size, or many of the usual size.
             Delivery::Every => (frames.max(EVERY_FRAMES), max_payload.saturating_mul(4)),
         };
         Self {
@@ -83,7 +83,7 @@ impl<T> Ring<T> {
         pushed
     }
 
-    /// Says whether an item of that size would be queued.
+    /// True if an item of that size would be queued.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let state = self.state.lock();
         state.closed || self.newest_wins || self.fits(&state, bytes)
@@ -96,9 +96,9 @@ impl<T> Ring<T> {
                 && waiting.saturating_add(bytes) <= self.most_bytes)
     }
 
-    /// Waits for an item, and takes the oldest. Cancelling the future loses nothing.
+    /// Waits for an item and takes the oldest. Cancel safe.
     pub(crate) async fn next(&self) -> T {
-        // A camera whose frames never run out leaves room for other tasks.
+        // A camera whose frames never run out must leave room for other tasks.
         tokio::task::consume_budget().await;
         loop {
             let oldest = self.state.lock().items.pop_front();
@@ -109,7 +109,7 @@ impl<T> Ring<T> {
         }
     }
 
-    /// Lets nothing more in, and returns what waits.
+    /// Refuses further items, and returns the waiting ones.
     pub(crate) fn close(&self) -> impl Iterator<Item = T> + use<T> {
         let mut state = self.state.lock();
         state.closed = true;
@@ -117,12 +117,12 @@ impl<T> Ring<T> {
         items.into_iter().map(|(_, item)| item)
     }
 
-    /// Lets items in again.
+    /// Accepts items again.
     pub(crate) fn open(&self) {
         self.state.lock().closed = false;
     }
 
-    /// Items waiting now.
+    /// The number of waiting items.
     #[cfg(test)]
     pub(crate) fn waiting(&self) -> usize {
         self.state.lock().items.len()

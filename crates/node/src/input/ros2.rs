@@ -8,26 +8,26 @@ use std::ops::Range;
 /// A CompressedImage message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct CompressedImage<'a> {
-    /// Header stamp, nanoseconds since the Unix epoch; `None` when it is not set.
+    /// Header stamp, nanoseconds since the Unix epoch; `None` if it is not set.
     pub time_ns: Option<u64>,
     /// Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
     pub format: &'a str,
-    /// The part of the payload that is the picture file.
+    /// The range of the payload with the picture file.
     pub data: Range<usize>,
 }
 
 /// An Image message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Image {
-    /// Header stamp, nanoseconds since the Unix epoch; `None` when it is not set.
+    /// Header stamp, nanoseconds since the Unix epoch; `None` if it is not set.
     pub time_ns: Option<u64>,
     /// Size of the picture.
     pub size: PictureSize,
-    /// The meaning of its bytes.
+    /// The format of its bytes.
     pub format: PictureFormat,
     /// Bytes from one row to the next.
     pub step: usize,
-    /// The part of the payload that is the rows.
+    /// The range of the payload with the rows.
     pub data: Range<usize>,
 }
 
@@ -44,8 +44,8 @@ pub(super) fn read_compressed_image(payload: &[u8]) -> Result<CompressedImage<'_
     })
 }
 
-/// Reads an Image: header, height, width, encoding, is_bigendian, step, data. `is_bigendian` says
-/// nothing about the one-byte samples read here.
+/// Reads an Image: header, height, width, encoding, is_bigendian, step, data. `is_bigendian` is irrelevant
+/// for the one-byte samples read here.
 pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
     let mut cdr = Cdr::new(payload)?;
     let time_ns = cdr.header()?;
@@ -55,7 +55,7 @@ pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
     cdr.u8("is_bigendian")?;
     let step = cdr.u32("step")? as usize;
     let data = cdr.bytes("data")?;
-    // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are taken as cv_bridge takes them.
+    // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
     let format = match encoding {
         "rgb8" => PictureFormat::Rgb8,
         "bgr8" | "8UC3" => PictureFormat::Bgr8,
@@ -86,7 +86,7 @@ struct Cdr<'a> {
     little_endian: bool,
 }
 
-/// Length of the encapsulation header; alignment counts from its end.
+/// The length of the encapsulation header; alignment counts from its end.
 const ENCAPSULATION: usize = 4;
 
 impl<'a> Cdr<'a> {
@@ -145,7 +145,7 @@ impl<'a> Cdr<'a> {
         self.take(length, what)
     }
 
-    /// A string: its length counts the NUL at its end.
+    /// Reads a string, whose length includes the NUL at its end.
     fn text(&mut self, what: &str) -> Result<&'a str, FrameFault> {
         let range = self.bytes(what)?;
         let bytes = &self.payload[range];
@@ -154,7 +154,7 @@ impl<'a> Cdr<'a> {
             .map_err(|_| FrameFault::undecodable(format!("the ROS message's {what} is not text")))
     }
 
-    /// `std_msgs/msg/Header`: the stamp; the frame id is passed over.
+    /// Reads the stamp of a `std_msgs/msg/Header` and skips the frame id.
     fn header(&mut self) -> Result<Option<u64>, FrameFault> {
         let seconds = self.u32("header.stamp.sec")?.cast_signed();
         let nanoseconds = self.u32("header.stamp.nanosec")?;

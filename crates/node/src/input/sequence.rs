@@ -1,78 +1,78 @@
-//! Finds out for each frame of a camera whether it is new, late, a duplicate, or of another stream.
+//! Classifies each frame of a camera as new, late, a duplicate, or part of another stream.
 //!
-//! - Frames with the same `stream` number (or none) are one stream if all of them have sequence numbers, or none has.
-//! - In a stream a number above the highest by at most [`NEAR`] is new, and the numbers between are lost; a number below
-//!   it by less than [`WINDOW`] is late, or a duplicate. A frame without a number is the next one.
-//! - A number further ahead is believed when the next frame goes on from it; until then it is stray.
-//! - Every other frame is stray: it is counted, not processed, and changes nothing.
+//! - Frames with the same `stream` number (or none) form one stream if all have sequence numbers, or none has.
+//! - In a stream, a number at most [`NEAR`] above the highest is new, and the numbers between are lost; a number less
+//!   than [`WINDOW`] below it is late or a duplicate. A frame without a number is the next one.
+//! - A number further ahead is accepted once the next frame continues from it; until then it is stray.
+//! - Every other frame is stray: it is counted but not processed, and changes nothing.
 //! - Once the present stream has brought nothing new for the longer of [`SILENCE`] and five of its periods, or its
 //!   publisher is gone, the next frame that is not part of it begins a new stream.
 
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The tracker remembers of this many numbers back whether they came.
+/// How many numbers back the tracker remembers which have arrived.
 const WINDOW: u64 = 64;
-/// The most numbers ahead that are believed at once.
+/// The largest step ahead that is accepted at once.
 const NEAR: u64 = 8;
-/// The most numbers that are believed to be lost: an hour at 30 frames per second.
+/// The largest number of frames accepted as lost: an hour at 30 frames per second.
 const MAX_GAP: u64 = 108_000;
 /// A stream that brings nothing new for this long, and for five of its periods, may be replaced by another.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// The number that a camera gives to a frame.
+/// A camera's number of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameNumber {
-    /// The sequence number, where the camera sends one.
+    /// The sequence number, if the camera sends one.
     pub seq: Option<u64>,
-    /// The numbering that it belongs to, where the camera says so.
+    /// The numbering it belongs to, if the camera names it.
     pub stream: Option<u64>,
 }
 
-/// The ways in which a frame may belong to its camera's stream.
+/// The relation of a frame to its camera's stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {
     /// A new frame.
     New {
-        /// Its place: 0 for the first frame, lost frames counted. Grows with every new frame, across streams too.
+        /// Its place: 0 for the first frame, counting lost frames. Grows with every new frame, also across streams.
         index: u64,
-        /// Numbers missing between the frame before and this one.
+        /// The number of frames missing between the previous one and this one.
         lost: u64,
-        /// It begins a new stream. Not set for the first frame of all.
+        /// True if it begins a new stream. False for the very first frame.
         restarted: bool,
     },
-    /// Its number came before.
+    /// Its number has already arrived.
     Duplicate,
-    /// A later number came before.
+    /// A later number has already arrived.
     Late,
-    /// It is of another stream.
+    /// It belongs to another stream.
     Stray,
 }
 
-/// Follows the numbers of one camera. It is asked on reception, before the ring, for every sample whose number could be
-/// read, so that neither an overrun nor a rejected frame is taken for a loss.
+/// Follows the numbers of one camera. It is called on reception, before the ring, for every sample with a readable
+/// number, so that neither an overrun nor a rejected frame counts as a loss.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SequenceTracker {
     present: Option<Stream>,
-    /// Place of the newest frame.
+    /// The place of the newest frame.
     index: Option<u64>,
 }
 
 #[derive(Clone, Debug)]
 struct Stream {
     id: Option<u64>,
-    /// None: its frames have no numbers.
+    /// The highest number; `None` if its frames have no numbers.
     highest: Option<u64>,
-    /// Bit `k`: whether number `highest - k` came.
+    /// Bit `k` is set if number `highest - k` has arrived.
     came: u64,
-    /// The last number that was too far ahead was ahead of the highest by this.
+    /// How far the last number that was too far ahead was above the highest.
     ahead: Option<u64>,
-    /// Samples since the highest number that came and could not be used: as many of the missing numbers are not lost.
+    /// Unusable samples since the highest number: as many of the missing numbers are not lost.
     unusable: u64,
     newest: Instant,
-    /// Mean time between its frames, once there are two.
+    /// The mean time between its frames, once there are two.
     period: Option<Duration>,
-    /// Its publisher has left.
+    /// True once its publisher has left.
     ended: bool,
 }
 
@@ -104,13 +104,13 @@ impl Stream {
         self.ended || now.saturating_duration_since(self.newest) >= patience.max(SILENCE)
     }
 
-    /// Says whether the number `step` ahead follows one that was too far ahead to be believed.
+    /// True if the number `step` ahead follows one that was too far ahead to be accepted.
     fn goes_on(&self, step: u64) -> bool {
         (self.ahead.and_then(|ahead| step.checked_sub(ahead)))
             .is_some_and(|more| (1..=NEAR).contains(&more))
     }
 
-    /// Takes the frame `step` numbers ahead, and returns how many are lost.
+    /// Accepts the frame `step` numbers ahead, and returns the number of lost frames.
     fn advance(&mut self, step: u64, now: Instant) -> u64 {
         self.highest = self.highest.map(|highest| highest + step);
         self.came = match step {
@@ -129,7 +129,7 @@ impl Stream {
 }
 
 impl SequenceTracker {
-    /// Takes the next number in the order of arrival, of a usable frame or not.
+    /// Classifies the next number in the order of arrival, of a usable frame or not.
     pub(crate) fn arrive(&mut self, number: &FrameNumber, now: Instant) -> Arrival {
         let Some(present) = &mut self.present else {
             return self.begin(number, now);
@@ -156,14 +156,14 @@ impl SequenceTracker {
         self.new_frame(step, lost, false)
     }
 
-    /// Takes a sample whose number cannot be read.
+    /// Counts a sample with an unreadable number.
     pub(crate) fn arrive_unreadable(&mut self) {
         if let Some(present) = &mut self.present {
             present.unusable = present.unusable.saturating_add(1);
         }
     }
 
-    /// The publisher of a stream came or left.
+    /// Records that the publisher of a stream appeared or left.
     pub(crate) fn publisher_changed(&mut self, stream: u64, gone: bool) {
         if let Some(present) = (self.present.as_mut()).filter(|present| present.id == Some(stream))
         {

@@ -1,12 +1,12 @@
-//! Sources of pictures that are kept open: a network camera, a device, a video file or a GStreamer pipeline. A program,
+//! Picture sources that are kept open: a network camera, a device, a video file or a GStreamer pipeline. A program,
 //! ffmpeg or GStreamer, opens the source and writes its pictures, which are read here.
 //!
-//! | file | what is in it |
+//! | file | contents |
 //! | --- | --- |
-//! | `address` | the address of a source and its options, shown without what is secret |
+//! | `address` | the address of a source and its options, shown without secrets |
 //! | `templates` | the command lines of ffmpeg and GStreamer |
-//! | `program` | a program that writes pictures: started, read under a deadline, ended |
-//! | `live` | a source that is opened again and again |
+//! | `program` | a program that writes pictures: started, read with a deadline, ended |
+//! | `live` | a source that is reopened whenever it ends |
 
 mod address;
 mod live;
@@ -17,7 +17,7 @@ pub use address::{SourceAddress, SourceKind, SourceOptions};
 pub use live::{LiveSource, SourceSink};
 pub use templates::{Handover, RtspTransport, SourceSettings};
 
-/// Says in words, without credentials, why a source cannot be opened.
+/// The reason a source cannot be opened, in words, without credentials.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct SourceError(String);

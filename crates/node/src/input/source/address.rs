@@ -1,5 +1,5 @@
-//! The address of a source, and options for it. Both may hold a password, or the name of an environment variable that
-//! does: they are shown without, and what a program says of them is cleaned of it.
+//! The address of a source, and its options. Both may contain a password, or the name of an environment variable with
+//! one: they are shown without it, and it is removed from the messages of programs.
 
 use super::SourceError;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
 use strsim::osa_distance;
 
-/// The characters that are encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
+/// The characters encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
 const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
     .remove(b'-')
     .remove(b'.')
     .remove(b'_')
     .remove(b'~');
 
-/// Schemes of addresses that are often used. Others are for the program that opens the source to judge.
+/// Common schemes of addresses. Others are left to the program that opens the source.
 const SCHEMES: [&str; 12] = [
     "rtsp", "rtsps", "http", "https", "rtmp", "rtmps", "rtp", "srt", "udp", "tcp", "tls", "ftp",
 ];
 
-/// This is shown in place of a secret.
+/// Shown instead of a secret.
 const MASK: &str = "***";
 
 const CONTROL: &str = "has a control character in it";
@@ -31,17 +31,17 @@ fn no_control(text: &str) -> Result<(), String> {
     }
 }
 
-/// A source as a user names it, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
+/// A source as named by the user, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(transparent)]
 pub struct SourceAddress(String);
 
-/// The kinds of sources, each of which is opened in its own way.
+/// The kinds of sources, which are opened differently.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceKind {
     /// A GStreamer pipeline: elements with `!` between them.
     Pipeline,
-    /// A camera of this machine: `/dev/video0`.
+    /// A camera on this machine: `/dev/video0`.
     Device,
     /// An address with this scheme: `rtsp`, `http`.
     Network(String),
@@ -49,7 +49,7 @@ pub enum SourceKind {
     File,
 }
 
-/// An address with its variables filled in.
+/// An address with its variables substituted.
 #[derive(Clone)]
 pub(super) struct Resolved {
     pub kind: SourceKind,
@@ -59,7 +59,7 @@ pub(super) struct Resolved {
 }
 
 impl Resolved {
-    /// The address where it is one word.
+    /// The address, if it is one word.
     pub(super) fn text(&self) -> &str {
         self.words.first().map_or("", String::as_str)
     }
@@ -81,7 +81,7 @@ impl Secrets {
         self.0.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
     }
 
-    /// Adds user and password of an address. A name of one or two letters would be hidden everywhere.
+    /// Adds the user and password of an address. A name of one or two letters would be masked everywhere.
     fn add_login(&mut self, login: Option<&str>) {
         let Some(login) = login else { return };
         let (user, password) = login.split_once(':').unwrap_or((login, ""));
@@ -92,7 +92,7 @@ impl Secrets {
         }
     }
 
-    /// Adds what follows the `?` of an address.
+    /// Adds the query of an address.
     fn add_query(&mut self, query: Option<&str>) {
         let Some(query) = query else { return };
         self.add(query);
@@ -106,7 +106,7 @@ impl Secrets {
         self.0.is_empty()
     }
 
-    /// Returns `text` without them.
+    /// Returns `text` with the secrets masked.
     pub(super) fn redact(&self, text: &str) -> String {
         let hidden = |text: String, secret: &String| text.replace(secret.as_str(), MASK);
         self.0.iter().fold(text.to_owned(), hidden)
@@ -114,7 +114,7 @@ impl Secrets {
 }
 
 impl SourceAddress {
-    /// The source of that name.
+    /// Creates the source with that name.
     pub fn new(text: impl Into<String>) -> Self {
         Self(text.into())
     }
@@ -135,7 +135,7 @@ impl SourceAddress {
         }
     }
 
-    /// Says whether the address itself, and not a variable, holds a password.
+    /// True if the address itself, not a variable, contains a password.
     pub fn holds_password(&self) -> bool {
         self.userinfo()
             .and_then(|login| login.split_once(':'))
@@ -145,14 +145,14 @@ impl SourceAddress {
     /// Checks the address and that its variables are set.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// [`SourceError`] with the fault.
     pub fn check(&self) -> Result<(), SourceError> {
         let resolved = self.resolve(&environment);
         resolved.map(drop).map_err(SourceError)
     }
 
-    /// Fills in the variables: percent-encoded in user and password, and as they are elsewhere. An error does not show
-    /// the address.
+    /// Substitutes the variables: percent-encoded in user and password, unchanged elsewhere. An error does not show the
+    /// address.
     pub(super) fn resolved(&self) -> Result<Resolved, SourceError> {
         (self.resolve(&environment)).map_err(|reason| SourceError(format!("the source {reason}")))
     }
@@ -242,8 +242,8 @@ impl SourceAddress {
         })
     }
 
-    /// Returns where the part with user and password ends. That is behind the last `@` before the query, so that a password
-    /// with a `/` in it is hidden too.
+    /// The end of the part with user and password: behind the last `@` before the query, so that a password with a `/`
+    /// in it is also masked.
     fn login_end(&self) -> usize {
         let end = self.0.find('?').unwrap_or(self.0.len());
         let (Some(_), Some(at)) = (self.0.find("://"), self.0[..end].rfind('@')) else {
@@ -267,7 +267,7 @@ impl fmt::Display for SourceAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.kind() {
             SourceKind::Pipeline => {
-                // The elements' names: a property may be a password.
+                // Only the elements' names: a property may be a password.
                 for (place, element) in self.0.split(" ! ").enumerate() {
                     let name = element.split_whitespace().next().unwrap_or_default();
                     let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
@@ -314,27 +314,27 @@ fn environment(name: &str) -> Option<String> {
     std::env::var(name).ok().filter(|value| !value.is_empty())
 }
 
-/// Options of ffmpeg for a source, each name followed by its value. Shown (and serialised) without the values that are
-/// secrets.
+/// Options of ffmpeg for a source, each name followed by its value. Shown (and serialised) without secret
+/// values.
 #[derive(Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(transparent)]
 pub struct SourceOptions(Vec<String>);
 
 impl SourceOptions {
-    /// The options in these words.
+    /// Creates options from these words.
     pub fn new(words: Vec<String>) -> Self {
         Self(words)
     }
 
-    /// Says whether there is none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Checks that they can be handed to a program.
+    /// Checks that they can be passed to a program.
     ///
     /// # Errors
-    /// What is wrong with them.
+    /// [`SourceError`] with the fault.
     pub fn check(&self) -> Result<(), SourceError> {
         let checked = self.0.iter().try_for_each(|word| no_control(word));
         checked.map_err(SourceError)
@@ -362,7 +362,7 @@ impl SourceOptions {
     }
 }
 
-/// Says whether an option of that name carries a secret.
+/// True if an option of that name carries a secret.
 fn is_secret(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let parts = [

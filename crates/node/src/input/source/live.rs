@@ -1,4 +1,4 @@
-//! A source that is opened again whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
+//! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
 use super::SourceError;
 use super::address::{SourceAddress, SourceKind};
@@ -15,21 +15,21 @@ use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
-/// Pause before a source is opened again; doubles up to the longest while it does not stay open.
+/// The pause before reopening a source; doubles up to the longest while the source does not stay open.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-/// A source that was open for that long ends for another reason than the time before.
+/// After a source was open for this long, its pauses start short again.
 const STAYED: Duration = Duration::from_secs(10);
-/// The longest silence that can be set.
+/// The longest silence that can be configured.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
-/// The node tries for this long to reach a camera that sent nothing, to say why it did not.
+/// How long the node tries to reach a silent camera, to report the cause.
 const CONNECT_LIMIT: Duration = Duration::from_secs(3);
-/// The first parts that all must be something else before motion JPEG is given up.
+/// Motion JPEG is given up once this many first parts are all something else.
 const FIRST_PARTS: u32 = 3;
-/// This much of a program's output is read at once, bytes.
+/// The size of a read from a program's output, bytes.
 const BUFFER: usize = 1 << 18;
 
-/// Ends of HTTP addresses behind which there is no motion JPEG.
+/// Suffixes of HTTP addresses that do not serve motion JPEG.
 const CONTAINERS: [&str; 8] = [
     ".m3u8", ".mpd", ".mp4", ".ts", ".mkv", ".webm", ".flv", ".mov",
 ];
@@ -39,15 +39,15 @@ const INSTALL_FFMPEG: &str =
 const INSTALL_GSTREAMER: &str =
     "Install it with `apt-get install gstreamer1.0-tools gstreamer1.0-plugins-good`";
 
-/// Takes the pictures. It is called on the thread that reads, so the source waits while it is at work.
+/// Receives the pictures. It is called on the reading thread, so the source waits while it works.
 pub trait SourceSink: Send + 'static {
-    /// A picture, or one that cannot be used. `reopened`: the first since the source was opened.
+    /// Called with a picture, or the fault of an unusable one. `reopened`: the first since the source was opened.
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
 
-    /// Pictures come.
+    /// Called when pictures arrive.
     fn works(&mut self) {}
 
-    /// The source ended for this reason, and will be opened again after a pause.
+    /// Called when the source ended for this reason; it is reopened after the pause.
     fn fails(&mut self, _reason: &str, _pause: Duration) {}
 }
 
@@ -55,32 +55,32 @@ pub trait SourceSink: Send + 'static {
 #[derive(Clone, Debug)]
 pub struct LiveSource {
     settings: SourceSettings,
-    /// The ffmpeg that opens it; GStreamer does without one.
+    /// The version of ffmpeg, which opens it; `None` with GStreamer.
     ffmpeg: Option<Version>,
-    /// It is true while the source is believed to send motion JPEG, which need not be decoded. ffmpeg must be told before it
+    /// True while the source is assumed to send motion JPEG, which need not be decoded. ffmpeg must know before it
     /// opens the source.
     motion_jpeg: bool,
-    /// It is true once something that ffmpeg took for motion JPEG was something else.
+    /// True once something that ffmpeg took for motion JPEG was something else.
     not_jpeg: bool,
 }
 
-/// The ways in which one opening may end.
+/// The reason an opened source ended.
 enum End {
-    /// For this reason.
+    /// It failed for this reason.
     Failed(String),
-    /// For this reason, before the first picture.
+    /// It failed for this reason before the first picture.
     Nothing(String),
-    /// It is to be read in the other way.
+    /// It must be read in the other way.
     Switch,
 }
 
 impl LiveSource {
-    /// A source that can be opened: its program is there, its address is whole.
+    /// Creates a source and checks that its program exists and its address is complete.
     ///
     /// # Errors
-    /// What is missing.
+    /// [`SourceError`] with what is missing.
     pub fn find(mut settings: SourceSettings) -> Result<Self, SourceError> {
-        // Several frames at least.
+        // Time for several frames at least.
         let frames = settings.max_rate.map_or(0.0, |rate| 3.0 / rate);
         let frames = Duration::try_from_secs_f64(frames).unwrap_or(LONGEST_SILENCE);
         settings.silence = settings.silence.max(frames).min(LONGEST_SILENCE);
@@ -140,10 +140,10 @@ impl LiveSource {
         }
     }
 
-    /// Keeps the source open and hands its pictures to `sink` until `shutdown`.
+    /// Keeps the source open and passes its pictures to `sink` until `shutdown`.
     ///
     /// # Errors
-    /// When the thread that reads fails.
+    /// An error if the reading thread fails.
     pub async fn run<S: SourceSink>(
         mut self,
         mut sink: S,
@@ -185,13 +185,13 @@ impl LiveSource {
         }
     }
 
-    /// Says why a network camera cannot even be connected to, in clearer words than a program does.
+    /// Returns why a network camera cannot be connected to, in clearer words than a program's.
     async fn unreachable(&self) -> Option<String> {
         let resolved = self.settings.address.resolved().ok()?;
         let SourceKind::Network(scheme) = &resolved.kind else {
             return None;
         };
-        // Shown without the login, which need not be encoded as an address has to be.
+        // Shown without the login, which need not be encoded as in an address.
         let shown = SourceAddress::new(resolved.text()).to_string();
         let url = Url::parse(&shown).ok()?;
         let host = url.host_str()?.trim_matches(['[', ']']);
@@ -209,7 +209,7 @@ impl LiveSource {
         Some(format!("{host}:{port} cannot be reached: {reason}"))
     }
 
-    /// Opens it once and reads to its end.
+    /// Opens the source once and reads to its end.
     fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> End {
         let program = match self.program() {
             Ok(program) => program,
@@ -239,16 +239,16 @@ impl LiveSource {
             return self.switch();
         }
         if self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some() {
-            // A device that has no motion JPEG refuses to be opened for it.
+            // A device without motion JPEG cannot be opened for it.
             self.motion_jpeg = !self.motion_jpeg;
         }
         End::Nothing(reason)
     }
 
-    /// Hands on pictures until there are no more, or until it is seen that the source is to be read in the other way.
+    /// Passes pictures on until there are no more, or until the source turns out to need the other way of reading.
     ///
     /// # Errors
-    /// Why the output cannot be read further.
+    /// The reason the output cannot be read further.
     fn pictures(
         &mut self,
         output: &mut BufReader<RunningProgram>,
@@ -258,7 +258,7 @@ impl LiveSource {
     ) -> Result<Option<End>, String> {
         let begun = Instant::now();
         let limits = self.settings.limits;
-        // ffmpeg keeps the limit itself where it decodes.
+        // ffmpeg applies the limit itself when it decodes.
         let limit = (self.settings.max_rate).filter(|_| self.motion_jpeg || self.ffmpeg.is_none());
         let mut last_slot = None;
         let mut bad_parts = 0;
@@ -283,7 +283,7 @@ impl LiveSource {
                     return Ok(Some(self.switch()));
                 }
             }
-            // The first picture of each slot of time: on average exactly the limit, whatever the camera's rate.
+            // The first picture of each time slot: on average exactly the limit, whatever the camera's rate.
             let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;
@@ -306,7 +306,7 @@ impl LiveSource {
         }
     }
 
-    /// Says whether the codec that ffmpeg names calls for the other way of reading the source.
+    /// True if the codec that ffmpeg reports requires the other way of reading.
     fn switches(&self, codec: Option<&str>) -> bool {
         let is_jpeg = codec.map(|codec| codec == "mjpeg");
         self.ffmpeg.is_some()

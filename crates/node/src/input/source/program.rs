@@ -1,5 +1,5 @@
-//! The one way a source is opened: a program that writes pictures to its output. It gets a clean environment and bounded
-//! memory, its output is read under a deadline, and it is killed with everything it started.
+//! Opens a source by a program that writes pictures to its output. The program gets a clean environment and limited
+//! memory, its output is read with a deadline, and it is killed with everything it started.
 
 use super::SourceError;
 use super::address::Secrets;
@@ -14,16 +14,16 @@ use tokio::runtime::Handle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
-/// A pipe is to hold this many bytes. A picture has several times as many.
+/// The requested size of a pipe, bytes. A picture has several times as many.
 const PIPE_BYTES: usize = 1 << 20;
-/// A program may take this long to end by itself once its output has ended, and again after it was killed.
+/// How long a program may take to end by itself after its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
-/// Complaints of a program that are kept, and the length of each.
+/// The number of a program's error messages kept, and the maximum length of each.
 const MAX_COMPLAINTS: usize = 12;
 const MAX_LINE: usize = 4096;
 
-/// A program gets these variables of this process: where to find libraries, devices and proxies, and no secrets. A `*`
-/// stands for any end; capitals do not matter, as for proxies both are usual.
+/// The variables of this process that a program receives: for libraries, devices and proxies, without secrets. A `*`
+/// matches any suffix; case does not matter, because both cases are usual for proxies.
 const ENVIRONMENT: &str = "PATH HOME LANG TMPDIR XDG_RUNTIME_DIR LD_LIBRARY_PATH GST_* LIBVA_* CUDA_* LC_* HTTP_PROXY \
     HTTPS_PROXY RTSP_PROXY ALL_PROXY NO_PROXY";
 
@@ -33,17 +33,17 @@ pub(super) struct PictureProgram {
     /// Its name.
     pub program: &'static str,
     pub arguments: Vec<String>,
-    /// It gets this text to read.
+    /// The text for its input.
     pub input: Option<String>,
-    /// It is true if its pictures are PPM files. Otherwise they are the parts of a multipart stream.
+    /// True if its pictures are PPM files. Otherwise they are the parts of a multipart stream.
     pub ppm: bool,
-    /// These words are hidden in what it says.
+    /// Secrets to mask in its messages.
     pub secrets: Secrets,
-    /// Most memory it may have, bytes.
+    /// The maximum memory, bytes.
     pub max_memory: Option<u64>,
 }
 
-/// A program that runs, as its output. To be used on a thread that may wait.
+/// A running program; reading it reads its output. Use it only on a thread that may block.
 pub(super) struct RunningProgram {
     child: Child,
     process: Pid,
@@ -56,11 +56,11 @@ pub(super) struct RunningProgram {
 }
 
 impl PictureProgram {
-    /// Starts it. Reading its output fails when `stop` is cancelled, and `silence` after the start or the last
+    /// Starts it. Reading its output fails once `stop` is cancelled, and `silence` after the start or the last
     /// [`RunningProgram::picture_taken`].
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the system.
     pub(super) fn start(
         self,
         silence: Duration,
@@ -77,7 +77,7 @@ impl PictureProgram {
             })
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // Ctrl-C in a terminal is for the owner, who ends it.
+            // Ctrl-C in a terminal is for the owner, which ends the program.
             .process_group(0);
         let mut child = command.spawn()?;
         let process = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
@@ -97,10 +97,10 @@ impl PictureProgram {
         }
         let runtime = Handle::current();
         if let (Some(text), Some(mut pipe)) = (self.input, child.stdin.take()) {
-            // A few lines fit into any pipe; a program that has ended says why by itself.
+            // A few lines fit into any pipe; a program that has ended reports the reason itself.
             let _ = runtime.block_on(pipe.write_all(text.as_bytes()));
         }
-        // Where the system allows less, the pipe is what it was.
+        // If the system allows less, the pipe keeps its size.
         let _ = rustix::pipe::fcntl_setpipe_size(&output, PIPE_BYTES);
         Ok(RunningProgram {
             child,
@@ -129,12 +129,12 @@ fn is_passed_on(name: &str) -> bool {
 }
 
 impl RunningProgram {
-    /// A picture was taken: the next one is waited for from now on.
+    /// Records that a picture was taken: restarts the deadline for the next one.
     pub(super) fn picture_taken(&mut self) {
         self.deadline = Instant::now() + self.silence;
     }
 
-    /// Codec of its input, once it has named it.
+    /// The codec of its input, once reported.
     pub(super) fn codec(&self) -> Option<&str> {
         self.errors.codec.as_deref()
     }
@@ -144,10 +144,10 @@ impl RunningProgram {
         self.process
     }
 
-    /// Ends it, and says why it failed: in its own words where it did so by itself.
+    /// Ends it, and returns why it failed, in its own words if it ended by itself.
     ///
     /// # Errors
-    /// Why it failed.
+    /// The reason for its failure.
     pub(super) fn end(&mut self) -> Result<(), String> {
         let by_itself = self.wait();
         let reason = self.abort();
@@ -159,13 +159,13 @@ impl RunningProgram {
         }
     }
 
-    /// Kills it, and gives its last complaint.
+    /// Kills it, and returns its last error message.
     pub(super) fn abort(&mut self) -> Option<String> {
         self.kill();
         self.errors.reason()
     }
 
-    /// Waits for its end and the end of what it says, but not forever.
+    /// Waits for the end of the program and of its error output, but not for ever.
     fn wait(&mut self) -> Option<ExitStatus> {
         let Self { child, errors, .. } = self;
         let ended = async {
@@ -179,12 +179,12 @@ impl RunningProgram {
         self.child.try_wait().ok().flatten()
     }
 
-    /// Kills it with what it started, and waits. A process that hangs in the kernel is left.
+    /// Kills it and everything it started, and waits. A process that hangs in the kernel is abandoned.
     fn kill(&mut self) {
         if self.errors.pipe.is_none() && matches!(self.child.try_wait(), Ok(Some(_))) {
             return;
         }
-        // It fails when no process is left.
+        // Fails if no process is left.
         let _ = kill_process_group(self.process, Signal::KILL);
         if self.wait().is_none() {
             let process = self.process.as_raw_pid();
@@ -194,7 +194,7 @@ impl RunningProgram {
     }
 }
 
-/// Its output, as long as it comes in time.
+/// Reads its output until the deadline.
 impl Read for RunningProgram {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let Self {
@@ -218,7 +218,7 @@ impl Read for RunningProgram {
                         let reason = format!("no picture for more than {seconds} s");
                         return Err(io::Error::new(ErrorKind::TimedOut, reason));
                     }
-                    // It names the codec before the first picture, and blocks without a reader.
+                    // ffmpeg reports the codec before the first picture, and blocks if nobody reads its errors.
                     () = errors.listen() => {}
                     read = output.read(bytes) => return read,
                 }
@@ -236,19 +236,19 @@ impl Drop for RunningProgram {
 /// The lines that a program writes to its error output.
 #[derive(Default)]
 struct ErrorOutput {
-    /// Until it has ended.
+    /// `None` once it has ended.
     pipe: Option<ChildStderr>,
     secrets: Secrets,
     line: Vec<u8>,
-    /// Codec of the input, as ffmpeg names it.
+    /// The codec of the input, as reported by ffmpeg.
     codec: Option<String>,
     complaints: VecDeque<String>,
-    /// Behind this ffmpeg speaks of what it makes.
+    /// True once ffmpeg reports on its output instead of its input.
     at_output: bool,
 }
 
 impl ErrorOutput {
-    /// Takes what comes next; waits forever once nothing more comes.
+    /// Reads the next part; waits for ever once nothing more comes.
     async fn listen(&mut self) {
         let Some(pipe) = &mut self.pipe else {
             return std::future::pending().await;
@@ -287,7 +287,7 @@ impl ErrorOutput {
         }
     }
 
-    /// Returns why it failed: what the camera answered, or else its last words.
+    /// Why it failed: the camera's answer, or else its last messages.
     fn reason(&mut self) -> Option<String> {
         let rest = std::mem::take(&mut self.line);
         self.take_line(String::from_utf8_lossy(&rest).trim());
@@ -312,8 +312,8 @@ fn refusal(complaint: &str) -> Option<String> {
     })
 }
 
-/// Returns the complaint in a line: all of it, but for what ffmpeg marks as information (`-v level+info`), and without the
-/// addresses in memory that it puts before it.
+/// The error message in a line: the whole line unless ffmpeg marks it as information (`-v level+info`), without the
+/// memory addresses that ffmpeg puts in front.
 fn complaint(line: &str) -> Option<String> {
     if line.is_empty() || line.contains("deprecated pixel format") {
         return None;
@@ -329,7 +329,7 @@ fn complaint(line: &str) -> Option<String> {
             .map_or(line, |(_, behind)| behind);
         return Some(behind.trim().to_owned());
     };
-    // A password may hold any word; only the beginning is ffmpeg's.
+    // A password may contain any word; only the beginning is ffmpeg's.
     (!line.starts_with(level) && !line.starts_with('[')).then(|| line.to_owned())
 }
 
@@ -340,10 +340,10 @@ fn codec(line: &str) -> Option<String> {
     Some(video[..end.unwrap_or(video.len())].to_owned())
 }
 
-/// Runs a program to its end, and returns its output; `None` where it is not there.
+/// Runs a program to its end and returns its output; `None` if it does not exist.
 ///
 /// # Errors
-/// When it is there and cannot be started.
+/// An I/O error if it exists but cannot be started.
 pub(super) fn output_of(
     program: &'static str,
     argument: &str,

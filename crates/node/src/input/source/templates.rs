@@ -1,4 +1,4 @@
-//! The command lines of ffmpeg and GStreamer that make pictures of a source.
+//! The command lines with which ffmpeg and GStreamer extract pictures from a source.
 
 use super::SourceError;
 use super::address::{Resolved, SourceAddress, SourceKind, SourceOptions};
@@ -11,36 +11,36 @@ use std::time::Duration;
 pub(super) const FFMPEG: &str = "ffmpeg";
 pub(super) const GSTREAMER: &str = "gst-launch-1.0";
 
-/// Version of ffmpeg: major and minor number.
+/// The version of ffmpeg: major and minor number.
 pub(super) type Version = (u32, u32);
 
-/// The first version that takes options inside a script, and knows `-timeout` for RTSP.
+/// The first version that accepts options inside a script, and `-timeout` for RTSP.
 const SCRIPT_OPTIONS: Version = (5, 0);
 /// The first version with `-fps_mode`.
 const FPS_MODE: Version = (5, 1);
 
-/// Memory of ffmpeg beside its largest blocks: libraries, threads, what waits.
+/// Memory of ffmpeg besides its largest blocks: libraries, threads, queues.
 const WORKING_MEMORY: u64 = 512 << 20;
 
 /// Protocols that a script may open.
 const PROTOCOLS: &str =
     "file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rtsps,rtmp,rtmps,http,https,httpproxy,crypto,srt,data";
 
-/// Options that ffmpeg itself or a decoder takes, and no camera: they stay on the command line.
+/// Options for ffmpeg itself or a decoder, not for the camera: they stay on the command line.
 const PROGRAM_OPTIONS: &str = "an autorotate c codec discard ec err_detect f flags flags2 hwaccel hwaccel_device \
     hwaccel_output_format init_hw_device itsoffset lowres noautorotate r re skip_frame skip_idct skip_loop_filter \
     thread_queue_size threads";
 
-/// Frameworks that ffmpeg hands decoding to (`ffmpeg -hwaccels`); every other name is a decoder's.
+/// Frameworks to which ffmpeg delegates decoding (`ffmpeg -hwaccels`); any other name is a decoder's.
 const ACCELERATIONS: &str =
     "auto cuda d3d11va drm dxva2 opencl qsv vaapi vdpau videotoolbox vulkan";
 
-/// The way in which an RTSP camera sends its packets.
+/// The transport of an RTSP camera's packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum RtspTransport {
-    /// In the connection that is open already: none is lost, and no firewall is in the way.
+    /// In the open connection: no packet is lost, and no firewall is in the way.
     #[default]
     Tcp,
     /// In datagrams: a lost one breaks pictures.
@@ -56,37 +56,37 @@ impl RtspTransport {
     }
 }
 
-/// The form in which decoded pictures are handed over.
+/// The form of decoded pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handover {
     /// JPEG files of this quality (`-q:v`, 2 is the best).
     Jpeg(u8),
-    /// Pixels, not coded again.
+    /// Pixels, not encoded again.
     Pixels,
 }
 
-/// A source that is to be opened, and the way to do it.
+/// A source to open, and how to open it.
 #[derive(Clone, Debug)]
 pub struct SourceSettings {
     /// The source.
     pub address: SourceAddress,
-    /// Frames per second at most.
+    /// Maximum frames per second.
     pub max_rate: Option<f64>,
-    /// The way in which RTSP packets come.
+    /// The transport of RTSP packets.
     pub transport: RtspTransport,
     /// Acceleration or decoder of ffmpeg.
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
     pub options: SourceOptions,
-    /// A source without a picture for that long is opened again.
+    /// A source without a picture for this long is reopened.
     pub silence: Duration,
-    /// The form in which pictures are handed over where they must be decoded.
+    /// The form of pictures that must be decoded.
     pub decoded: Handover,
     /// Limits of the pictures.
     pub limits: FrameLimits,
 }
 
-/// The numbers in `ffmpeg version 5.1.9-0+deb12u1 …`. Builds between releases have none; they are young.
+/// The numbers in `ffmpeg version 5.1.9-0+deb12u1 …`. Builds between releases have none and count as newest.
 pub(super) fn version(banner: &str) -> Version {
     let number = banner
         .strip_prefix("ffmpeg version ")
@@ -98,12 +98,11 @@ pub(super) fn version(banner: &str) -> Version {
     major.map_or((u32::MAX, 0), |major| (major, minor))
 }
 
-/// ffmpeg on a source: decoded as the settings say, or `untouched` where it sends motion JPEG. An address or an option
-/// that is secret is read from a script on its input, and not from its command line, which every user of the machine
-/// can see.
+/// The ffmpeg command for a source: decoded as configured, or `untouched` if it sends motion JPEG. A secret address or
+/// option is passed in a script on its input, not on its command line, which every user of the machine can see.
 ///
 /// # Errors
-/// When the address cannot be used.
+/// [`SourceError`] if the address is invalid.
 pub(super) fn ffmpeg(
     settings: &SourceSettings,
     untouched: bool,
@@ -130,14 +129,14 @@ pub(super) fn ffmpeg(
         Some(name) => arguments.add(&["-c:v", name]),
         None => {}
     }
-    // What the camera is opened with.
+    // The options with which the camera is opened.
     let mut camera = Vec::new();
     if live {
-        // Decoding by several threads, each with its own frame, holds frames back.
+        // Decoding with several threads, each with its own frame, delays frames.
         arguments.add(&["-flags", "low_delay"]);
         camera.push(("analyzeduration", "2000000".to_owned()));
     }
-    // In case this process is killed and cannot end it.
+    // In case this process is killed and cannot end ffmpeg.
     let silence = (2 * settings.silence).as_micros().to_string();
     let mut address = resolved.text().to_owned();
     match &resolved.kind {
@@ -148,7 +147,7 @@ pub(super) fn ffmpeg(
                 camera.push(("rtsp_transport", transport.to_owned()));
                 camera.push((timeout, silence));
             } else {
-                // Older ones take it at the end of the address.
+                // Older versions accept it only at the end of the address.
                 let sign = if address.contains('?') { '&' } else { '?' };
                 address = format!("{address}{sign}{transport}");
             }
@@ -200,13 +199,13 @@ pub(super) fn ffmpeg(
         for (name, value) in &camera {
             arguments.add(&[&format!("-{name}"), value]);
         }
-        // A file's name stays one, whatever it begins with.
+        // Keeps a file's name a file name, whatever it begins with.
         let sign = if address.starts_with('-') { "./" } else { "" };
         arguments.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
         None
     };
     arguments.add(&["-map", "0:v:0"]);
-    // Cameras send frames of one time twice, which encoders refuse.
+    // Cameras send frames with equal times, which encoders refuse.
     let fps_mode = if version >= FPS_MODE {
         "-fps_mode"
     } else {
@@ -221,7 +220,7 @@ pub(super) fn ffmpeg(
             let filter = format!("select=isnan(prev_t)+gt(floor(t*{rate})\\,floor(prev_t*{rate}))");
             arguments.add(&["-vf", &filter]);
         }
-        // Fine enough that no two frames fall on one tick.
+        // Fine enough that no two frames have the same tick.
         arguments.add(&["-enc_time_base", "1/90000"]);
         match settings.decoded {
             Handover::Pixels => arguments.add(&["-c:v", "ppm", "-f", "image2pipe"]),
@@ -238,17 +237,17 @@ pub(super) fn ffmpeg(
         input,
         ppm,
         secrets: resolved.secrets,
-        // A graphics card's driver maps as much as it likes.
+        // A graphics card's driver maps any amount of memory.
         max_memory: (settings.hardware.is_none())
             .then(|| WORKING_MEMORY.saturating_add(4 * max_block)),
     })
 }
 
-/// GStreamer on a source: a pipeline of the user's own, or, where there is no ffmpeg, one made here. Its pictures are
-/// JPEG files.
+/// The GStreamer command for a source: the user's own pipeline, or a generated one if there is no ffmpeg. Its pictures
+/// are JPEG files.
 ///
 /// # Errors
-/// When the address cannot be used, or would show a password that the user has not put on a command line.
+/// [`SourceError`] if the address is invalid, or would show a password that the user has not put on a command line.
 pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, SourceError> {
     let resolved = settings.address.resolved()?;
     let Resolved {
@@ -256,7 +255,7 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
         words,
         secrets,
     } = &resolved;
-    // The program takes an address on its command line only.
+    // GStreamer accepts an address only on its command line.
     if *kind != SourceKind::Pipeline && !secrets.is_empty() {
         return Err(SourceError(format!(
             "{}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give a GStreamer \
@@ -285,7 +284,7 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
         }
         arguments.add(&["!", "videoconvert", "!", "jpegenc"]);
     }
-    // Each picture with its length before it.
+    // Each picture is preceded by its length.
     arguments.add(&["!", "multipartmux", "!", "fdsink", "fd=1"]);
     if *kind == SourceKind::File {
         arguments.add(&["sync=true"]);
@@ -298,7 +297,7 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
     })
 }
 
-/// Says whether `name` is one of the `words`.
+/// True if `name` is one of the `words`.
 fn is_among(words: &str, name: &str) -> bool {
     words.split_whitespace().any(|word| word == name)
 }
