@@ -1,4 +1,4 @@
-//! Holds what is known of a running node.
+//! The state of a running node.
 
 pub mod advice;
 pub mod board;

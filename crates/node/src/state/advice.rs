@@ -1,17 +1,17 @@
-//! Says when a policy saves nothing although objects are followed, and which value of its knob to try.
+//! Detects a policy that skips nothing although objects are tracked, and suggests a value for its knob.
 
 use albireo_core::policy::{Knob, short};
 use albireo_wire::{DetectionsMessage, Threshold};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Frames after which a policy that has skipped none is spoken of.
+/// The number of frames after which a policy that has skipped none is reported.
 const FRAMES: u64 = 300;
 
-/// Frames with objects among them that it takes: frames without objects say nothing about the threshold.
+/// The required number of frames with objects: frames without objects do not depend on the threshold.
 const FOLLOWED: u64 = 100;
 
-/// Uncertainties that are kept for the suggestion.
+/// The number of uncertainties kept for the suggestion.
 const KEPT: usize = 512;
 
 /// A policy that has skipped nothing, and what to try.
@@ -44,7 +44,7 @@ impl std::fmt::Display for Advice {
     }
 }
 
-/// Counts frames until it is clear whether a policy skips any.
+/// Counts frames until it is clear if a policy skips any.
 #[derive(Clone, Debug, Default)]
 pub struct SkipWatch {
     threshold: Option<Threshold>,
@@ -55,8 +55,8 @@ pub struct SkipWatch {
 }
 
 impl SkipWatch {
-    /// Counts an answered frame; true when exactly now it has become clear that nothing is skipped. A knob that was
-    /// turned begins again. Degraded frames do not count.
+    /// Counts an answered frame; true at the frame with which it becomes clear that nothing is skipped. A changed knob
+    /// restarts the count. Degraded frames do not count.
     pub fn count(&mut self, message: &DetectionsMessage) -> bool {
         if message.threshold != self.threshold {
             *self = Self {
@@ -85,12 +85,12 @@ impl SkipWatch {
         !self.skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
     }
 
-    /// Says what to try, when it is clear that nothing is skipped and `knob` can change that.
+    /// Suggests a value, if it is clear that nothing is skipped and `knob` can change that.
     pub(crate) fn advice(&self, knob: &Knob) -> Option<Advice> {
         self.is_clear().then(|| self.attempt(knob)).flatten()
     }
 
-    /// As [`Self::advice`], from any number of frames: for a clip that is over.
+    /// Like [`Self::advice`], from any number of frames: for a finished clip.
     pub fn advice_so_far(&self, knob: &Knob) -> Option<Advice> {
         (!self.skipped && self.followed > 0)
             .then(|| self.attempt(knob))
@@ -103,10 +103,10 @@ impl SkipWatch {
             "u" => above_the_median(&self.taus)?,
             "lambda" if value < knob.default => knob.default,
             "lambda" => one_digit_above(value * 1.5),
-            // Of the others it is plain from the value that they skip nothing.
+            // For other knobs, the value itself shows that they skip nothing.
             _ => return None,
         };
-        // Where the threshold is above it already, a cap calls the detector, and no value helps.
+        // If the threshold is already above it, a cap calls the detector, and no value helps.
         (attempt > value && attempt <= knob.maximum).then_some(Advice {
             frames: self.frames,
             followed: self.followed,
@@ -124,15 +124,15 @@ fn above_the_median(values: &[f64]) -> Option<f64> {
     values.get(values.len() / 2).copied().map(one_digit_above)
 }
 
-/// The smallest number with one significant digit that is greater.
+/// The smallest larger number with one significant digit.
 fn one_digit_above(value: f64) -> f64 {
     let exponent = value.log10().floor();
     let unit = 10_f64.powf(exponent);
     let digit = (value / unit).floor() + 1.0;
-    // By way of text, so that the number is the one that is printed: 4e-4 and not 4.0000000000000003e-4.
+    // Through text, so that the number equals the printed one: 4e-4, not 4.0000000000000003e-4.
     let round = |digit: f64| format!("{digit}e{exponent}").parse().unwrap_or(value);
     let above = round(digit);
-    // 3e-4 divided by 1e-4 is a little less than 3.
+    // 3e-4 / 1e-4 is slightly less than 3.
     if above > value {
         above
     } else {

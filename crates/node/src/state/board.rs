@@ -1,4 +1,4 @@
-//! Keeps the live board, which camera loops write, and which HTTP, metrics and the counter messages read.
+//! The live board, which camera loops write, and which HTTP, metrics and the counter messages read.
 
 mod camera;
 mod event;
@@ -40,10 +40,10 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 use uuid::Uuid;
 
-/// Clip reports kept for readers; older ones are forgotten.
+/// The number of clip reports kept for readers; older ones are dropped.
 pub(crate) const RECENT_CLIPS: usize = 256;
 
-/// Events a slow reader may be behind before it loses some (and learns how many).
+/// The number of events a slow reader may lag before it loses some (and learns how many).
 const EVENT_BACKLOG: usize = 1024;
 
 /// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
@@ -55,17 +55,17 @@ pub struct Board {
     pub(crate) policy: &'static str,
     /// File name of the detector's model.
     pub(crate) model: String,
-    /// Execution providers asked for, in order.
+    /// Requested execution providers, in order.
     pub(crate) providers: Vec<ExecutionProvider>,
     /// All cameras, in the order of the configuration.
     pub cameras: Vec<Arc<CameraBoard>>,
-    /// It says whether the node works, part by part.
+    /// Reports if the node works, part by part.
     pub readiness: Readiness,
-    /// It counts the failures of the node's tasks.
+    /// Counts the failures of the node's tasks.
     pub tasks: TaskTally,
-    /// Reports wait there for a hub.
+    /// Holds reports for a hub.
     pub(crate) outbox: Outbox,
-    /// It keeps what is changed while the node runs, over restarts.
+    /// Keeps changed settings over restarts.
     pub(crate) settings: Settings,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: Arc<NodeTarget>,
@@ -73,7 +73,7 @@ pub struct Board {
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
-    /// They read what the detector and the screen count, once these have started.
+    /// Read the counts of the detector and the screen, once these have started.
     pub(crate) meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
@@ -81,12 +81,12 @@ pub struct Board {
 }
 
 impl Board {
-    /// The board of a node with this configuration, with no frames yet. Thresholds kept in the state directory by an
-    /// earlier run are taken over where the policy's knob still has that name and range and the configured value is the
-    /// same as then; a file that cannot be read is logged and otherwise ignored.
+    /// Creates the board of a node with this configuration, without frames. Thresholds kept in the state directory are
+    /// reused if the policy's knob still has that name and range and the configured value has not changed since; an
+    /// unreadable file is logged and otherwise ignored.
     ///
     /// # Errors
-    /// What cannot be used: the state directory, or what a checked configuration does not have.
+    /// [`NodeError`] if the state directory cannot be used, or for errors that a checked configuration does not have.
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Outbox::open(&config.outbox, directory)?;
@@ -152,7 +152,7 @@ impl Board {
         }))
     }
 
-    /// Returns what the detector and the screen have counted: all 0 before they have started, and where there is none.
+    /// The counts of the detector and the screen: zero before they start, and without a screen.
     pub(crate) fn worker_counts(&self) -> (DetectorCounts, WorkerCounts) {
         let meters = self.meters.get();
         let screen = meters.and_then(|(_, screen)| screen.as_ref());
@@ -162,7 +162,7 @@ impl Board {
         )
     }
 
-    /// Time since the board was made.
+    /// The time since the board was created.
     pub(crate) fn uptime(&self) -> Duration {
         self.started.elapsed()
     }
@@ -172,8 +172,8 @@ impl Board {
         self.cameras.iter().find(|camera| camera.name() == name)
     }
 
-    /// Returns what happens from now on. A reader that falls more than 1024 events behind gets
-    /// `RecvError::Lagged` with the number it lost.
+    /// Subscribes to events from now on. A reader that falls more than 1024 events behind gets `RecvError::Lagged` with
+    /// the number of lost events.
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Event>> {
         self.events.subscribe()
     }
@@ -195,8 +195,8 @@ impl Board {
         let _ = self.events.send(Event::new(News::Clip(report)));
     }
 
-    /// The newest clip reports, newest first: of one camera or of all, at most `limit`; those older than `before` and newer
-    /// than `after`. Of reports that are not in memory nothing is older, and all are newer.
+    /// The newest clip reports, newest first, of one camera or of all, at most `limit`: those older than `before` and
+    /// newer than `after`. No report is older than an unknown `before`, and all are newer than an unknown `after`.
     pub fn recent_clips(
         &self,
         camera: Option<&str>,
@@ -217,8 +217,8 @@ impl Board {
             .collect()
     }
 
-    /// The present counter messages of all cameras, sent to subscribers too. To be called
-    /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
+    /// Returns the present counter messages of all cameras and sends them to subscribers. Call it once per
+    /// second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
     pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
         self.turn_day();
         self.cameras
@@ -267,10 +267,10 @@ impl Board {
         }
     }
 
-    /// Holds `target` from now on, or nothing: the knob then stays where it is, and is kept there. Writes small files.
+    /// Holds `target` from now on, or none: the knob then keeps its value, which is saved. Writes small files.
     ///
     /// # Errors
-    /// [`TargetError`] when it cannot be held; nothing changes then.
+    /// [`TargetError`] if it cannot be held; then nothing changes.
     pub(crate) fn set_target(
         &self,
         target: Option<Target>,
@@ -287,30 +287,30 @@ impl Board {
         Ok(())
     }
 
-    /// Returns how the detector is doing now.
+    /// The present status of the detector.
     pub(crate) fn detector_status(&self) -> DetectorStatus {
         self.detector.lock().clone()
     }
 
-    /// Notes how the detector is doing, and reports it to subscribers.
+    /// Sets the detector's status and sends it to subscribers.
     pub fn set_detector_status(&self, status: DetectorStatus) {
         let news = News::Detector(DetectorEvent::new(&status));
         *self.detector.lock() = status;
         let _ = self.events.send(Event::new(news));
     }
 
-    /// Writes the power figures; to be called by the sampling task.
+    /// Sets the power figures; called by the sampling task.
     pub fn set_power(&self, power: PowerSnapshot) {
         self.power.lock().add(power, self.uptime());
     }
 
-    /// Power over the last hour, oldest first.
+    /// The power over the last hour, oldest first.
     pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
         let now = Clock::now(self.started);
         self.power.lock().slots(&now)
     }
 
-    /// Returns what was counted since the start, with this power.
+    /// The counts since the start, with this power.
     pub(crate) fn totals(&self, power: PowerSnapshot) -> Totals {
         let mut totals = Totals {
             power,
@@ -331,7 +331,7 @@ impl Board {
         self.today.lock().turn(unix_milliseconds(), so_far);
     }
 
-    /// Returns what was saved since the start, and today.
+    /// The savings since the start, and today.
     pub(crate) fn savings(&self) -> (Savings, Savings) {
         self.turn_day();
         let now = self.totals(self.power());
@@ -341,7 +341,7 @@ impl Board {
         (since_start, of_today)
     }
 
-    /// The power figures as last written.
+    /// The last power figures.
     pub fn power(&self) -> PowerSnapshot {
         self.power.lock().newest().clone()
     }

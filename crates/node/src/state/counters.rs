@@ -1,4 +1,4 @@
-//! Updates once a second: new power figures on the board, every camera's counters on Zenoh, and a step of the target.
+//! Updates once per second: the power figures on the board, every camera's counters on Zenoh, and the target's step.
 
 use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;
@@ -13,16 +13,16 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
-/// Time between two counter messages of a camera.
+/// The time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Messages between two times that the place of the target's knob is kept for a restart.
+/// The number of counter messages between two saves of the target's knob for a restart.
 const KEEP_EVERY: u32 = 60;
 
 /// Declares the counters key of every camera on the board, in their order.
 ///
 /// # Errors
-/// When Zenoh refuses a declaration.
+/// [`NodeError`] if Zenoh rejects a declaration.
 pub(crate) async fn declare(session: &Session, board: &Board) -> Result<Vec<Outlet>, NodeError> {
     let mut outlets = Vec::new();
     let sent = (CongestionControl::Drop, publishing::COUNTERS);
@@ -55,12 +55,12 @@ pub(crate) async fn run(
         (before, then) = (totals, now);
         second = second.wrapping_add(1);
         if second.is_multiple_of(KEEP_EVERY) {
-            // Not waited for: the disk may stall.
+            // Not awaited: the disk may stall.
             let board = Arc::clone(&board);
             spawn_blocking(move || board.target.keep_place());
         }
     }
-    // The figures at the end are the last ones anybody sees.
+    // The figures at the end are the last ones visible.
     board.set_power(meter.snapshot());
     let _ = spawn_blocking(move || board.target.keep_place()).await;
 }

@@ -1,16 +1,14 @@
-//! Names the parts of a node that its readiness knows, and what a fault of each means.
+//! The parts of a node's readiness, and the effect of their faults.
 //!
 //! | part | not ready | degraded |
 //! | --- | --- | --- |
-//! | `detector` | it starts, its session is being rebuilt, or its GPU is lost | |
-//! | `screen` | | its session is being rebuilt: the detector is asked instead |
-//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source has failed |
-//! | `power` | | the meter cannot be read, or gives no samples |
-//! | `outbox` | | reports are lost, or do not survive a power loss though a state directory is set |
-//! | `zenoh` | the local session is not open, or closed | another node has the same name |
-//! | `uplink` | | the session toward the hub is not open |
-//! | `disk` | | the state directory cannot be written |
-//! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or one that frames do not need does not run |
+//! | `detector` | it is starting, its session is being rebuilt, or its GPU is lost | | | `screen` | | its session is
+//! being rebuilt: the detector is called instead | | `cameras` | they are not subscribed yet | no frame has come from
+//! one for a while, or its source has failed | | `power` | | the meter cannot be read, or returns no samples | |
+//! `outbox` | | reports are lost, or do not survive a power loss although a state directory is set | | `zenoh` | the
+//! local session is not open, or closed | another node has the same name | | `uplink` | | the session to the hub is not
+//! open | | `disk` | | the state directory cannot be written | | `tasks` | a camera's loop has failed and does not run
+//! | a task failed and runs again, or a non-essential one does not run |
 
 use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;
@@ -24,7 +22,7 @@ use std::time::Duration;
 
 /// The detector.
 pub(crate) const DETECTOR: &str = "detector";
-/// The empty-scene screen, where it is a model.
+/// The empty-scene screen, if it is a model.
 pub(crate) const SCREEN: &str = "screen";
 /// The cameras; the subject is a camera's name.
 pub const CAMERAS: &str = "cameras";
@@ -34,28 +32,28 @@ pub(crate) const POWER: &str = "power";
 pub(crate) const OUTBOX: &str = "outbox";
 /// The local Zenoh session.
 pub const ZENOH: &str = "zenoh";
-/// Subject of [`ZENOH`]: the session was open, and is closed for good.
+/// Subject of [`ZENOH`]: the session was open, and is closed permanently.
 pub(crate) const ZENOH_SESSION: &str = "session";
-/// The Zenoh session toward the hub.
+/// The Zenoh session to the hub.
 pub(crate) const UPLINK: &str = "uplink";
 /// The state directory.
 pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
 pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 
-/// A meter may take this long for its first sample.
+/// How long a meter may take for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
-/// Lost clip reports are reported for this long.
+/// How long lost clip reports are shown.
 const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
-/// All parts, as metrics list them.
+/// All parts, in the order of the metrics.
 pub(crate) const PARTS: [&str; 9] = [
     DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
 ];
 
-/// Tells the service manager how the node is. What has been broken for `stuck_after` and is the node's own (not a router that
-/// is away) is left to a new start, and a GPU that this process has lost is so at once.
+/// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
+/// `stuck_after` is left to a restart; the loss of this process's GPU is so at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
@@ -66,7 +64,7 @@ pub(crate) fn service_state(
         DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
         _ => None,
     };
-    // A detector is started once the session is open: until then it is not the one that is late.
+    // The detector starts once the session is open: until then, the session is the cause.
     let waits_for_session = *detector == DetectorStatus::Starting
         && (health.faults.iter()).any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let stuck = health.faults.iter().find(|fault| {
@@ -89,7 +87,7 @@ pub(crate) fn service_state(
     }
 }
 
-/// Returns what the status of the detector means for the node: without it there are only predictions.
+/// The fault of the node if the detector has this status: without the detector there are only predictions.
 pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     match status {
         DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
@@ -97,12 +95,12 @@ pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     }
 }
 
-/// Returns what the status of the screen means for the node: without it the detector is asked.
+/// The fault of the node if the screen has this status: without the screen the detector is called.
 pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
 }
 
-/// Returns what the outbox's counts mean for the node. With a directory (`has_directory`) reports are to survive a power loss.
+/// The fault shown by the outbox's counts. With a directory (`has_directory`), reports should survive a power loss.
 pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
     let lost = counts
         .last_loss
@@ -124,7 +122,7 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
 /// A camera without a frame for this long makes the node degraded.
 pub(crate) const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 
-/// Looks from now on whether frames come from every camera that has no source: a source says itself why none come.
+/// Adds probes for frames from every camera without a source; a source reports its own faults.
 pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
     let start = tokio::time::Instant::now();
     let cameras = board.cameras.iter();
@@ -143,7 +141,7 @@ pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
     }
 }
 
-/// Looks from now on whether the power meter gives samples.
+/// Adds a probe for samples from the power meter.
 pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
     let power = power.clone();
     let begun = tokio::time::Instant::now();

@@ -1,4 +1,4 @@
-//! Keeps settings that are changed while the node runs in one file, so that they survive a restart.
+//! Keeps settings that are changed at run time in one file, so that they survive a restart.
 
 use parking_lot::Mutex;
 use serde::Serialize;
@@ -13,28 +13,28 @@ use std::sync::Arc;
 /// The file in the state directory.
 const FILE: &str = "settings.json";
 
-/// The settings; clones are the same ones.
+/// The settings; clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
     directory: Option<PathBuf>,
-    /// Held while a disk is read or written: no async worker takes it.
+    /// Held while the disk is read or written: no async worker locks it.
     state: Mutex<State>,
 }
 
 #[derive(Debug, Default)]
 struct State {
     values: BTreeMap<String, Value>,
-    /// The file was read, or there was none.
+    /// True once the file was read or found missing.
     read: bool,
-    /// Something is not in the file yet.
+    /// True if something is not in the file yet.
     unwritten: bool,
 }
 
 impl Settings {
-    /// The settings in `directory`, or in memory without one. A file that cannot be read now is tried again later.
+    /// Opens the settings in `directory`, or in memory without one. An unreadable file is tried again later.
     pub(crate) fn open(directory: Option<&Path>) -> Self {
         let mut state = State::default();
         match directory {
@@ -61,8 +61,8 @@ impl Settings {
             .ok()
     }
 
-    /// Keeps a setting, and syncs the file; whether it survives a restart. One that cannot be written now is written when
-    /// the disk returns.
+    /// Keeps a setting and syncs the file. Returns true if it survives a restart. If it cannot be written now, it is
+    /// written when the disk works again.
     pub(crate) fn set<T: Serialize>(&self, name: &str, setting: &T) -> bool {
         let Ok(value) = serde_json::to_value(setting) else {
             return false;
@@ -77,8 +77,8 @@ impl Settings {
         is_kept
     }
 
-    /// Tries again what could not be read or written. Settings that can be read only now are in force from the next start
-    /// on, except those that were set meanwhile.
+    /// Retries failed reads and writes. Settings that are read only now apply from the next start, except those set in
+    /// the meantime.
     pub(crate) fn retry(&self) {
         let (mut state, directory) = (self.0.state.lock(), &self.0.directory);
         if !state.read
@@ -97,7 +97,7 @@ impl Settings {
         }
     }
 
-    /// A disk that stalls until this is dropped.
+    /// Stalls the disk until the result is dropped.
     #[cfg(test)]
     pub(crate) fn stall(&self) -> impl Sized {
         self.0.state.lock()
@@ -138,7 +138,7 @@ impl State {
     }
 }
 
-/// Writes the file beside the old one, and puts it in its place once it is on the disk.
+/// Writes a new file beside the old one, syncs it, and then replaces the old one.
 fn write(directory: &Path, values: &BTreeMap<String, Value>) -> std::io::Result<()> {
     let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
     let mut written = File::create(&fresh)?;

@@ -1,4 +1,4 @@
-//! Holds the target of a node with a controller that moves the knob of all its cameras together.
+//! Holds a node's target with a controller that moves the knob of all its cameras together.
 
 #[cfg(test)]
 mod tests;
@@ -15,10 +15,10 @@ use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Name of the setting in the state file.
+/// The name of the setting in the state file.
 const SETTING: &str = "target";
 
-/// A knob that is off by less than this share stays: every change is announced and noted in the clip's report.
+/// Smaller relative changes of a knob are skipped: every change is announced and recorded in the clip's report.
 const LEAST_CHANGE: f64 = 0.02;
 
 /// The target that the node holds by moving its threshold: the `[target]` section.
@@ -27,20 +27,20 @@ const LEAST_CHANGE: f64 = 0.02;
 pub struct TargetConfig {
     /// The target: `{ skip_rate = 0.5 }`. One at a time.
     pub hold: Option<Target>,
-    /// Smallest value the knob is moved to; by default where accuracy costs little.
+    /// Smallest value of the knob; by default the end of the range that costs little accuracy.
     pub least: Option<f64>,
-    /// Largest value the knob is moved to; by default where accuracy costs little.
+    /// Largest value of the knob; by default the end of the range that costs little accuracy.
     pub most: Option<f64>,
 }
 
-/// As it is kept in the state file.
+/// The part kept in the state file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
     target: Option<Target>,
     source: SettingSource,
-    /// The knob's value when it was kept; the name is the policy's word for it.
+    /// The knob's value when it was kept, with the policy's name for the knob.
     knob: Option<(String, f64)>,
-    /// The target of the configuration then. Once that is edited it is the newer word, unless the hub's is there.
+    /// The configured target at that time. If that is edited later, it takes precedence, except over the hub's.
     configured: Option<Target>,
 }
 
@@ -52,23 +52,23 @@ struct State {
     off: Option<String>,
 }
 
-/// The target of one node: who set it, and what survives a restart.
+/// The target of one node: its source, and the part that survives a restart.
 #[derive(Debug)]
 pub(crate) struct NodeTarget {
     config: TargetConfig,
     policy: &'static str,
     knob: Option<Knob>,
     settings: Settings,
-    /// Makes changes that are kept one at a time, so that the file is as the last one. Held while a disk is written: no
-    /// async worker takes it.
+    /// Serialises kept changes, so that the file matches the last one. Held during disk writes: no async worker locks
+    /// it.
     changing: Mutex<()>,
-    /// Never held while a disk is written.
+    /// Never held during disk writes.
     state: Mutex<State>,
 }
 
 impl NodeTarget {
-    /// With what the configuration says, or what was kept since. `begin` is the value of the knob that the controller
-    /// begins at where none was kept.
+    /// Starts with the configured or the later kept target. Without a kept value, the controller begins with the knob
+    /// at `begin`.
     pub(crate) fn open(
         config: TargetConfig,
         policy: &'static str,
@@ -77,7 +77,7 @@ impl NodeTarget {
         settings: Settings,
     ) -> Self {
         let kept: Option<Kept> = settings.get(SETTING);
-        // Once the configuration is edited it is the newer word, except against the hub's.
+        // An edited configuration takes precedence, except over the hub's target.
         let kept =
             kept.filter(|kept| kept.configured == config.hold || kept.source == SettingSource::Hub);
         let (target, source, place) = match kept {
@@ -128,10 +128,10 @@ impl NodeTarget {
         TargetController::new(target, range, knob.unwrap_or(range.least)).map(Some)
     }
 
-    /// Holds `target` from now on, beginning at the value `knob`; or nothing, and the knob stays. Writes a small file.
+    /// Holds `target` from now on, beginning with the knob at `knob`; or none, and the knob stays. Writes a small file.
     ///
     /// # Errors
-    /// [`TargetError`] when its value makes no sense or the policy has nothing to turn; nothing changes then.
+    /// [`TargetError`] if its value is invalid or the policy has no knob; then nothing changes.
     pub(crate) fn set(
         &self,
         target: Option<Target>,
@@ -141,7 +141,7 @@ impl NodeTarget {
         let controller = self.controller(target, knob)?;
         let _changing = self.changing.lock();
         let mut state = self.state.lock();
-        // The same again changes nothing: what the controller has learnt stays.
+        // Setting the same target again keeps what the controller has learnt.
         let same = state.controller.as_ref().map(TargetController::target) == target;
         if !(same && target.is_some()) {
             let had_one = state.controller.is_some();
@@ -162,7 +162,7 @@ impl NodeTarget {
         Ok(())
     }
 
-    /// Somebody turns the knob by hand: nothing is held any more. Writes a small file if anything was.
+    /// Ends the target, because somebody turns the knob by hand. Writes a small file if there was a target.
     pub(crate) fn turned_by_hand(&self, source: SettingSource) {
         let _changing = self.changing.lock();
         let mut state = self.state.lock();
@@ -181,7 +181,7 @@ impl NodeTarget {
         self.keep(state);
     }
 
-    /// Lets the controller take a step; then `apply` gets the knob's value, before anybody can turn it by hand.
+    /// Runs a step of the controller; then `apply` gets the knob's value, before anybody can turn it by hand.
     fn step(&self, measured: &Measured, apply: impl FnOnce(f64)) {
         let mut state = self.state.lock();
         let Some(controller) = &mut state.controller else {
@@ -196,12 +196,12 @@ impl NodeTarget {
         }
     }
 
-    /// Says whether anything is held.
+    /// True if a target is held.
     pub(crate) fn is_on(&self) -> bool {
         self.state.lock().controller.is_some()
     }
 
-    /// Returns its state.
+    /// The state of the target.
     pub(crate) fn report(&self) -> TargetReport {
         let state = self.state.lock();
         let controller = state.controller.as_ref();
@@ -220,7 +220,7 @@ impl NodeTarget {
         }
     }
 
-    /// Keeps the knob's value, so that a restart goes on from there. Writes a small file if anything is held.
+    /// Keeps the knob's value, so that a restart continues from there. Writes a small file if a target is held.
     pub(crate) fn keep_place(&self) {
         let _changing = self.changing.lock();
         let state = self.state.lock();
@@ -229,7 +229,7 @@ impl NodeTarget {
         }
     }
 
-    /// Writes what is held; gives the state back before that, as a disk may stall.
+    /// Writes the held target; unlocks the state first, because a disk may stall.
     fn keep(&self, state: MutexGuard<'_, State>) {
         let controller = state.controller.as_ref();
         let knob = self.knob.zip(controller);
@@ -245,13 +245,13 @@ impl NodeTarget {
 }
 
 impl Board {
-    /// Gives the controller what was counted in the last second, and the cameras the knob's new value.
+    /// Passes the counts of the last second to the controller, and the knob's new value to the cameras.
     pub(crate) fn step_target(&self, since: &Totals, time: Duration) {
         let mut audit = AuditSums::default();
         for camera in &self.cameras {
             audit.merge(&camera.take_audit());
         }
-        // While no detector answers, the load says nothing of the knob: it stays where it is.
+        // While the detector does not answer, the load does not depend on the knob, which stays.
         if since.degraded > 0 && since.detector_us == 0 {
             return;
         }

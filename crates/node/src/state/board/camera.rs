@@ -1,4 +1,4 @@
-//! Holds one camera's part of the live board.
+//! One camera's part of the live board.
 
 use super::event::{Event, FrameEvent, News};
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
@@ -28,16 +28,16 @@ use tokio::time::Instant;
 /// The last picture received, still encoded.
 #[derive(Debug)]
 pub struct LatestFrame {
-    /// Sequence number of the frame.
+    /// The frame's sequence number.
     pub(crate) seq: u64,
-    /// The picture; a cheap clone of what was received.
+    /// The picture; a cheap clone of the received one.
     picture: EncodedPicture,
-    /// As a JPEG file, once somebody wanted that.
+    /// The picture as a JPEG file, once requested.
     jpeg: OnceLock<Result<Bytes, String>>,
 }
 
 impl LatestFrame {
-    /// The picture of frame `seq`.
+    /// Creates the picture of frame `seq`.
     pub fn new(seq: u64, picture: EncodedPicture) -> Self {
         let jpeg = match picture.format {
             PictureFormat::Jpeg => OnceLock::from(Ok(picture.bytes.clone())),
@@ -46,68 +46,68 @@ impl LatestFrame {
         Self { seq, picture, jpeg }
     }
 
-    /// The picture as a JPEG file, made of another format at most once. Decodes and encodes it: to be called away from
+    /// The picture as a JPEG file, converted from another format at most once. Decodes and encodes: call it outside
     /// async workers.
     ///
     /// # Errors
-    /// Why it cannot be shown.
+    /// The reason it cannot be shown.
     pub(crate) fn jpeg(&self, limits: &FrameLimits) -> Result<Bytes, String> {
         let make = || to_jpeg(&self.picture, limits).map_err(|fault| fault.to_string());
         self.jpeg.get_or_init(make).clone()
     }
 
-    /// Says whether the file is there, or known to be impossible.
+    /// True if the file exists, or is known to be impossible.
     pub(crate) fn is_made(&self) -> bool {
         self.jpeg.get().is_some()
     }
 }
 
-/// The state of one camera; all numbers are of the same moment.
+/// The state of one camera; all numbers are from the same moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraSnapshot {
     /// Frame states since the node started.
     pub states: FrameStates,
     /// Frames answered from prediction because the detector was not available.
     pub degraded_frames: u64,
-    /// Frames that the detector was called for, by cause.
+    /// Frames for which the detector was called, by cause.
     pub calls: DetectorCalls,
-    /// Frames not processed, by kind.
+    /// Unprocessed frames, by kind.
     pub dropped: DroppedFrames,
-    /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
+    /// Frames of which a small grey picture was examined, to follow boxes by optical flow.
     pub looks: u64,
-    /// The results of the audit, and its joules in the clips that ended; `None` without an audit.
+    /// The audit's results, and its joules in the ended clips; `None` without an audit.
     pub audit: Option<AuditReport>,
-    /// Clips ended.
+    /// Ended clips.
     pub clips: u64,
     /// Energy of these clips, joules, over the time that samples cover.
     pub clip_joules: f64,
-    /// Time the detector worked for its frames, microseconds.
+    /// Detector time used for its frames, microseconds.
     pub detector_us: u64,
-    /// Boxes reported, by class and how each is known.
+    /// Reported boxes, by class and origin.
     pub boxes: BTreeMap<(Arc<str>, &'static str), u64>,
     /// Time from reception to publication, by frame state in the order of [`FrameState::ALL`].
     pub total_latency: [LatencyHistogram; 5],
-    /// Time the detector took, over the frames where it ran.
+    /// Detector time, for the frames on which it ran.
     pub detector_latency: LatencyHistogram,
-    /// The message that was published for the newest frame.
+    /// The message published for the newest frame.
     pub latest: Option<Arc<DetectionsMessage>>,
-    /// The newest frame was answered at this time.
+    /// The time of the newest frame's answer.
     pub last_frame: Option<Instant>,
-    /// Frames that came in memory which their sender shares.
+    /// Frames received in memory shared with their sender.
     pub shared_frames: u64,
-    /// Messages about it that did not go out.
+    /// Messages about it that were not published.
     pub unpublished: u64,
     /// Suggested value if nothing is skipped although objects are tracked.
     pub advice: Option<Advice>,
 }
 
 impl CameraSnapshot {
-    /// Share of frames that skipped the detector, degraded ones not among them.
+    /// The share of frames that skipped the detector, without degraded ones.
     pub fn skip_rate(&self) -> f64 {
         self.states.skip_rate(self.degraded_frames)
     }
 
-    /// Time since the newest frame was answered.
+    /// The time since the newest frame was answered.
     pub fn last_frame_age(&self) -> Option<Duration> {
         Some(self.last_frame?.elapsed())
     }
@@ -137,7 +137,7 @@ impl CameraSnapshot {
     fn count_boxes(&mut self, boxes: &[BoxMessage]) {
         for one in boxes {
             let source = source_name(one.source);
-            // A class is seen thousands of times: its name is copied the first time only.
+            // A class occurs thousands of times: copies its name only the first time.
             let known = (self.boxes.iter_mut())
                 .find(|((class, known), _)| **class == *one.class && *known == source);
             match known {
@@ -161,48 +161,48 @@ const fn source_name(source: BoxSource) -> &'static str {
 struct Counts {
     /// The counts that are shown, without the advice.
     shown: CameraSnapshot,
-    /// Of the dropped frames and the audit, what is in no clip yet.
+    /// Dropped frames and audit results that are in no clip yet.
     unreported: (DroppedFrames, AuditReport),
-    /// Of the audit, what the target has not taken yet.
+    /// Audit results that the target has not used yet.
     unmeasured: AuditSums,
     watch: SkipWatch,
 }
 
-/// All cameras of a board share this.
+/// State that all cameras of a board share.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
-    /// The node's start: times of the past are counted from there.
+    /// The node's start, from which times of the past are counted.
     pub started: Instant,
     pub events: broadcast::Sender<Arc<Event>>,
     pub settings: Settings,
     pub target: Arc<NodeTarget>,
 }
 
-/// One camera's part of the live board. The counters are behind one lock, so that any snapshot adds up.
+/// One camera's part of the live board. One lock guards the counters, so every snapshot is consistent.
 #[derive(Debug)]
 pub struct CameraBoard {
     pub(super) name: Arc<str>,
     /// Its Zenoh keys.
     pub(crate) keys: CameraKeys,
-    /// Zenoh key its frames come on, unless it has a source.
+    /// The Zenoh key of its frames, unless it has a source.
     pub(crate) key: String,
     /// The source that the node opens for it, without credentials.
     pub(crate) source: Option<String>,
     /// Name of its policy.
     pub(crate) policy: &'static str,
-    /// The knob that the policy lets a user turn, if it has one.
+    /// The policy's knob, if it has one.
     pub knob: Option<Knob>,
-    /// It is true if `u` means the same at every picture size, as with the filter of the profile `paper`. The published
-    /// code, where it does not, then has another value for it.
+    /// True if `u` is independent of the picture size, as with the filter of the profile `paper`. The published code,
+    /// where it is not, then has a different value for it.
     pub(super) is_sizeless: bool,
-    /// Most frames that its policy lets pass without the detector while objects are followed.
+    /// The most frames its policy lets pass without the detector while objects are tracked.
     longest_pause: Option<u32>,
     pub(super) shared: Shared,
     pub(super) configured: Option<f64>,
     pub(super) threshold: watch::Sender<Option<f64>>,
     pub(super) set_by: Mutex<SettingSource>,
-    /// Makes changes of the threshold that are kept one at a time, so that file, loop and events see the same order.
-    /// Held while a disk is written: no async worker takes it.
+    /// Serialises kept changes of the threshold, so that the file, the loop and events see the same order. Held during
+    /// disk writes: no async worker locks it.
     pub(super) changing: Mutex<()>,
     counts: Mutex<Counts>,
     history: Mutex<History>,
@@ -251,7 +251,7 @@ impl CameraBoard {
         &self.name
     }
 
-    /// Adds what the audit has found.
+    /// Adds audit results.
     pub(crate) fn record_audit(&self, more: &AuditReport) {
         let mut counts = self.counts.lock();
         if let Some(audit) = &mut counts.shown.audit {
@@ -261,12 +261,12 @@ impl CameraBoard {
         counts.unmeasured.merge(&more.sums);
     }
 
-    /// Takes what was audited since the last call.
+    /// Takes the audit results since the last call.
     pub(crate) fn take_audit(&self) -> AuditSums {
         std::mem::take(&mut self.counts.lock().unmeasured)
     }
 
-    /// Takes the dropped frames and what was audited since the last call: the open clip's part.
+    /// Takes the dropped frames and audit results since the last call, for the open clip.
     pub(crate) fn take_unreported(&self) -> (DroppedFrames, AuditReport) {
         std::mem::take(&mut self.counts.lock().unreported)
     }
@@ -285,7 +285,7 @@ impl CameraBoard {
         }
     }
 
-    /// Sends the answer of a frame, which may be pending, to subscribers.
+    /// Sends a frame's answer, which may be pending, to subscribers.
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
         counts.shown.last_frame = Some(Instant::now());
@@ -297,7 +297,7 @@ impl CameraBoard {
         self.send_event(News::Frame, detections);
     }
 
-    /// Sends the final answer of a frame that was pending.
+    /// Sends the final answer of a pending frame.
     pub(crate) fn show_late(&self, detections: Arc<DetectionsMessage>) {
         self.send_event(News::Late, detections);
     }
@@ -329,24 +329,24 @@ impl CameraBoard {
         );
     }
 
-    /// Counts a frame that came in memory which its sender shares.
+    /// Counts a frame received in memory shared with its sender.
     pub(crate) fn count_shared_frame(&self) {
         self.counts.lock().shown.shared_frames += 1;
     }
 
-    /// Counts a message about it that did not go out.
+    /// Counts a message about it that was not published.
     pub(crate) fn count_unpublished(&self) {
         self.counts.lock().shown.unpublished += 1;
     }
 
-    /// Adds frames that were not processed, each kind under its own name.
+    /// Adds unprocessed frames, by kind.
     pub fn record_dropped(&self, more: &DroppedFrames) {
         let mut counts = self.counts.lock();
         counts.shown.dropped += more;
         counts.unreported.0 += more;
     }
 
-    /// Counts a clip that ended, and its energy where it has a figure.
+    /// Counts an ended clip, and its energy if known.
     pub(super) fn count_clip(&self, joules: Option<f64>, audit_joules: Option<f64>) {
         let shown = &mut self.counts.lock().shown;
         let known = |joules: Option<f64>| joules.filter(|joules| *joules > 0.0).unwrap_or_default();
@@ -366,18 +366,18 @@ impl CameraBoard {
         }
     }
 
-    /// The last `frames` frames, oldest first, the pieces of the last hour, and the time now.
+    /// The last `frames` frames, oldest first, the pieces of the last hour, and the present time.
     pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<CameraPiece>, Clock) {
         let history = self.history.lock();
         let now = Clock::now(self.shared.started);
         (history.frames(frames), history.slots(&now), now)
     }
 
-    /// Estimates what these values of the threshold would have skipped over the last frames. It computes for some
+    /// Estimates what these values of the threshold would have skipped over the last frames. Computes for some
     /// milliseconds.
     pub(crate) fn skip_estimate(&self, values: &[f64]) -> Option<SkipEstimate> {
         let frames = self.history.lock().frames(usize::MAX);
-        // After the lock: this takes longer than a frame may wait.
+        // Outside the lock: this takes longer than a frame may wait.
         SkipEstimate::of(&frames, self.longest_pause, values)
     }
 

@@ -1,14 +1,14 @@
-//! Describes what happens on a node, as it happens.
+//! The events of a node.
 
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
 
-/// An event with many readers: its JSON is made once, for the first of them.
+/// An event for many readers: its JSON is created once, for the first of them.
 #[derive(Debug)]
 pub struct Event {
-    /// The thing that happened.
+    /// The content.
     pub news: News,
     json: OnceLock<Result<String, String>>,
 }
@@ -22,7 +22,7 @@ impl Event {
     /// The event as JSON.
     ///
     /// # Errors
-    /// When it cannot be written as JSON: why.
+    /// The reason it cannot be serialised.
     pub(crate) fn json(&self) -> Result<&str, &str> {
         let write = || serde_json::to_string(&self.news).map_err(|error| error.to_string());
         let written = self.json.get_or_init(write);
@@ -30,14 +30,13 @@ impl Event {
     }
 }
 
-/// One thing that happened. As JSON, the contents of the variant; the variant's name comes separately, by
-/// [`News::name`].
+/// The content of an event. Serialised without the variant's name, which [`News::name`] returns.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum News {
     /// A frame was answered.
     Frame(FrameEvent),
-    /// A frame that was pending has its final answer.
+    /// A pending frame got its final answer.
     Late(FrameEvent),
     /// A clip ended.
     Clip(Arc<ClipReport>),
@@ -45,16 +44,16 @@ pub enum News {
     Counters(Arc<CountersMessage>),
     /// A threshold changed.
     Threshold(ThresholdEvent),
-    /// How the detector is doing.
+    /// The detector's status.
     Detector(DetectorEvent),
 }
 
 impl News {
-    /// Names of all kinds, as [`News::name`] gives them.
+    /// The names of all kinds, as returned by [`News::name`].
     pub(crate) const NAMES: [&'static str; 6] =
         ["frame", "late", "clip", "counters", "threshold", "detector"];
 
-    /// The kind, as the `event:` line of a server-sent event has it.
+    /// The kind, as in the `event:` line of a server-sent event.
     pub(crate) const fn name(&self) -> &'static str {
         match self {
             Self::Frame(_) => "frame",
@@ -66,7 +65,7 @@ impl News {
         }
     }
 
-    /// The camera it is about, if it is about one alone.
+    /// The camera, if the event is about a single one.
     pub(crate) fn camera(&self) -> Option<&str> {
         match self {
             Self::Frame(event) | Self::Late(event) => Some(&event.camera),
@@ -127,7 +126,7 @@ impl DetectorEvent {
     }
 }
 
-/// The provider in use by a status.
+/// The provider in use, according to the status.
 pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
     status.provider().map(ExecutionProvider::as_str)
 }

@@ -1,4 +1,4 @@
-//! Keeps the past that pages show: the last frames one by one, and the last hour in pieces, in bounded memory.
+//! Keeps the past that pages show, in bounded memory: the last frames one by one, and the last hour in pieces.
 
 mod growth;
 mod skipping;
@@ -16,37 +16,37 @@ use std::time::Duration;
 use tokio::time::Instant;
 use utoipa::ToSchema;
 
-/// Frames that are remembered one by one: four and a half minutes at 30 frames per second.
+/// The number of frames kept one by one: four and a half minutes at 30 frames per second.
 pub(crate) const FRAMES: usize = 8192;
-/// Length of a piece of the hour, seconds.
+/// The length of a piece of the hour, seconds.
 pub(crate) const SLOT_S: u64 = 10;
-/// Pieces that are remembered: an hour, and the piece that has begun.
+/// The number of pieces kept: an hour, and the open piece.
 const SLOTS: usize = 361;
-/// Detector times of a piece that its percentiles are made of; beyond them the oldest give way.
+/// The detector times per piece used for its percentiles; beyond them, new ones replace the oldest.
 const TIMES: usize = 1024;
 
-/// A frame as it is remembered: in single precision, as there are many of them.
+/// A kept frame, in single precision because there are many.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PastFrame {
     /// Sequence number.
     pub seq: u64,
-    /// It was answered this many milliseconds after the start of the node.
+    /// The time of its answer, milliseconds since the node's start.
     pub at_ms: u64,
     /// Its state.
     pub state: FrameState,
-    /// The cause for which the detector was called.
+    /// Why the detector was called.
     pub cause: Option<CallCause>,
-    /// It is true if the detector was needed but not available.
+    /// True if the detector was needed but not available.
     pub degraded: bool,
-    /// Boxes reported.
+    /// The number of reported boxes.
     pub boxes: u16,
     /// Largest uncertainty before the decision; `None` without objects.
     pub tau_max: Option<f32>,
     /// The threshold in force.
     pub threshold: Option<f32>,
-    /// Time of the detector, if it ran.
+    /// The detector's time, if it ran.
     pub detector_ms: Option<f32>,
-    /// From reception to publication.
+    /// The time from reception to publication.
     pub total_ms: f32,
 }
 
@@ -72,17 +72,17 @@ fn milliseconds(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// A moment of the node's life by the wall clock as it goes now: a clock that was set in between moves all of them.
+/// Converts the node's times to the present wall clock: if that was set in between, all times shift.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clock {
     /// The wall clock, milliseconds since the Unix epoch.
     pub now_ms: i64,
-    /// The node's age.
+    /// The time since the node's start.
     pub age: Duration,
 }
 
 impl Clock {
-    /// Now, of a node that was started then.
+    /// The present time, of a node started at `started`.
     pub(super) fn now(started: Instant) -> Self {
         Self {
             now_ms: unix_milliseconds(),
@@ -90,17 +90,17 @@ impl Clock {
         }
     }
 
-    /// Returns how long ago something happened, from its time after the node's start.
+    /// The milliseconds since an event, from its time after the node's start.
     pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
         milliseconds(self.age).saturating_sub(at_ms)
     }
 }
 
-/// The last hour in pieces that hold something.
+/// The non-empty pieces of the last hour.
 #[derive(Debug)]
 struct Hour<T> {
     ended: VecDeque<(u64, T)>,
-    /// The number of the piece that has begun, counted from the node's start.
+    /// The number of the open piece, counted from the node's start.
     open: u64,
 }
 
@@ -114,12 +114,12 @@ impl<T> Default for Hour<T> {
 }
 
 impl<T: Clone> Hour<T> {
-    /// Says whether the open piece is over at that time after the node's start. It is then to be ended.
+    /// True if the open piece is over at `at` after the node's start. Then it must be ended.
     fn is_over(&self, at: Duration) -> bool {
         at.as_secs() / SLOT_S != self.open
     }
 
-    /// Ends the open piece, with what it held if that was anything; the next has begun.
+    /// Ends the open piece, keeping its content if there is any, and opens the next.
     fn end(&mut self, held: Option<T>, at: Duration) {
         if let Some(held) = held {
             if self.ended.len() == SLOTS {
@@ -130,7 +130,7 @@ impl<T: Clone> Hour<T> {
         self.open = at.as_secs() / SLOT_S;
     }
 
-    /// The pieces of the hour before now, oldest first, and the open one, each as `shown` with the time of its beginning.
+    /// The pieces of the last hour, oldest first, then the open one, each converted by `shown` with its start time.
     fn read<S>(&self, open: Option<T>, now: &Clock, shown: impl Fn(T, i64) -> S) -> Vec<S> {
         let oldest = (now.age.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
         let ended = self.ended.iter().cloned();
@@ -174,9 +174,9 @@ pub(crate) struct History {
     frames: VecDeque<PastFrame>,
     hour: Hour<CameraPiece>,
     open: CameraPiece,
-    /// Times of the detector in the open piece.
+    /// Detector times in the open piece.
     times: Vec<f32>,
-    /// The number of times that there were.
+    /// The number of detector times in the open piece.
     timed: usize,
 }
 
@@ -193,7 +193,7 @@ impl Default for History {
 }
 
 impl History {
-    /// Remembers a frame that was answered `at` that time after the node's start.
+    /// Adds a frame answered at `at` after the node's start.
     pub(crate) fn add(&mut self, frame: &DetectionsMessage, at: Duration) {
         if self.frames.len() == FRAMES {
             self.frames.pop_front();
@@ -219,7 +219,7 @@ impl History {
         }
     }
 
-    /// The open piece with its percentiles; nothing without a frame.
+    /// The open piece with its percentiles; `None` without a frame.
     fn ended(&self) -> Option<CameraPiece> {
         let mut sorted = self.times.clone();
         sorted.sort_unstable_by(f32::total_cmp);
@@ -230,13 +230,13 @@ impl History {
         })
     }
 
-    /// The last frames, oldest first, up to that many.
+    /// The last frames, oldest first, at most `most`.
     pub(crate) fn frames(&self, most: usize) -> Vec<PastFrame> {
         let first = self.frames.len().saturating_sub(most);
         self.frames.iter().skip(first).copied().collect()
     }
 
-    /// The pieces of the hour before now, oldest first, with the one that has begun; those without a frame are left out.
+    /// The pieces of the last hour, oldest first, with the open one; pieces without a frame are left out.
     pub(crate) fn slots(&self, now: &Clock) -> Vec<CameraPiece> {
         self.hour
             .read(self.ended(), now, |held, at_ms| CameraPiece {
@@ -257,18 +257,18 @@ pub(crate) struct PowerPiece {
     pub watts: BTreeMap<String, f32>,
 }
 
-/// The power of the node over the last hour.
+/// The node's power over the last hour.
 #[derive(Debug, Default)]
 pub(super) struct PowerPast {
     hour: Hour<PowerPiece>,
-    /// The figures when the open piece began, and the newest; the worst quality since.
+    /// The figures at the start of the open piece, the newest, and the worst quality since.
     began: PowerSnapshot,
     newest: PowerSnapshot,
     worst: Option<EnergyQuality>,
 }
 
 impl PowerPast {
-    /// Takes the figures `at` that time after the node's start.
+    /// Adds the figures at `at` after the node's start.
     pub(super) fn add(&mut self, power: PowerSnapshot, at: Duration) {
         if self.hour.is_over(at) {
             let ended = self.ended();
@@ -280,7 +280,7 @@ impl PowerPast {
         self.newest = power;
     }
 
-    /// The open piece: joules over the time that samples cover, and never over the rest; nothing without samples.
+    /// The open piece, with means only over the time that samples cover; `None` without samples.
     fn ended(&self) -> Option<PowerPiece> {
         let piece = self.newest.clone().since(&self.began);
         let watts: BTreeMap<_, _> = (piece.joules.keys())
@@ -301,7 +301,7 @@ impl PowerPast {
         &self.newest
     }
 
-    /// The pieces of the hour before now that are over, oldest first; those without a figure are left out.
+    /// The ended pieces of the last hour, oldest first; pieces without a figure are left out.
     pub(super) fn slots(&self, now: &Clock) -> Vec<PowerPiece> {
         self.hour
             .read(None, now, |held, at_ms| PowerPiece { at_ms, ..held })

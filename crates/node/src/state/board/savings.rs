@@ -1,8 +1,7 @@
-//! Sums what was saved, since the start and today, without a list: a node that has run for a year needs no more memory
-//! than one that began now.
+//! Sums the savings since the start and today, without a list: memory does not grow with the node's run time.
 //!
-//! A day is one of UTC, so that it is the same for every node of a fleet and no clock change makes it 23 hours long. A
-//! node that began today counts from its start on.
+//! A day is a UTC day, so that it is the same for every node of a fleet and no clock change makes it 23 hours long. A
+//! node that began today counts from its start.
 
 use super::PowerSnapshot;
 use albireo_wire::{EnergyQuality, FULL_COVERAGE};
@@ -46,18 +45,18 @@ pub(crate) struct Savings {
 pub(crate) struct Totals {
     /// Frames processed.
     pub frames: u64,
-    /// Those of them that skipped the detector.
+    /// Frames that skipped the detector.
     pub skipped: u64,
-    /// Those for which the detector was not available.
+    /// Frames for which the detector was not available.
     pub degraded: u64,
-    /// Time the detector worked for them, microseconds.
+    /// Detector time used for them, microseconds.
     pub detector_us: u64,
     /// Energy.
     pub power: PowerSnapshot,
 }
 
 impl Totals {
-    /// Returns what was counted since `before`.
+    /// The counts since `before`.
     pub(crate) fn since(self, before: &Self) -> Self {
         Self {
             frames: self.frames.saturating_sub(before.frames),
@@ -68,7 +67,7 @@ impl Totals {
         }
     }
 
-    /// Returns what was saved in this time, which began at `since_ms`.
+    /// The savings in this time, which began at `since_ms`.
     pub(super) fn savings(&self, since_ms: i64) -> Savings {
         let power = &self.power;
         let saved = |watts: f64| watts * power.saved_detector_s;
@@ -92,17 +91,17 @@ impl Totals {
     }
 }
 
-/// The day that goes on.
+/// The current day.
 #[derive(Debug)]
 pub(super) struct Today {
-    /// The day, or the node if later, began at this time.
+    /// The start of the day, or of the node if later.
     pub since_ms: i64,
-    /// The counts from before.
+    /// The counts before it.
     pub before: Totals,
 }
 
 impl Today {
-    /// Begins a new day if one has begun. To be called at least once a second, so that its first frames count for it.
+    /// Begins a new day if one has begun. Call it at least once per second, so the first frames of a day count for it.
     pub(super) fn turn(&mut self, now_ms: i64, so_far: impl FnOnce() -> Totals) {
         let day = now_ms.div_euclid(DAY_MS);
         if day != self.since_ms.div_euclid(DAY_MS) {

@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use tokio::sync::watch;
 
-/// A threshold that cannot be set.
+/// The reason a threshold cannot be set.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ThresholdError {
-    /// It has another name than the policy's.
+    /// Its name is not the policy's.
     #[error(transparent)]
     Name(#[from] OtherThreshold),
-    /// The policy has none, or not of that value.
+    /// The policy has no threshold, or does not allow that value.
     #[error(transparent)]
     Value(#[from] KnobError),
 }
@@ -28,10 +28,10 @@ struct Kept {
     knob: String,
     /// The value.
     value: f64,
-    /// The value of the configuration when it was changed. Once that is edited, the configuration is the newer word and wins
-    /// over what was changed at the node, but not over the hub's, which has a revision.
+    /// The configured value at the time of the change. If that is edited later, the configuration takes precedence over
+    /// the value set at the node, but not over the hub's, which has a revision.
     configured: Option<f64>,
-    /// It was changed from there.
+    /// The source of the change.
     source: SettingSource,
 }
 
@@ -39,7 +39,7 @@ fn setting(camera: &str) -> String {
     format!("threshold/{camera}")
 }
 
-/// The wanted value; the knob's default without one, and in place of one that the knob cannot have.
+/// The wanted value; the knob's default if there is none or the knob does not allow it.
 pub(super) fn configured(camera: &str, knob: &Knob, wanted: Option<f64>) -> f64 {
     let checked = knob.check(wanted.unwrap_or(knob.default));
     checked.unwrap_or_else(|error| {
@@ -48,7 +48,7 @@ pub(super) fn configured(camera: &str, knob: &Knob, wanted: Option<f64>) -> f64 
     })
 }
 
-/// The value kept for a camera and who set it, if it still fits its knob and its configuration.
+/// The value kept for a camera and its source, if it still fits the knob and the configuration.
 pub(super) fn kept(
     settings: &Settings,
     camera: &str,
@@ -71,12 +71,12 @@ pub(super) fn kept(
     Some((value, kept.source))
 }
 
-/// Sets the threshold of these cameras, or of none: it is checked for all before the first is changed. It holds from each
-/// camera's next frame on, is kept in the state directory and reported to subscribers. Where it cannot be kept it holds all
-/// the same, and the log says so. Writes small files.
+/// Sets the threshold of all these cameras or of none: it is checked for all before the first is changed. It applies
+/// from each camera's next frame, is kept in the state directory and reported to subscribers. If it cannot be kept, it
+/// still applies, and the log reports it. Writes small files.
 ///
 /// # Errors
-/// [`ThresholdError`] of the first camera that cannot take it; nothing changes then.
+/// [`ThresholdError`] of the first camera that does not allow it; then nothing changes.
 pub(crate) fn set_thresholds(
     cameras: &[Arc<CameraBoard>],
     threshold: Threshold,
@@ -95,7 +95,7 @@ pub(crate) fn set_thresholds(
     Ok(())
 }
 
-/// Sets it as somebody at the node does, under its own name.
+/// Sets it on behalf of somebody at the node, with the threshold's own name.
 #[cfg(test)]
 pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
     let name = cameras[0].knob.unwrap().name;
@@ -103,28 +103,28 @@ pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<()
 }
 
 impl CameraBoard {
-    /// The threshold in force from the next frame on; `None` when the policy has none.
+    /// The threshold in force from the next frame on; `None` if the policy has none.
     pub fn threshold(&self) -> Option<f64> {
         *self.threshold.borrow()
     }
 
-    /// The same with its name.
+    /// The threshold in force, with its name.
     pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
         Some(Threshold::new(self.knob?.name, self.threshold()?))
     }
 
-    /// Returns who set the threshold in force.
+    /// The source of the threshold in force.
     pub(crate) fn threshold_source(&self) -> SettingSource {
         *self.set_by.lock()
     }
 
-    /// The threshold, for the camera's loop: read it before each frame.
+    /// The threshold, for the camera's loop, which reads it before each frame.
     pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
         self.threshold.subscribe()
     }
 
-    /// The equivalent of `u` in the published code, in pictures of this size, where that is another
-    /// number, to three digits.
+    /// The equivalent of `u` in the published code, for pictures of this size, to three digits; `None` if it is the
+    /// same number.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
         let sizeless = self.is_sizeless;
         let knob = self.knob.filter(|knob| sizeless && knob.name == "u")?;
@@ -136,7 +136,7 @@ impl CameraBoard {
         (rounded != in_force).then_some(rounded)
     }
 
-    /// Returns what subscribers get to know of a new threshold.
+    /// The news of a new threshold for subscribers.
     pub(super) fn threshold_news(&self, threshold: Threshold) -> News {
         News::Threshold(ThresholdEvent {
             camera: Arc::clone(&self.name),
@@ -144,7 +144,7 @@ impl CameraBoard {
         })
     }
 
-    /// Keeps the threshold that the target has left where it is.
+    /// Keeps the threshold that the target last set.
     pub(super) fn keep_threshold(&self, source: SettingSource) {
         if let Some((knob, value)) = self.knob.zip(self.threshold()) {
             self.set_threshold(&knob, value, source);
@@ -152,7 +152,7 @@ impl CameraBoard {
     }
 
     fn set_threshold(&self, knob: &Knob, value: f64, source: SettingSource) {
-        // First, so that the controller moves nothing any more.
+        // First, so that the controller no longer moves anything.
         self.shared.target.turned_by_hand(source);
         let _changing = self.changing.lock();
         *self.set_by.lock() = source;
@@ -168,8 +168,8 @@ impl CameraBoard {
         tracing::info!(camera, knob, ?before, now = value, "threshold changed");
     }
 
-    /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
-    /// that the knob cannot have changes nothing.
+    /// Moves the threshold on behalf of the node's target: it applies from the next frame, and is not kept. A value
+    /// that the knob does not allow changes nothing.
     pub(crate) fn move_threshold(&self, value: f64) {
         if let Some(knob) = self.knob.filter(|knob| knob.check(value).is_ok()) {
             let before = self.turn(&knob, value);
@@ -177,7 +177,7 @@ impl CameraBoard {
         }
     }
 
-    /// Puts a value into force and reports it to subscribers, in one order for both; returns the value before.
+    /// Applies a value and reports it to subscribers, in the same order for both. Returns the previous value.
     fn turn(&self, knob: &Knob, value: f64) -> Option<f64> {
         let mut before = None;
         self.threshold.send_modify(|in_force| {

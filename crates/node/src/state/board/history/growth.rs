@@ -1,29 +1,29 @@
-//! Learns from recorded frames how uncertainty grows while the detector rests.
+//! Learns from recorded frames how uncertainty grows between detector calls.
 
 use super::PastFrame;
 
-/// Ages that are kept apart; beyond them the growth is that of the fit.
+/// The number of ages recorded separately; beyond them, the growth follows the fit.
 const AGES: usize = 64;
-/// Uncertainty is taken to grow in proportion to time where nothing is recorded of it.
+/// Without records, uncertainty is assumed to grow in proportion to time.
 const USUAL_POWER: f64 = 1.0;
 
-/// A frame of the past with its age: frames since the detector was last called before it.
+/// A past frame with its age: the number of frames since the last detector call before it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aged {
     pub frame: PastFrame,
     pub age: u32,
-    /// Frames since the one before: 1 when none was lost.
+    /// The number of frames since the previous one: 1 if none was lost.
     pub step: u32,
 }
 
-/// The frames from the first call on, each with its age. What was decided before is not known, so they begin there.
+/// The frames after the first call, with their ages. Ages before it are unknown.
 pub(super) fn aged(frames: &[PastFrame]) -> Vec<Aged> {
     let mut aged = Vec::with_capacity(frames.len());
     let mut age: Option<u32> = None;
     let mut last: Option<u64> = None;
     for frame in frames {
         let gap = last.and_then(|last| frame.seq.checked_sub(last));
-        // Numbers that jump far or back are another stream's.
+        // Large or backward jumps come from another stream.
         let step = gap.and_then(|gap| u32::try_from(gap).ok());
         let step = step.filter(|gap| (1..=300).contains(gap)).unwrap_or(1);
         last = Some(frame.seq);
@@ -48,13 +48,13 @@ pub(super) fn aged(frames: &[PastFrame]) -> Vec<Aged> {
 pub(super) struct Growth {
     /// `logs[a]`: from the first frame after a call to the frame of age `a`.
     logs: [f64; AGES + 1],
-    /// Uncertainty grows as this power of the age.
+    /// The power of the age with which uncertainty grows.
     power: f64,
 }
 
 impl Growth {
-    /// As it was between one frame and the next of the same pause: the median, for objects that come and go make it jump.
-    /// So it does not matter that only the pauses of certain objects are long.
+    /// The growth between successive frames of the same pause: the median, because objects that come and go make it
+    /// jump. Steps are used because long pauses occur only with certain objects.
     pub(super) fn of(frames: &[Aged]) -> Self {
         let mut steps: Vec<Vec<f64>> = vec![Vec::new(); AGES + 1];
         for pair in frames.windows(2) {
@@ -71,7 +71,7 @@ impl Growth {
         }
         let medians: Vec<Option<(f64, f64)>> =
             steps.iter_mut().map(|steps| median(steps)).collect();
-        // A power of the age grows by power · ln(a / (a − 1)): the power by least squares.
+        // A power of the age grows by power · ln(a / (a − 1)) per step: fits the power by least squares.
         let (mut above, mut below) = (0.0, 0.0);
         for (age, found) in medians.iter().enumerate().skip(2) {
             if let Some((log, number)) = found {
@@ -94,7 +94,7 @@ impl Growth {
         Self { logs, power }
     }
 
-    /// The logarithm of the growth from the first frame after a call to one of that age.
+    /// The logarithm of the growth from the first frame after a call to a frame of that age.
     pub(super) fn log(&self, age: u32) -> f64 {
         let age = age.max(1) as usize;
         let within = self.logs.get(age).copied();
@@ -109,7 +109,7 @@ fn log_step(age: usize) -> f64 {
     (age as f64 / (age as f64 - 1.0)).ln()
 }
 
-/// The median and how many there are.
+/// The median and the number of values.
 fn median(values: &mut [f64]) -> Option<(f64, f64)> {
     values.sort_unstable_by(f64::total_cmp);
     Some((*values.get(values.len() / 2)?, values.len() as f64))

@@ -1,10 +1,9 @@
 //! Estimates from recorded uncertainties what another threshold would have skipped over the last frames.
 //!
-//! It walks through the frames once more under the other value. Where the detector would have rested for longer or
-//! shorter than it did, the recorded uncertainty is scaled by how it grew with the time since a call ([`Growth`]). What
-//! called the detector for another reason than uncertainty (no objects, the screen) calls it again, and so does the longest
-//! pause that the policy allows. It stays an estimate: other frames would have been matched, so other objects might be
-//! followed.
+//! Replays the frames under the other value. Where the detector would have rested longer or shorter than it did, the
+//! recorded uncertainty is scaled by its growth with the time since a call ([`Growth`]). Calls for reasons other than
+//! uncertainty (no objects, the screen) are repeated, and so are calls at the policy's longest pause. It remains an
+//! estimate: other frames would have been matched, so other objects might be tracked.
 
 use super::PastFrame;
 use super::growth::{Aged, Growth, aged};
@@ -39,8 +38,8 @@ pub(crate) struct SkipEstimate {
 }
 
 impl SkipEstimate {
-    /// Under these values, from recorded frames, oldest first, of a policy with this longest skip run; `None` without a frame
-    /// after a detector call.
+    /// Estimates these values from recorded frames, oldest first, of a policy with this longest pause; `None` without a
+    /// frame after a detector call.
     pub(crate) fn of(
         frames: &[PastFrame],
         longest_pause: Option<u32>,
@@ -81,7 +80,7 @@ struct Record<'a> {
 }
 
 impl Record<'_> {
-    /// Frames that would have been answered without the detector under the threshold `u`.
+    /// The number of frames that would have been answered without the detector under the threshold `u`.
     fn skipped_at(&self, u: f64) -> usize {
         let limit = u.ln();
         let mut pause: u32 = 0;
@@ -89,7 +88,7 @@ impl Record<'_> {
         for aged in self.frames {
             pause = pause.saturating_add(aged.step);
             let calls = match (aged.frame.cause, aged.frame.tau_max) {
-                // Nothing that a threshold has a say in.
+                // Independent of the threshold.
                 (Some(cause), _) if !of_objects(cause) => true,
                 (_, None) => false,
                 (_, Some(tau)) => {
@@ -107,7 +106,7 @@ impl Record<'_> {
     }
 }
 
-/// Says whether the detector was called because of the objects that are followed.
+/// True if the detector was called because of the tracked objects.
 fn of_objects(cause: CallCause) -> bool {
     matches!(
         cause,
