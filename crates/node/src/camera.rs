@@ -381,7 +381,7 @@ impl Drop for Camera {
     }
 }
 
-/// Waits until `due`; for ever if `None`.
+/// Waits until `due`; forever if `None`.
 async fn at(due: Option<Instant>) {
     match due {
         Some(due) => tokio::time::sleep_until(due).await,

@@ -1,5 +1,5 @@
-//! The edge node: frames in, and for each the policy's decision, detections and clip reports out. As a library, with
-//! its HTTP routes; [`run`] is the service.
+//! The edge node: frames in; decisions of the policy, detections and clip reports out. As a library, with its HTTP
+//! routes; [`run`] is the service.
 
 pub mod api;
 pub mod camera;

@@ -15,17 +15,17 @@ use tokio::sync::mpsc::{Sender, channel};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-/// Pictures the detector is timed on, after its warm-up.
+/// The number of pictures on which the detector is timed after its warm-up.
 const PICTURES: usize = 9;
 
-/// A router and a hub are waited for this long.
+/// The time limit for a router or a hub to answer.
 const ANSWER: Duration = Duration::from_secs(10);
 
-/// Says to people why something does not work.
+/// A human-readable reason something does not work.
 type Failure = Box<dyn Error + Send + Sync>;
 
-/// Tries everything the configuration names, and gives `each` key with what was found, or why it does not work. It publishes
-/// nothing and does not disturb a node that runs beside, but a camera that serves one client at a time refuses the second.
+/// Tries everything that the configuration names, and calls `each` with the key and the result or failure. Publishes
+/// nothing and does not disturb a running node, but a camera that serves one client at a time refuses the second.
 pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<String, String>)) {
     let mut report = |key: &str, outcome: Result<String, Failure>| {
         each(key, outcome.map_err(|error| error.to_string()));
@@ -52,7 +52,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     }
 }
 
-/// Returns what `opening` gives if that comes in time.
+/// Awaits `opening`, with a time limit.
 async fn in_time(
     endpoints: &[String],
     opening: impl Future<Output = Result<Session, Failure>>,
@@ -64,7 +64,7 @@ async fn in_time(
     })
 }
 
-/// Finds out which provider runs the model, and how long a run takes.
+/// Returns the provider that runs the model, and the time of a run.
 fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
@@ -98,7 +98,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Hands on whether the first picture came, or why not.
+/// Passes on that the first picture arrived, or why not.
 struct FirstPicture(Sender<Result<String, Failure>>);
 
 impl SourceSink for FirstPicture {
@@ -111,7 +111,7 @@ impl SourceSink for FirstPicture {
             )),
             Err(fault) => Err(format!("a picture came that cannot be used: {fault}").into()),
         };
-        // Only the first is waited for.
+        // Only the first result is awaited.
         let _ = self.0.try_send(found);
     }
 
@@ -140,7 +140,7 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     found
 }
 
-/// Finds out whether the router can be reached, as a client that listens nowhere: the ports are the running node's.
+/// Tries to reach the router, as a client that does not listen: the ports belong to the running node.
 async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
     let client = ZenohConfig {
         mode: ZenohMode::Client,
@@ -153,7 +153,7 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
     Ok(format!("{} answers", endpoints.join(", ")))
 }
 
-/// Finds out whether somebody takes reports behind the hub's router.
+/// Tries to find a hub that accepts reports behind its router.
 async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     let uplink = config.uplink.clone();
     let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
@@ -174,7 +174,7 @@ async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     }
 }
 
-/// Says whether somebody answers queries on `key`. Zenoh hears of that a moment after the session is open.
+/// True if somebody answers queries on `key`. Zenoh learns that a moment after the session is open.
 async fn hub_behind(session: &Session, key: String) -> zenoh::Result<bool> {
     let querier = session.declare_querier(key).await?;
     let until = Instant::now() + ANSWER;

@@ -21,19 +21,19 @@ use tower_service::Service;
 
 /// Runs a node and its HTTP interface on `listener` until `shutdown`.
 ///
-/// HTTP answers first, so that a health check sees a node that opens its state file, connects or loads its model; the
-/// node is ready when its cameras can be heard.
+/// HTTP answers first, so that health checks work while the node opens its state file, connects or loads its model; the
+/// node is ready once its cameras' frames can be received.
 ///
 /// # Errors
-/// When a part of the node cannot start, a task it cannot do without fails, or the HTTP interface may not be
-/// offered as configured.
+/// [`NodeError`] if a part of the node cannot start, an essential task fails, or the HTTP interface is not allowed as
+/// configured.
 pub async fn run(
     config: &NodeConfig,
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
     let interface = Interface::start(config, listener)?;
-    // The state file is opened and checked: on a slow card that takes a while.
+    // On a blocking thread: opening and checking the state file takes a while on a slow card.
     let opening = config.clone();
     let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
     let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
@@ -43,10 +43,10 @@ pub async fn run(
     interface.run(config, prepared, shutdown).await
 }
 
-/// As [`run`], with a node whose board others read too.
+/// Like [`run`], with a node whose board others also read.
 ///
 /// # Errors
-/// As there.
+/// Same as [`run`].
 pub async fn run_prepared(
     config: &NodeConfig,
     prepared: PreparedNode,
@@ -57,7 +57,7 @@ pub async fn run_prepared(
     interface.run(config, prepared, shutdown).await
 }
 
-/// The HTTP interface of a node. It is there from the start, and shows the node from when that is open.
+/// The HTTP interface of a node. It serves from the start, and shows the node once that is open.
 struct Interface {
     address: SocketAddr,
     routes: Arc<OnceLock<Router>>,
@@ -67,7 +67,7 @@ struct Interface {
 }
 
 impl Interface {
-    /// Serves HTTP as configured, in a task of its own: nothing the node waits for may keep a health check waiting.
+    /// Serves HTTP as configured, in a separate task: nothing that the node waits for may delay a health check.
     fn start(config: &NodeConfig, listener: TcpListener) -> Result<Self, NodeError> {
         let address = listener.local_addr();
         let address = address.map_err(NodeError::of("the listener has no address"))?;
@@ -88,7 +88,7 @@ impl Interface {
         })
     }
 
-    /// Shows the node, and runs it until `shutdown`.
+    /// Shows the node and runs it until `shutdown`.
     async fn run(
         self,
         config: &NodeConfig,
@@ -98,9 +98,9 @@ impl Interface {
         let (address, serving) = (self.address, self.serving.disarm());
         let board = Arc::clone(prepared.board());
         let router = http::router(Arc::clone(&board), config, serving.clone());
-        // It is set only here.
+        // Set only here.
         let _ = self.routes.set(router);
-        // Without its interface a node cannot be watched or stopped: it ends.
+        // A node without its interface cannot be monitored or stopped, so it ends.
         let unserved = shutdown.clone();
         let http = async move {
             let ended = self.served.await;
@@ -140,14 +140,14 @@ impl Interface {
             ended
         };
         let (http, node) = tokio::join!(http, node);
-        // The service manager hears of the end, be it by an error, before the process is gone.
+        // The service manager learns of the end, even by an error, before the process is gone.
         stopping.cancel();
         let _ = notifier.await;
         node.and(http)
     }
 }
 
-/// Answers requests while the state file is not open.
+/// Answers requests until the state file is open.
 fn early_routes(node: &str) -> Router {
     let node = node.to_owned();
     let alive = || async move { http::alive(&node, Duration::ZERO) };
@@ -160,7 +160,7 @@ fn early_routes(node: &str) -> Router {
         .fallback(opening)
 }
 
-/// Logs what a reader of the log wants to know first, in one line.
+/// Logs the main facts for a reader of the log, in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
     let from: Vec<_> = (board.cameras.iter())
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))

@@ -1,4 +1,4 @@
-//! Starts the parts of a node in a fixed order, and stops them in the opposite one.
+//! Starts the parts of a node in a fixed order, and stops them in reverse.
 
 mod camera;
 
@@ -25,10 +25,10 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-/// Interval at which the state of parts that report nothing by themselves is read.
+/// The interval at which the state of parts that do not report it themselves is read.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Makes a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
+/// Creates a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
 pub type PolicyMaker =
     Arc<dyn Fn(&str) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
 
@@ -37,31 +37,31 @@ pub struct Node {
     session: Session,
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
-    /// All tasks: they end by themselves after the shutdown token is cancelled.
+    /// All tasks: they end by themselves once the shutdown token is cancelled.
     tasks: Supervisor,
     /// Once cancelled, no camera waits for the detector any more.
     give_up: CancellationToken,
     stop_timeout: Duration,
-    /// Power sampler: stopped when the last report is out.
+    /// Stops the power sampler, once the last report is out.
     sampling: CancellationToken,
-    /// Keeps the name until the session is closed.
+    /// Holds the name until the session is closed.
     _name: NodeName,
     uplink: Uplink,
     subscriptions: Subscriptions,
     shutdown: CancellationToken,
 }
 
-/// A node before it is started: its board can be shown already, and says that it is not ready.
+/// A node before its start: its board can already be shown and reports that the node is not ready.
 pub struct PreparedNode {
     board: Arc<Board>,
     policies: PolicyMaker,
 }
 
 impl PreparedNode {
-    /// Makes the board of a node with this configuration.
+    /// Creates the board of a node with this configuration.
     ///
     /// # Errors
-    /// When a name or the policy cannot be used.
+    /// [`NodeError`] if a name or the policy is invalid.
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let board = Board::open(config)?;
         let cameras = board.readiness.part(readiness::CAMERAS);
@@ -73,25 +73,25 @@ impl PreparedNode {
         })
     }
 
-    /// Lets `policies` decide instead of those the configuration names, for a program that brings its own.
-    /// They should have the configured policy's knob.
+    /// Uses `policies` instead of the configured ones, for a program with its own policy. They should have the
+    /// configured policy's knob.
     #[must_use]
     pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
         self.policies = policies;
         self
     }
 
-    /// Returns the board, which shows the node.
+    /// The board, which shows the node.
     pub fn board(&self) -> &Arc<Board> {
         &self.board
     }
 
-    /// Starts the node and returns when its cameras can be heard. It runs until `shutdown` is cancelled;
-    /// then call [`Node::stopped`]. `None` when `shutdown` is cancelled before: a model may take minutes to
-    /// load, or forever.
+    /// Starts the node and returns once its cameras' frames can be received. It runs until `shutdown` is cancelled;
+    /// then call [`Node::stopped`]. `None` if `shutdown` is cancelled earlier: loading a model may take minutes, or
+    /// hang.
     ///
     /// # Errors
-    /// When a part cannot start: the message says which, and what to do.
+    /// [`NodeError`] if a part cannot start: the message names the part and the remedy.
     pub async fn start(
         self,
         config: &NodeConfig,
@@ -238,30 +238,30 @@ impl PreparedNode {
 }
 
 impl Node {
-    /// Returns the addresses on which the node's Zenoh session really listens. The ports of endpoints that were configured
-    /// with port 0 are known only now.
+    /// The addresses on which the node's Zenoh session listens. Only now are the ports of endpoints known that were
+    /// configured with port 0.
     pub async fn endpoints(&self) -> Vec<String> {
         let locators = self.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
     }
 
-    /// The execution provider that really runs the detector, as far as it is known.
+    /// The execution provider that runs the detector, if known.
     pub fn provider(&self) -> Option<&'static str> {
         provider(&self.detector.status().borrow())
     }
 
-    /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then it lets the current
-    /// frames and open clips out, and closes. It takes at most 5 s, whatever hangs: after a quarter of that it waits for no
-    /// detector, and what has not ended in time it names in the log and gives up.
+    /// Runs until the shutdown token is cancelled or an essential task fails. Then it completes the current frames and
+    /// open clips, and closes. That takes at most 5 s, whatever hangs: after a quarter of the time it no longer waits
+    /// for the detector, and it logs and abandons whatever has not ended in time.
     ///
     /// # Errors
-    /// When it ended because of a task.
+    /// [`NodeError`] if a task failed.
     pub async fn stopped(mut self) -> Result<(), NodeError> {
         let ended = self.tasks.watch().await;
-        // If a task failed, the others learn of it here.
+        // After a failed task, this stops the others.
         self.shutdown.cancel();
         let start = Instant::now();
-        // What is left of the time is for HTTP and for threads that are still at work.
+        // The rest of the time is for HTTP and for threads that are still working.
         let (tasks_until, until) = (
             start + self.stop_timeout / 2,
             start + self.stop_timeout * 3 / 4,
@@ -287,7 +287,7 @@ impl Node {
                 "not everything ended in time: it is given up"
             );
         }
-        // The sampler is the last of the tasks: the clips' energy comes from it.
+        // The sampler stops after the tasks: the clips' energy comes from it.
         self.sampling.cancel();
         let (uplink, session) = (self.uplink, self.session);
         let closed = async move {

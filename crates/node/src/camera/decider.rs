@@ -84,7 +84,7 @@ impl Decider {
         }));
     }
 
-    /// Waits for the evidence being fetched; for ever if there is none.
+    /// Waits for the evidence being fetched; forever if there is none.
     pub(super) async fn fetched(&mut self) -> Fetched {
         let Some(fetching) = &mut self.fetching else {
             return std::future::pending().await;

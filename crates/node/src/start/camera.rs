@@ -1,4 +1,4 @@
-//! Adds a camera to a node that starts: its publishers, its loop, its reporter, its threshold and its source of frames.
+//! Adds a camera to a starting node: its publishers, its loop, its reporter, its threshold and its source of frames.
 
 use super::PolicyMaker;
 use crate::camera::audit::{Auditor, CameraAudit};
@@ -31,13 +31,13 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-/// Clip reports a publisher keeps for clients that come late.
+/// The number of clip reports that a publisher keeps for late subscribers.
 const CACHED_REPORTS: usize = 64;
 
-/// The Zenoh subscribers and queryables that receive frames: dropped, they are undeclared.
+/// The Zenoh subscribers and queryables that receive frames; dropping them undeclares them.
 pub(super) type Subscriptions = Vec<Box<dyn Any + Send + Sync>>;
 
-/// Adds cameras to a node that starts, and makes their loops: what they share.
+/// Adds cameras to a starting node and creates their loops: the state they share.
 pub(super) struct Cameras {
     pub(super) config: NodeConfig,
     pub(super) session: Session,
@@ -66,7 +66,7 @@ impl Cameras {
         let receiver = Arc::new(receiver);
         let (closed, clips) = mpsc::unbounded_channel();
 
-        // A replay loses none of its answers.
+        // A replay must not lose any answer.
         let sent = match config.delivery {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
             Delivery::Every => (CongestionControl::Block, publishing::EVERY),
@@ -182,7 +182,7 @@ impl Cameras {
         settings: SourceSettings,
         tasks: &mut Supervisor,
     ) -> Result<(), NodeError> {
-        // It asks the programs for their versions.
+        // On a blocking thread: it asks the programs for their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
         let readiness = &self.board.readiness;
@@ -197,8 +197,8 @@ impl Cameras {
         Ok(())
     }
 
-    /// A camera's loop, at its start and whenever it has failed: it begins a new clip, and takes over the threshold in force
-    /// with its first frame.
+    /// Creates a camera's loop, at its start and whenever it has failed. The loop begins a new clip, and applies the
+    /// threshold in force at its first frame.
     fn camera(&self, slot: CameraSlot, parts: Arc<CameraParts>) -> Result<Camera, NodeError> {
         let Self {
             config, detector, ..

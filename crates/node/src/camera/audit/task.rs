@@ -30,7 +30,7 @@ pub(crate) struct Auditor {
 }
 
 impl Auditor {
-    /// Examines frames for ever. If it is dropped during a frame, that frame counts as missed when the last clip ends.
+    /// Examines frames forever. If it is dropped during a frame, that frame counts as missed when the last clip ends.
     pub(crate) async fn run(self) {
         loop {
             let frame = self.audit.next().await;

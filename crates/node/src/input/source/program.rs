@@ -165,7 +165,7 @@ impl RunningProgram {
         self.errors.reason()
     }
 
-    /// Waits for the end of the program and of its error output, but not for ever.
+    /// Waits for the end of the program and of its error output, but not forever.
     fn wait(&mut self) -> Option<ExitStatus> {
         let Self { child, errors, .. } = self;
         let ended = async {
@@ -248,7 +248,7 @@ struct ErrorOutput {
 }
 
 impl ErrorOutput {
-    /// Reads the next part; waits for ever once nothing more comes.
+    /// Reads the next part; waits forever once nothing more comes.
     async fn listen(&mut self) {
         let Some(pipe) = &mut self.pipe else {
             return std::future::pending().await;

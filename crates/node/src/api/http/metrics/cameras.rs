@@ -82,7 +82,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
         "albireo_detector_calls_total",
         "Frames that the detector was called for, by cause, whether or not it was available",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
-            // Causes that the policy does not have would be rows of zeros for ever.
+            // Causes that the policy does not have would be rows of zeros forever.
             let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
             some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
         }),
