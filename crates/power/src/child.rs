@@ -20,7 +20,7 @@ const LONGEST_LINE: u64 = 64 * 1024;
 /// The shortest time between a start or a line and the next start.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// How long to wait for a killed child to end. Another user's child (sudo) cannot be killed.
+/// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
 
 type Line = (Instant, String);

@@ -49,7 +49,7 @@ pub(crate) struct Ina {
 }
 
 impl Ina {
-    /// Finds the monitors under `{sysfs}/class/hwmon`, where every hwmon driver lists its chips.
+    /// Finds the monitors under `{sysfs}/class/hwmon`, which lists the chips of all hwmon drivers.
     ///
     /// # Errors
     /// [`MeterError::Missing`] if there is no monitor with a rail; [`MeterError::Failed`] if no rail can be read.

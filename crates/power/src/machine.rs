@@ -172,7 +172,7 @@ fn has_one(name: &str, parts: &[&str]) -> bool {
 /// The time between two queries of the power mode.
 const MODE_EVERY: Duration = Duration::from_secs(60);
 
-/// How long to wait for the first answer: nothing is measured yet.
+/// The time limit for the first answer: nothing is measured yet.
 const FIRST_MODE: Duration = Duration::from_secs(2);
 
 /// Queries `nvpmodel` for the power mode, now and every `period`, until the receiver is dropped. A thread does it

@@ -20,7 +20,7 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "rapl";
 
-/// How long `psys` is checked before it is used.
+/// The time for which `psys` is checked before it is used.
 const WATCH_PLATFORM: Duration = Duration::from_millis(200);
 
 /// The share of its parts' energy that `psys` must show: counters are not updated at the same moment.

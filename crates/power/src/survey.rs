@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How long each source is read.
+/// The time for which each source is read.
 const WATCH: Duration = Duration::from_millis(1000);
 
 /// The present state of one rail.

@@ -21,7 +21,7 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "tegrastats";
 
-/// How long to wait for the first line.
+/// The time limit for the first line.
 const FIRST_LINE: Duration = Duration::from_secs(5);
 
 /// A child that prints nothing for this long and for 20 intervals is restarted.
