@@ -31,7 +31,7 @@ const AUTHORITY_KEY: &str = "authority.key";
 /// One day.
 pub const DAY: Duration = Duration::from_secs(86_400);
 
-/// How far back the validity of certificates starts, seconds: the clock of a board that just booted may be behind.
+/// The start of a certificate's validity before now, seconds: the clock of a board that just booted may be behind.
 const REACH_BACK: i64 = 86_400;
 
 /// The paths of a new certificate and its key.

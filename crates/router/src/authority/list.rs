@@ -134,7 +134,7 @@ impl List {
         self.stored.issued.iter().filter(of_it)
     }
 
-    /// The unrevoked entry of that name.
+    /// The unrevoked entry with this role and name.
     pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
         self.of(role, name)
             .find(|entry| entry.revoked_s.is_none())
@@ -144,7 +144,7 @@ impl List {
             })
     }
 
-    /// The highest issue of that name; 0 if there is none.
+    /// The highest issue with this role and name; 0 if there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
         (self.of(role, name).map(|entry| entry.issue).max()).unwrap_or(0)
     }
