@@ -234,7 +234,7 @@ impl Default for CameraConfig {
 }
 
 impl CameraConfig {
-    /// A camera of that name with all other settings at their defaults.
+    /// Creates a camera named `name`, with all other settings at their defaults.
     pub fn named(name: impl Into<String>) -> Self {
         Self {
             name: name.into(),

@@ -50,7 +50,7 @@ const POLL_EVERY: Duration = Duration::from_secs(1);
 /// The time without any answer to waiting reports after which the node reopens its uplink.
 const STALE: Duration = Duration::from_secs(300);
 
-/// How long the last reports may take when the node stops. The outbox keeps those that do not arrive.
+/// The time limit for the last reports when the node stops. The outbox keeps those that do not arrive.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
 /// After a session of at least this length, the pauses between attempts start short again.
@@ -60,7 +60,7 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 pub(crate) struct UplinkSetup {
     /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// How reports are delivered, and what the hub learns and sees.
+    /// The settings for delivering reports, and for what the hub learns and sees.
     pub config: NodeConfig,
     /// The keys toward the hub.
     pub keys: NodeKeys,

@@ -1,4 +1,4 @@
-//! Reads the attachment of a frame: this program's JSON, or that of ROS 2's rmw_zenoh.
+//! Reads the attachment of a frame: JSON from this program, or the format of ROS 2's rmw_zenoh.
 
 use super::PayloadFormat;
 use albireo_vision::picture::FrameFault;

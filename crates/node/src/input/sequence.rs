@@ -11,7 +11,7 @@
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How many numbers back the tracker remembers which have arrived.
+/// The number of past numbers of which the tracker remembers if they arrived.
 const WINDOW: u64 = 64;
 /// The largest step ahead that is accepted at once.
 const NEAR: u64 = 8;
@@ -65,7 +65,7 @@ struct Stream {
     highest: Option<u64>,
     /// Bit `k` is set if number `highest - k` has arrived.
     came: u64,
-    /// How far the last number that was too far ahead was above the highest.
+    /// The distance above the highest number of the last number that was too far ahead.
     ahead: Option<u64>,
     /// Unusable samples since the highest number: as many of the missing numbers are not lost.
     unusable: u64,

@@ -167,7 +167,7 @@ impl Board {
         self.started.elapsed()
     }
 
-    /// The camera of that name.
+    /// The camera named `name`.
     pub fn camera(&self, name: &str) -> Option<&Arc<CameraBoard>> {
         self.cameras.iter().find(|camera| camera.name() == name)
     }

@@ -41,10 +41,10 @@ pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
 pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 
-/// How long a meter may take for its first sample.
+/// The time limit for a meter's first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
-/// How long lost clip reports are shown.
+/// The time for which lost clip reports are shown.
 const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 /// All parts, in the order of the metrics.

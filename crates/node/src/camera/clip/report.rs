@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use uuid::{NoContext, Timestamp, Uuid};
 
-/// How long the last report may wait for its energy when the node stops: two samples at usual intervals.
+/// The time limit for the energy of the last report when the node stops: two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
 
 /// The maximum number of threshold values in one report; beyond it, only the newest is updated.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How reports wait for the hub and are sent. Fields that are not settings exist for tests.
+/// The settings for keeping and sending reports. Fields that are not settings exist for tests.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutboxConfig {

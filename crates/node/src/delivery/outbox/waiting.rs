@@ -10,7 +10,7 @@ use albireo_wire::{
 use std::collections::BTreeSet;
 use uuid::Uuid;
 
-/// How long acknowledged reports are kept in case a hub loses them, if there is room and a disk.
+/// The time for which acknowledged reports are kept in case a hub loses them, if there is room and a disk.
 const KEPT_MS: i64 = 7 * 86_400_000;
 
 /// The maximum number of reports rescued to memory from a file that cannot be written.

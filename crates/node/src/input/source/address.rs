@@ -362,7 +362,7 @@ impl SourceOptions {
     }
 }
 
-/// True if an option of that name carries a secret.
+/// True if the option `name` carries a secret.
 fn is_secret(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let parts = [

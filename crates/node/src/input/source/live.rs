@@ -22,7 +22,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 const STAYED: Duration = Duration::from_secs(10);
 /// The longest silence that can be configured.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
-/// How long the node tries to reach a silent camera, to report the cause.
+/// The time limit for reaching a silent camera, to report the cause.
 const CONNECT_LIMIT: Duration = Duration::from_secs(3);
 /// Motion JPEG is given up once this many first parts are all something else.
 const FIRST_PARTS: u32 = 3;

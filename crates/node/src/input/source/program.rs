@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 
 /// The requested size of a pipe, bytes. A picture has several times as many.
 const PIPE_BYTES: usize = 1 << 20;
-/// How long a program may take to end by itself after its output has ended, and again after it was killed.
+/// The time limit for a program to end by itself after its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
 /// The number of a program's error messages kept, and the maximum length of each.
 const MAX_COMPLAINTS: usize = 12;
