@@ -40,7 +40,7 @@ pub enum News {
     Late(FrameEvent),
     /// A clip ended.
     Clip(Arc<ClipReport>),
-    /// The counters of a camera, once a second.
+    /// The counters of a camera, once per second.
     Counters(Arc<CountersMessage>),
     /// A threshold changed.
     Threshold(ThresholdEvent),
