@@ -78,8 +78,8 @@ impl Clip {
         measured.unwrap_or_default()
     }
 
-    /// Creates the report, except for the names that the reporter adds. Sorts the latencies, which takes milliseconds for
-    /// a long clip.
+    /// Creates the report, except for the names that the reporter adds. Sorts the latencies, which takes milliseconds
+    /// for a long clip.
     pub(crate) fn into_report(self, measured: Measured) -> ClipReport {
         let duration = self.duration();
         let Self { mut report, .. } = self;

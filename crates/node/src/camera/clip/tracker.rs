@@ -85,8 +85,8 @@ impl ClipTracker {
         }
     }
 
-    /// Records a frame about to be processed, with its capture time, clip (if the camera names one) and arrival. It belongs
-    /// to the clip that is open afterwards ([`clip`](Self::clip)). Returns the clip that ended before it.
+    /// Records a frame about to be processed, with its capture time, clip (if the camera names one) and arrival. It
+    /// belongs to the clip that is open afterwards ([`clip`](Self::clip)). Returns the clip that ended before it.
     pub(crate) fn arrive(
         &mut self,
         t_ns: u64,
