@@ -201,12 +201,12 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     let first = period(decider, &mut outcome, &film, 0);
     // The counter counts: the first frames do allocate.
     assert!(first.iter().any(|&(_, allocations)| allocations > 0));
-    for round in 1..4 {
+    for round in 1..3 {
         period(decider, &mut outcome, &film, round * PERIOD);
     }
     // The least of several rounds, since the test's own main thread may allocate beside it.
     let mut least: BTreeMap<(usize, FrameState), u64> = BTreeMap::new();
-    for round in 4..9 {
+    for round in 3..6 {
         let counted = period(decider, &mut outcome, &film, round * PERIOD);
         for (frame, (state, allocations)) in counted.into_iter().enumerate() {
             let entry = least.entry((frame, state)).or_insert(allocations);

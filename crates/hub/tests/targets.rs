@@ -242,10 +242,12 @@ async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then
         let changes = hub.get("/api/v1/changes").await;
         assert_eq!(changes["changes"][0]["origin"], "drift", "{changes}");
         revision = changes["changes"][0]["revision"].as_u64().unwrap();
-        // It obeys, and is no drift any more.
         report(revision, 5e-4).await;
-        hub.until("/api/v1/drift", |drift| *drift == json!([]))
-            .await;
+        if times == 1 {
+            // It obeys, and is no drift any more.
+            hub.until("/api/v1/drift", |drift| *drift == json!([]))
+                .await;
+        }
     }
     report(revision, 9e-4).await;
     let drift = hub
