@@ -16,12 +16,12 @@ use tokio::sync::watch;
 use tokio::time::{Duration, Instant};
 use utoipa::ToSchema;
 
-/// What is wrong with a part.
+/// The fault of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Fault {
-    /// `not_ready` when the service cannot do its work, `degraded` when it works beside the fault.
+    /// `not_ready` if the service cannot do its work, `degraded` if it works in spite of the fault.
     pub effect: HealthState,
-    /// What is wrong, for people. No number that moves by itself belongs here: each new text is a change.
+    /// The reason, human-readable. It must not contain a number that changes by itself: each new text counts as a change.
     pub reason: String,
 }
 
@@ -43,20 +43,20 @@ impl Fault {
     }
 }
 
-/// What is wrong with one of the service's parts.
+/// A fault of one of the service's parts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct PartFault {
     /// The part: `detector`, `zenoh`, …
     #[schema(value_type = String)]
     pub part: Cow<'static, str>,
-    /// Which of several: the name of a camera or a task. Absent where it is the part itself.
+    /// The name of a camera or a task, if the part has several; absent for the part itself.
     #[serde(skip_serializing_if = "str::is_empty")]
     #[schema(value_type = Option<String>)]
     pub subject: Cow<'static, str>,
-    /// What is wrong.
+    /// The fault.
     #[serde(flatten)]
     pub fault: Fault,
-    /// Seconds since the part is at fault, whatever the reasons were meanwhile.
+    /// Seconds that the part has been faulty, for whatever reasons.
     #[serde(rename = "since_s", serialize_with = "in_seconds")]
     #[schema(value_type = f64)]
     pub lasted: Duration,

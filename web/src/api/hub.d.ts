@@ -63,8 +63,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Who asks, and what that one may do
-         * @description Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
+         * The caller and its permissions
+         * @description Open to all: it says what a token allows, or that one is needed.
          *     `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
          */
         get: {
@@ -1723,9 +1723,8 @@ export interface components {
             revision: number;
         };
         /**
-         * @description The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
-         *     truth: a policy that keeps showing an object which the detector misses loses precision here although it may
-         *     be right.
+         * @description The results of an audit, with 95 % intervals that account for missed frames. The reference is the detector, not the
+         *     truth: a policy that keeps showing an object that the detector misses loses precision here although it may be right.
          */
         AuditFigures: {
             /**
@@ -1740,32 +1739,32 @@ export interface components {
             detected: number;
             /**
              * Format: double
-             * @description Detector time of these, seconds.
+             * @description Detector time of these calls, seconds.
              */
             detector_s: number;
             /**
              * Format: int64
-             * @description Skipped frames that were drawn.
+             * @description Skipped frames drawn for the audit.
              */
             drawn: number;
             /**
              * Format: int64
-             * @description Those of them that the detector had no time for.
+             * @description Drawn frames that the detector had no time for.
              */
             missed: number;
             precision?: components["schemas"]["AuditRate"] | null;
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Boxes that were shown on them.
+             * @description Boxes shown on the compared frames.
              */
             shown: number;
         };
-        /** @description A share of boxes, with its interval at a confidence of 95 %. */
+        /** @description A share of boxes with its 95 % confidence interval. */
         AuditRate: {
             /**
              * Format: int64
-             * @description The compared boxes.
+             * @description Number of compared boxes.
              */
             boxes: number;
             /**
@@ -1775,7 +1774,7 @@ export interface components {
             high: number;
             /**
              * Format: double
-             * @description How many independent boxes they are worth: the boxes of one frame are shown or missed together.
+             * @description Equivalent number of independent boxes: the boxes of one frame are shown or missed together.
              */
             independent: number;
             /**
@@ -1838,18 +1837,18 @@ export interface components {
             why: string;
         };
         /**
-         * @description Whether frames come from a camera.
+         * @description The state of a camera's frames.
          * @enum {string}
          */
         CameraState: "live" | "stale" | "never_seen";
         /** @description One camera of a [`NodeStatus`]. */
         CameraStatus: {
-            /** @description Its name. */
+            /** @description Name of the camera. */
             name: string;
-            /** @description Whether frames come. */
+            /** @description State of its frames. */
             state: components["schemas"]["CameraState"];
             threshold?: components["schemas"]["Threshold"] | null;
-            /** @description Who set it. */
+            /** @description Origin of the threshold. */
             threshold_source: components["schemas"]["SettingSource"];
         };
         /** @description The outcome of a change at one node. */
@@ -1928,7 +1927,7 @@ export interface components {
          * @enum {string}
          */
         Command: "pause" | "resume" | "next" | "return" | "stop";
-        /** @description The counters of a camera, once per second. */
+        /** @description The counters of a camera, sent once per second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
@@ -1970,7 +1969,7 @@ export interface components {
              * @description Version.
              */
             v: number;
-            /** @description Power now by domain, watts; empty without a source. */
+            /** @description Current power by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
         /** @description Nodes by state. */
@@ -1998,12 +1997,12 @@ export interface components {
         };
         /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
-            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
+            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. It switches a target off. */
             threshold: components["schemas"]["Threshold"];
         } | {
             target: components["schemas"]["Target"] | null;
         };
-        /** @description Power of one domain now. */
+        /** @description The current power of one domain. */
         DomainWatts: {
             /** @description `total`, `gpu`, `cpu`, `io_mem`. */
             domain: string;
@@ -2030,7 +2029,7 @@ export interface components {
             /** @description Why it no longer holds its target, in the node's words. */
             why?: string | null;
         };
-        /** @description Frames that were not processed, each kind under its own name. */
+        /** @description Frames that were not processed, by kind. */
         DroppedFrames: {
             /**
              * Format: int64
@@ -2040,49 +2039,49 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (first counted as lost).
+             * @description Arrived after a later frame; first counted as lost.
              * @default 0
              */
             late: number;
             /**
              * Format: int64
-             * @description Never arrived: numbers missing in the sequence.
+             * @description Never arrived: missing sequence numbers.
              * @default 0
              */
             lost: number;
             /**
              * Format: int64
-             * @description Pushed out of the ring by a newer one before its turn.
+             * @description Replaced in the ring by a newer frame before their turn.
              * @default 0
              */
             overrun: number;
             /**
              * Format: int64
-             * @description Payload, picture or decompressed size above the limit.
+             * @description The size of payload, picture or decompressed data exceeds the limit.
              * @default 0
              */
             oversized: number;
             /**
              * Format: int64
-             * @description Arrived or waited while the camera's loop was not running, after a failure or while stopping.
+             * @description Arrived or waited while the camera's loop was not running, after a failure or during shutdown.
              * @default 0
              */
             stopped: number;
             /**
              * Format: int64
-             * @description From another stream than the camera's current one: another publisher, or a number far off.
+             * @description From a stream other than the camera's current one: another publisher, or a distant sequence number.
              * @default 0
              */
             stray: number;
             /**
              * Format: int64
-             * @description The picture could not be decoded, or contradicts its own header.
+             * @description The picture cannot be decoded or contradicts its header.
              * @default 0
              */
             undecodable: number;
             /**
              * Format: int64
-             * @description A payload encoding that is not known, or an attachment that cannot be read.
+             * @description The payload encoding is unknown, or the attachment is unreadable.
              * @default 0
              */
             unknown_format: number;
@@ -2187,7 +2186,7 @@ export interface components {
             unpriced_calls: number;
         };
         /**
-         * @description How far an energy figure can be trusted; the order is from most to least.
+         * @description The quality of an energy figure, from the most to the least reliable.
          * @enum {string}
          */
         EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
@@ -2216,27 +2215,27 @@ export interface components {
         FrameStates: {
             /**
              * Format: int64
-             * @description Detector with at least one rescue.
+             * @description The detector ran, and at least one object was rescued.
              */
             AI: number;
             /**
              * Format: int64
-             * @description Screen says empty, detector skipped.
+             * @description The screen reported "empty"; the detector was skipped.
              */
             E: number;
             /**
              * Format: int64
-             * @description Screen, then detector.
+             * @description The screen reported "not empty"; the detector ran.
              */
             "E+I": number;
             /**
              * Format: int64
-             * @description Detector.
+             * @description The detector ran.
              */
             I: number;
             /**
              * Format: int64
-             * @description Predicted boxes, detector skipped.
+             * @description The boxes are predicted; the detector was skipped.
              */
             P: number;
         };
@@ -2271,17 +2270,17 @@ export interface components {
             version: string;
         };
         /**
-         * @description Whether a node works as it should.
+         * @description The health of a node.
          * @enum {string}
          */
         HealthState: "ready" | "degraded" | "not_ready";
-        /** @description Health with its reasons. */
+        /** @description The health of a node with the reasons. */
         HealthStatus: {
-            /** @description What is wrong, by part; empty when ready. */
+            /** @description Problems by part; empty when ready. */
             reasons: {
                 [key: string]: string;
             };
-            /** @description Whether it works as it should. */
+            /** @description Health of the node. */
             state: components["schemas"]["HealthState"];
         };
         /** @description [`HubReadiness`] as a problem document. */
@@ -2353,11 +2352,11 @@ export interface components {
             /** @description The plan. */
             plan: components["schemas"]["TrialPlan"];
         };
-        /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
+        /** @description The number of a policy that a user may change while it runs, as declared by the policy. */
         Knob: {
             /**
              * Format: double
-             * @description The value without configuration.
+             * @description Default value.
              */
             default: number;
             /**
@@ -2365,27 +2364,27 @@ export interface components {
              * @description Largest value allowed.
              */
             maximum: number;
-            /** @description What turning it does, in one sentence. */
+            /** @description The effect of changing it, in one sentence. */
             meaning: string;
             /**
              * Format: double
              * @description Smallest value allowed.
              */
             minimum: number;
-            /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
+            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
             name: string;
             /**
              * Format: double
-             * @description Where a slider ends: above it hardly anything more is saved, at a high price.
+             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
              */
             useful_maximum: number;
             /**
              * Format: double
-             * @description Where a slider begins: below it hardly anything is saved.
+             * @description Lower end of a slider: below it hardly anything is saved.
              */
             useful_minimum: number;
         };
-        /** @description Between which values a controller moves a knob. */
+        /** @description The range within which a controller moves a knob. */
         KnobRange: {
             /**
              * Format: double
@@ -2394,7 +2393,7 @@ export interface components {
             least: number;
             /**
              * Format: double
-             * @description Largest value: what accuracy still allows.
+             * @description Largest value that accuracy still allows.
              */
             most: number;
         };
@@ -2458,43 +2457,43 @@ export interface components {
              */
             waiting: number;
         };
-        /** @description Everything a hub shows of a node between reports. */
+        /** @description The full status that a hub shows of a node between reports. */
         NodeStatus: {
             /** @description Cameras. */
             cameras: components["schemas"]["CameraStatus"][];
             /** @description Health with its reasons. */
             health: components["schemas"]["HealthStatus"];
-            /** @description Labels of its configuration, for selecting nodes: `region = "north"`. */
+            /** @description Labels from the configuration, for selecting nodes: `region = "north"`. */
             labels?: {
                 [key: string]: string;
             };
-            /** @description Detector model: file name. */
+            /** @description File name of the detector model. */
             model: string;
             /** @description The outbox. */
             outbox: components["schemas"]["OutboxStatus"];
             /** @description Policy. */
             policy: string;
-            /** @description How far they can be trusted. */
+            /** @description Quality of the power figures. */
             power_quality: components["schemas"]["EnergyQuality"];
-            /** @description Where power figures come from: `rapl`, `estimate`, … */
+            /** @description Source of the power figures: `rapl`, `estimate`, … */
             power_source: string;
-            /** @description Execution provider that really runs it; absent until the model is loaded. */
+            /** @description Execution provider that actually runs the model; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
-            /** @description Why it has no target any more, in words, if it had one since its start. */
+            /** @description Human-readable reason why a target that the node had since its start was switched off. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
-        /** @description The target in a node's status, without the figures that change all the time. */
+        /** @description The target in a node's status, without the figures that change constantly. */
         NodeTarget: {
             /**
              * Format: double
              * @description The measured value when the status was created.
              */
             actual?: number | null;
-            /** @description Who set it. */
+            /** @description Origin of the target. */
             source: components["schemas"]["SettingSource"];
             status?: components["schemas"]["TargetStatus"] | null;
             /** @description The target. */
@@ -2555,21 +2554,21 @@ export interface components {
         };
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
-            /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
+            /** @description True if reports survive a power loss; false without a state directory or if its disk fails. */
             durable: boolean;
             /**
              * Format: int64
-             * @description Reports lost: the outbox was full or its disk broken.
+             * @description Reports lost because the outbox was full or its disk failed.
              */
             lost: number;
             /**
              * Format: int64
-             * @description Reports that the hub refused for good.
+             * @description Reports that the hub refused permanently.
              */
             undeliverable?: number;
             /**
              * Format: int64
-             * @description Reports that wait.
+             * @description Reports waiting for delivery.
              */
             waiting: number;
         };
@@ -2600,11 +2599,11 @@ export interface components {
          * @enum {string}
          */
         PresenceState: "online" | "degraded" | "silent" | "offline";
-        /** @description What went wrong with a request, and what would do. */
+        /** @description An error of a request, and how to correct it. */
         Problem: {
-            /** @description What is allowed instead of what was sent: methods, names, media types. */
+            /** @description The allowed methods, names or media types. */
             allowed?: string[];
-            /** @description What was wrong with this request. */
+            /** @description The error of this request. */
             detail: string;
             knob?: components["schemas"]["Knob"] | null;
             /**
@@ -2614,16 +2613,16 @@ export interface components {
             status: number;
             /** @description The status in words. */
             title: string;
-            /** @description Always `about:blank`: the title is that of the status. */
+            /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
         };
-        /** @description A desired value that a node did not take. */
+        /** @description A desired value that a node refused. */
         RefusedDesired: {
-            /** @description Why, in words: the policy has another threshold, or the value is outside of its range. */
+            /** @description Human-readable reason: the policy has another threshold, or the value is out of range. */
             reason: string;
             /**
              * Format: int64
-             * @description Its revision: greater than the one in force.
+             * @description Revision of the value, greater than the one in force.
              */
             revision: number;
         };
@@ -2745,7 +2744,7 @@ export interface components {
             method: string;
             /** @description Its path; `{camera}` is replaced by a camera's name. */
             path: string;
-            /** @description What it is for. */
+            /** @description Its summary. */
             summary: string;
         };
         /** @description A rollout or a trial: its plan, nodes, phase and record. */
@@ -2794,7 +2793,7 @@ export interface components {
             stages: components["schemas"]["StageView"][];
         };
         /**
-         * @description Who set a threshold or a target.
+         * @description The origin of a threshold or a target.
          * @enum {string}
          */
         SettingSource: "configuration" | "local" | "hub";
@@ -2984,11 +2983,11 @@ export interface components {
             /** @description Identity of the report. */
             report_id?: string | null;
         };
-        /** @description What is to be held. As JSON one field: `{"skip_rate": 0.5}`. */
+        /** @description The target to hold. In JSON, one field: `{"skip_rate": 0.5}`. */
         Target: {
             /**
              * Format: double
-             * @description Recall against the detector: the lower end of its interval is held at this.
+             * @description Recall against the detector: the lower end of its interval is held at this value.
              */
             recall: number;
         } | {
@@ -3006,10 +3005,10 @@ export interface components {
         };
         /** @description The target of a node and its state. */
         TargetReport: {
-            /** @description Why there is none any more, in words. */
+            /** @description Human-readable reason why there is no target any more. */
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
-            /** @description Who set it, or switched it off. */
+            /** @description Origin of the target or of its removal. */
             source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
             target?: components["schemas"]["Target"] | null;
@@ -3019,47 +3018,47 @@ export interface components {
              * @description Version.
              */
             v: number;
-            /** @description The same in words. */
+            /** @description The state, human-readable. */
             why?: string | null;
         };
         /** @description The state of a target. */
         TargetState: {
             /**
              * Format: double
-             * @description What is measured of it; for recall the lower end of its interval. Absent before anything is.
+             * @description The measured value; for recall, the lower end of its interval. Absent before the first measurement.
              */
             actual?: number | null;
             /**
              * Format: int64
-             * @description For recall, the boxes that the figure rests on.
+             * @description For recall, the number of boxes behind the measured value.
              */
             boxes?: number | null;
             /**
              * Format: double
-             * @description The knob's value in force.
+             * @description The knob's current value.
              */
             knob: number;
-            /** @description Why it has that value. */
+            /** @description The reason for that value. */
             status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
-             * @description How often that began.
+             * @description Number of times that this began.
              */
             unmet: number;
             /**
              * Format: double
-             * @description Seconds in which the target could not be met inside the range.
+             * @description Time during which the target could not be met inside the range, seconds.
              */
             unmet_s: number;
         };
         /**
-         * @description Why the knob has its value.
+         * @description The reason for the knob's value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /**
-         * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-         *     under expected-loss. So one policy's value cannot be mistaken for another's.
+         * @description The value of a policy's threshold with the policy's name for it: `{"name": "u", "value": 3e-4}`, or `lambda` under
+         *     expected-loss. The name prevents mistaking one policy's value for another's.
          */
         Threshold: {
             /** @description The threshold's name. */
@@ -3141,13 +3140,13 @@ export interface components {
          * @enum {string}
          */
         What: "begun" | "stage" | "soaking" | "judged" | "held" | "missed" | "returning" | "returned" | "done" | "paused" | "resumed" | "next" | "return" | "stopped";
-        /** @description Who asks. */
+        /** @description The caller. */
         WhoAsks: {
-            /** @description Whether the caller may change something, and not only look. */
+            /** @description True if the caller may change settings, and not only read. */
             may_tune: boolean;
-            /** @description Name of the token; `anonymous` without one. */
+            /** @description The name of the token; `anonymous` without one. */
             name: string;
-            /** @description Whether what is asked of this interface needs a token that did not come with the request. */
+            /** @description True if the interface needs a token that the request lacks. */
             token_needed: boolean;
         };
         /** Format: int64 */

@@ -47,8 +47,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Who asks, and what that one may do
-         * @description Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
+         * The caller and its permissions
+         * @description Open to all: it says what a token allows, or that one is needed.
          *     `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
          */
         get: {
@@ -173,8 +173,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What was found in a camera's newest frame
-         * @description The message that was published on Zenoh for it.
+         * The detections of a camera's newest frame
+         * @description The message that was published on Zenoh.
          *     `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
          */
         get: {
@@ -378,7 +378,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What other thresholds would have skipped over the last minutes
+         * The frames that other thresholds would have skipped over the last minutes
          * @description An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
          *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
          */
@@ -386,8 +386,8 @@ export interface paths {
             parameters: {
                 query?: {
                     /**
-                     * @description Values of the threshold, separated by commas, at most 64; without it, 41 from a hundredth of the default to a hundred
-                     *     times it.
+                     * @description Values of the threshold, separated by commas, at most 64; by default 41, from a hundredth of the default threshold to a
+                     *     hundred times it.
                      */
                     values?: string;
                 };
@@ -537,13 +537,13 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Of this camera only. */
+                    /** @description Only of this camera. */
                     camera?: string;
-                    /** @description At most this many; 50 without it. */
+                    /** @description Maximum number; 50 by default. */
                     limit?: number;
-                    /** @description Reports older than the one of this identity only: `next` of an answer, for the clips before those. */
+                    /** @description Only reports older than the one with this identity: the `next` of an answer, for earlier clips. */
                     before?: string;
-                    /** @description Reports newer than the one of this identity only: the newest that is known, for the clips since. */
+                    /** @description Only reports newer than the one with this identity: the newest known one, for later clips. */
                     after?: string;
                 };
                 header?: never;
@@ -633,7 +633,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What happens on the node, as server-sent events
+         * The node's events, as server-sent events
          * @description First the present state (counters, thresholds, detector), then each change. A reader that is too slow
          *     loses events; the event `lagged` has their number.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
@@ -641,11 +641,11 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description About this camera only. Events about the detector come all the same. */
+                    /** @description Only events of this camera, and of the detector. */
                     camera?: string;
                     /**
-                     * @description Names of the kinds wanted, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`,
-                     *     `detector`. All of them without it.
+                     * @description Only these kinds, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`, `detector`. All kinds by
+                     *     default.
                      */
                     types?: string;
                 };
@@ -738,8 +738,8 @@ export interface paths {
         };
         /**
          * The last lines of the log
-         * @description The node keeps the newest 1000 in memory, from level `info` on whatever standard error is to hear. No configured secret
-         *     is in them. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+         * @description The node keeps the newest 1000 in memory, from level `info` on, whatever the level of standard error. Configured secrets
+         *     are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
          */
         get: {
             parameters: {
@@ -790,7 +790,7 @@ export interface paths {
         };
         /**
          * The node in one answer
-         * @description As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
+         * @description Like `/readyz`, but always with status 200: it is for display, not for probes.
          *     `curl http://127.0.0.1:8080/api/v1/node`
          */
         get: {
@@ -1091,7 +1091,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether frames are processed as wanted, and by which execution provider
+         * Whether frames are processed, and by which execution provider
          * @description 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
          *     fails. `curl http://127.0.0.1:8080/readyz`
          */
@@ -1134,16 +1134,16 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /** @description A policy that has skipped nothing, and what to try. */
+        /** @description A policy that has skipped nothing, and a value to try. */
         Advice: {
             /**
              * Format: int64
-             * @description Frames of those with objects.
+             * @description The number of these frames with objects.
              */
             followed: number;
             /**
              * Format: int64
-             * @description Frames since the knob was turned last; the detector ran on every one.
+             * @description Frames since the last change of the knob; the detector ran on every one.
              */
             frames: number;
             /** @description The knob's name. */
@@ -1160,9 +1160,8 @@ export interface components {
             value: number;
         };
         /**
-         * @description The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
-         *     truth: a policy that keeps showing an object which the detector misses loses precision here although it may
-         *     be right.
+         * @description The results of an audit, with 95 % intervals that account for missed frames. The reference is the detector, not the
+         *     truth: a policy that keeps showing an object that the detector misses loses precision here although it may be right.
          */
         AuditFigures: {
             /**
@@ -1177,32 +1176,32 @@ export interface components {
             detected: number;
             /**
              * Format: double
-             * @description Detector time of these, seconds.
+             * @description Detector time of these calls, seconds.
              */
             detector_s: number;
             /**
              * Format: int64
-             * @description Skipped frames that were drawn.
+             * @description Skipped frames drawn for the audit.
              */
             drawn: number;
             /**
              * Format: int64
-             * @description Those of them that the detector had no time for.
+             * @description Drawn frames that the detector had no time for.
              */
             missed: number;
             precision?: components["schemas"]["AuditRate"] | null;
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Boxes that were shown on them.
+             * @description Boxes shown on the compared frames.
              */
             shown: number;
         };
-        /** @description A share of boxes, with its interval at a confidence of 95 %. */
+        /** @description A share of boxes with its 95 % confidence interval. */
         AuditRate: {
             /**
              * Format: int64
-             * @description The compared boxes.
+             * @description Number of compared boxes.
              */
             boxes: number;
             /**
@@ -1212,7 +1211,7 @@ export interface components {
             high: number;
             /**
              * Format: double
-             * @description How many independent boxes they are worth: the boxes of one frame are shown or missed together.
+             * @description Equivalent number of independent boxes: the boxes of one frame are shown or missed together.
              */
             independent: number;
             /**
@@ -1228,42 +1227,42 @@ export interface components {
             rate: number;
         };
         /**
-         * @description The audit's part of a clip report: results for skipped frames since the previous report. A frame at the end of a clip
+         * @description The audit part of a clip report: results for skipped frames since the previous report. A frame at the end of a clip
          *     may be counted in the next report.
          */
         AuditReport: {
             /**
              * Format: int64
-             * @description Detector calls for the audit; in none of the frame states and not in the skip rate.
+             * @description Detector calls for the audit; included in neither the frame states nor the skip rate.
              * @default 0
              */
             calls: number;
             /**
              * Format: int64
-             * @description Detector time of these, microseconds.
+             * @description Detector time of these calls, microseconds.
              * @default 0
              */
             detector_us: number;
             /**
              * Format: double
-             * @description Estimate of what that time added, joules, which are among the clip's: the watts that a running detector adds on this
-             *     machine times `detector_us`. Absent while it is not known what it adds.
+             * @description Estimated energy of these calls, joules, included in the clip's energy: the watts that a running detector adds
+             *     on this machine times `detector_us`. Absent while those watts are unknown.
              * @default null
              */
             joules: number | null;
             /**
              * Format: double
-             * @description Share of the skipped frames that is drawn.
+             * @description Share of skipped frames drawn for the audit.
              * @default 0
              */
             share: number;
             /**
-             * @description What was compared and what was missed.
+             * @description Counts of compared and missed frames.
              * @default {}
              */
             sums: components["schemas"]["AuditSums"];
         };
-        /** @description Sums over the compared frames of the squares and products of their counts, from which the intervals come. */
+        /** @description Sums over the compared frames of the squares and products of their counts, from which the intervals are computed. */
         AuditSquares: {
             /**
              * Format: int64
@@ -1297,31 +1296,31 @@ export interface components {
             shown_paired: number;
         };
         /**
-         * @description Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes per frame, the
-         *     one that audits the larger share of its frames weighs more.
+         * @description Sums over the drawn frames. A pooled rate covers all compared boxes: of two cameras with equally many boxes per
+         *     frame, the one that audits the larger share of its frames weighs more.
          */
         AuditSums: {
             /**
              * Format: int64
-             * @description Boxes that the detector found on them.
+             * @description Boxes that the detector found on the compared frames.
              * @default 0
              */
             detected: number;
             /**
              * Format: int64
-             * @description Frames that were compared.
+             * @description Frames compared.
              * @default 0
              */
             frames: number;
             /**
              * Format: int64
-             * @description Frames that were drawn and that the detector had no time for.
+             * @description Drawn frames that the detector had no time for.
              * @default 0
              */
             missed: number;
             /**
              * Format: int64
-             * @description Boxes that were shown on those, at least one per frame: what the missed frames weigh in an interval.
+             * @description Boxes shown on the missed frames, at least one per frame: the weight of missed frames in an interval.
              * @default 0
              */
             missed_boxes: number;
@@ -1333,12 +1332,12 @@ export interface components {
             paired: number;
             /**
              * Format: int64
-             * @description Boxes that were shown on them.
+             * @description Boxes shown on the compared frames.
              * @default 0
              */
             shown: number;
             /**
-             * @description How far the compared frames differ.
+             * @description Sums of squares and products of the counts, for the intervals.
              * @default {
              *       "detected": 0,
              *       "detected_paired": 0,
@@ -1349,10 +1348,7 @@ export interface components {
              */
             squares: components["schemas"]["AuditSquares"];
         };
-        /**
-         * @description The state of the board during a clip, as far as the board reports it: the energy of a clip depends on
-         *     it.
-         */
+        /** @description The state of the board during a clip, as far as the board reports it. A clip's energy depends on it. */
         BoardState: {
             /**
              * Format: double
@@ -1373,18 +1369,17 @@ export interface components {
              */
             hottest_celsius: number | null;
             /**
-             * @description The sensor that read it.
+             * @description The sensor with the highest temperature.
              * @default null
              */
             hottest_sensor: string | null;
             /**
-             * @description Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
-             *     changed.
+             * @description Power mode: its `nvpmodel` name, else the ACPI platform profile. If it changed, all modes in order.
              * @default null
              */
             power_mode: string | null;
             /**
-             * @description Whether heat, current or power throttled the clocks at any time; absent if the board does not report it.
+             * @description True if heat, current or power throttled the clocks at any time; absent if the board does not report it.
              * @default null
              */
             throttled: boolean | null;
@@ -1400,20 +1395,20 @@ export interface components {
              * @description Confidence, 0 to 1.
              */
             confidence: number;
-            /** @description Whether the object is confirmed. */
+            /** @description True if the object is confirmed. */
             confirmed: boolean;
             object?: components["schemas"]["ObjectId"] | null;
             /** @description Origin of the box. */
             source: components["schemas"]["BoxSource"];
         };
         /**
-         * @description Where a reported box comes from.
+         * @description The source of a reported box.
          * @enum {string}
          */
         BoxSource: "detected" | "predicted" | "followed" | "rescued";
         /**
-         * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
-         *     named first here is said.
+         * @description The reason why the detector was called for a frame, even if it did not answer. If several apply, the first in this
+         *     list is reported.
          * @enum {string}
          */
         CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
@@ -1463,7 +1458,7 @@ export interface components {
              * @description Rows of its newest frame.
              */
             height?: number | null;
-            /** @description Zenoh key its frames come on; absent where it has a source. */
+            /** @description Zenoh key of its frames; absent if it has a source. */
             key?: string | null;
             /**
              * Format: double
@@ -1474,8 +1469,8 @@ export interface components {
             source?: string | null;
             /**
              * Format: double
-             * @description The equivalent of `u` in the published code, in pictures of this size; absent where that is the same
-             *     number, before the first frame, and under other policies.
+             * @description The equivalent of `u` in the published code, for pictures of this size; absent if it is the same number, before the
+             *     first frame, and under other policies.
              */
             u_as_published?: number | null;
             /**
@@ -1500,7 +1495,7 @@ export interface components {
              * @description Length of a piece of the hour, seconds.
              */
             slot_s: number;
-            /** @description The last hour in pieces, the oldest first, the last one still open; those without a frame are left out. */
+            /** @description The last hour in pieces, the oldest first, the last one still open; pieces without a frame are left out. */
             slots: components["schemas"]["CameraSlot"][];
         };
         /** @description A piece of the last hour. */
@@ -1542,7 +1537,7 @@ export interface components {
             skipped: number;
         };
         /**
-         * @description Whether frames come from a camera.
+         * @description The state of a camera's frames.
          * @enum {string}
          */
         CameraState: "live" | "stale" | "never_seen";
@@ -1566,12 +1561,12 @@ export interface components {
         };
         /** @description One camera of a [`NodeStatus`]. */
         CameraStatus: {
-            /** @description Its name. */
+            /** @description Name of the camera. */
             name: string;
-            /** @description Whether frames come. */
+            /** @description State of its frames. */
             state: components["schemas"]["CameraState"];
             threshold?: components["schemas"]["Threshold"] | null;
-            /** @description Who set it. */
+            /** @description Origin of the threshold. */
             threshold_source: components["schemas"]["SettingSource"];
         };
         /** @description One camera's threshold. */
@@ -1579,7 +1574,7 @@ export interface components {
             /** @description Camera. */
             camera: string;
             knob?: components["schemas"]["Knob"] | null;
-            /** @description Whether a value changed while running holds after a restart; absent in a list. */
+            /** @description True if a value set at run time survives a restart; absent in a list. */
             survives_restart?: boolean | null;
         };
         /** @description The cameras of a node. */
@@ -1588,62 +1583,62 @@ export interface components {
             cameras: components["schemas"]["CameraEntry"][];
         };
         /**
-         * @description Why a clip ended.
+         * @description The reason why a clip ended.
          * @enum {string}
          */
         ClipEnd: "next_clip" | "window" | "silence" | "shutdown" | "length" | "other";
         /**
          * @description Energy of one clip.
          *
-         *     Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
-         *     extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
-         *     compare such joules with others or divide them by the clip's duration. `edp` is then absent.
+         *     Joules count only the time covered by samples; `coverage` is its share of the clip. They are never extrapolated, so
+         *     with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not compare them with other
+         *     joules or divide them by the clip's duration. `edp` is then absent.
          */
         ClipEnergy: {
             /**
              * Format: double
-             * @description Share of the clip's time that samples cover, 0 to 1.
+             * @description Share of the clip's time covered by samples, 0 to 1.
              */
             coverage: number;
-            /** @description Node energy by domain. */
+            /** @description Energy of the node by domain. */
             domains: components["schemas"]["DomainEnergy"][];
             /**
              * Format: double
-             * @description Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
-             *     without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
+             * @description Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent without
+             *     frames and if samples do not cover the whole clip (`coverage` below 0.999).
              */
             edp?: number | null;
             /**
              * Format: double
-             * @description Joules of this clip, its share by the time the detector ran for its camera; absent when
+             * @description The clip's energy, joules: its share of `node_joules` by detector time used for its camera; absent if
              *     [`EnergyQuality::Unavailable`].
              */
             joules?: number | null;
             /**
              * Format: double
-             * @description Joules of the whole node over the same time, of which `joules` is the clip's share. The same
-             *     number when the node has one camera.
+             * @description Energy of the whole node over the same time, joules, including this clip's share `joules`. Equal to `joules` if
+             *     the node has one camera.
              */
             node_joules?: number | null;
             /** @description Quality of the figures. */
             quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: int64
-             * @description Samples inside the clip.
+             * @description Number of samples inside the clip.
              */
             samples: number;
             /**
              * Format: double
-             * @description Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, at
-             *     most the detector's idle time, times the watts that a running detector adds on this machine. Absent until these
-             *     watts are known.
+             * @description Estimated joules that this clip's avoided detector calls would have added: their run time, at most the
+             *     detector's idle time, times the watts that a running detector adds on this machine. Absent until those watts are
+             *     known.
              */
             saved_joules_estimated?: number | null;
-            /** @description Where it comes from: `rapl`, `estimate`, … */
+            /** @description Source of the figures: `rapl`, `estimate`, … */
             source: string;
             /**
-             * @description How `joules` of the total domain is computed: `input_rail`, `sum_of_rails`, or the estimate's
-             *     formula in words.
+             * @description Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula in
+             *     words.
              */
             total_from: string;
         };
@@ -1666,12 +1661,12 @@ export interface components {
              * @description Frames answered by prediction because the detector was not available: state P, not counted as skipped.
              */
             degraded_frames: number;
-            /** @description Latency of the detector alone, over the frames where it ran. */
+            /** @description Latency of the detector alone, over the frames on which it ran. */
             detector_latency_ms: components["schemas"]["Percentiles"];
             /**
              * Format: double
-             * @description Time the detector ran for this clip's frames, milliseconds, without waiting and audit. A run for several
-             *     pictures is divided evenly.
+             * @description Detector run time for this clip's frames, milliseconds, excluding waiting and the audit. The time of a batched
+             *     run is divided evenly among its pictures.
              */
             detector_used_ms?: number;
             /** @description Frames not processed, by kind. */
@@ -1681,13 +1676,13 @@ export interface components {
              * @description Seconds from the first frame's arrival to the clip's end.
              */
             duration_s: number;
-            /** @description Why it ended. */
+            /** @description The reason why the clip ended. */
             ended_by: components["schemas"]["ClipEnd"];
             /** @description Energy. */
             energy: components["schemas"]["ClipEnergy"];
             /**
              * Format: int64
-             * @description Frames processed; the five states add up to it.
+             * @description Frames processed: the sum of the five states.
              */
             frames: number;
             /**
@@ -1695,18 +1690,18 @@ export interface components {
              * @description Id, a UUID of version 7 from the node's clock; it never changes.
              */
             id: string;
-            /** @description Detector model: file name. */
+            /** @description File name of the detector model. */
             model: string;
             /** @description Node. */
             node: string;
             /**
              * Format: int32
-             * @description Number of this part, from 0: a long clip is reported in parts.
+             * @description Part number, from 0: a long clip is reported in parts.
              */
             part?: number;
             /** @description Policy. */
             policy: string;
-            /** @description Execution provider that ran it. */
+            /** @description Execution provider that ran the model. */
             provider: string;
             /**
              * Format: double
@@ -1715,13 +1710,13 @@ export interface components {
             skip_rate: number;
             /**
              * Format: int64
-             * @description First frame's capture time, nanoseconds since the Unix epoch.
+             * @description Capture time of the first frame, nanoseconds since the Unix epoch.
              */
             started_ns: number;
             /** @description Frame states. */
             states: components["schemas"]["FrameStates"];
             threshold?: components["schemas"]["Threshold"] | null;
-            /** @description Every value in force during the clip, in order: the one at the start, then the changes. */
+            /** @description All thresholds in force during the clip, in order: the initial one, then the changes. */
             threshold_changes: components["schemas"]["ThresholdChange"][];
             /** @description Latency from reception until the answer is handed to Zenoh. */
             total_latency_ms: components["schemas"]["Percentiles"];
@@ -1737,7 +1732,7 @@ export interface components {
             clips: components["schemas"]["ClipReport"][];
             /**
              * Format: uuid
-             * @description To be given as `before` for the clips before these; absent when there are none in memory.
+             * @description The `before` of the next page; absent if there are no earlier clips in memory.
              */
             next?: string | null;
         };
@@ -1754,7 +1749,7 @@ export interface components {
              */
             v: number;
         };
-        /** @description The counters of a camera, once per second. */
+        /** @description The counters of a camera, sent once per second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
@@ -1796,17 +1791,17 @@ export interface components {
              * @description Version.
              */
             v: number;
-            /** @description Power now by domain, watts; empty without a source. */
+            /** @description Current power by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
         /** @description The answer with a node's desired setting. */
         Desired: {
             /**
              * Format: int64
-             * @description Number of the desired setting; a lower one never replaces a higher. 0 when there never was one.
+             * @description Revision of the desired setting; a lower one never replaces a higher one. 0 if there has never been one.
              */
             revision: number;
-            /** @description The hub missed a status: send the full one. */
+            /** @description True if the hub missed a status and the node must send the full one. */
             send_full_status?: boolean;
             setting?: components["schemas"]["DesiredSetting"] | null;
             /**
@@ -1816,35 +1811,35 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description How much longer the node is watched, seconds: until then it sends counters once per second. Absent if it is not
-             *     watched.
+             * @description Remaining time for which the node is watched, seconds: until then it sends counters once per second. Absent if
+             *     it is not watched.
              */
             watched_for_s?: number | null;
         };
         /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
-            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
+            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. It switches a target off. */
             threshold: components["schemas"]["Threshold"];
         } | {
             target: components["schemas"]["Target"] | null;
         };
         /** @description The state and boxes of one frame. */
         DetectionsMessage: {
-            /** @description What is in view. */
+            /** @description The boxes in view. */
             boxes: components["schemas"]["BoxMessage"][];
             cause?: components["schemas"]["CallCause"] | null;
-            /** @description Clip the frame belongs to. */
+            /** @description Clip that the frame belongs to. */
             clip: string;
-            /** @description The detector was needed but not available; the boxes are predictions. */
+            /** @description True if the detector was needed but not available; the boxes are predictions. */
             degraded?: boolean;
             /**
              * Format: int32
-             * @description Rows of the picture.
+             * @description Height of the picture, pixels.
              */
             height: number;
-            /** @description Time of each step. */
+            /** @description Duration of each step. */
             latency_ms: components["schemas"]["Latency"];
-            /** @description The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`. */
+            /** @description True if the boxes are immediate predictions. Final state and boxes follow on the camera's `late` key. */
             pending?: boolean;
             /**
              * Format: int64
@@ -1871,15 +1866,15 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description Columns of the picture.
+             * @description Width of the picture, pixels.
              */
             width: number;
         };
-        /** @description How the detector is doing. */
+        /** @description The state of the detector. */
         DetectorEvent: {
-            /** @description Execution provider that really runs it; absent while it starts. */
+            /** @description Execution provider that runs it; absent while it starts. */
             provider?: string | null;
-            /** @description What happened, when degraded. */
+            /** @description The reason, if degraded. */
             reason?: string | null;
             /** @description `starting`, `ready` or `degraded`. */
             status: string;
@@ -1890,22 +1885,22 @@ export interface components {
             domain: string;
             /**
              * Format: double
-             * @description Joules, over the time that samples cover.
+             * @description Joules over the time covered by samples.
              */
             joules: number;
             /**
              * Format: double
-             * @description Mean power over the time that samples cover, watts.
+             * @description Mean power over the time covered by samples, watts.
              */
             mean_watts: number;
             /**
              * Format: double
-             * @description Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
-             *     without a sample inside the clip.
+             * @description Highest sample, watts; if the source counts energy, the highest mean between two samples. Absent without a
+             *     sample inside the clip.
              */
             peak_watts?: number | null;
         };
-        /** @description Power of one domain now. */
+        /** @description The current power of one domain. */
         DomainWatts: {
             /** @description `total`, `gpu`, `cpu`, `io_mem`. */
             domain: string;
@@ -1915,7 +1910,7 @@ export interface components {
              */
             watts: number;
         };
-        /** @description Frames that were not processed, each kind under its own name. */
+        /** @description Frames that were not processed, by kind. */
         DroppedFrames: {
             /**
              * Format: int64
@@ -1925,59 +1920,59 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (first counted as lost).
+             * @description Arrived after a later frame; first counted as lost.
              * @default 0
              */
             late: number;
             /**
              * Format: int64
-             * @description Never arrived: numbers missing in the sequence.
+             * @description Never arrived: missing sequence numbers.
              * @default 0
              */
             lost: number;
             /**
              * Format: int64
-             * @description Pushed out of the ring by a newer one before its turn.
+             * @description Replaced in the ring by a newer frame before their turn.
              * @default 0
              */
             overrun: number;
             /**
              * Format: int64
-             * @description Payload, picture or decompressed size above the limit.
+             * @description The size of payload, picture or decompressed data exceeds the limit.
              * @default 0
              */
             oversized: number;
             /**
              * Format: int64
-             * @description Arrived or waited while the camera's loop was not running, after a failure or while stopping.
+             * @description Arrived or waited while the camera's loop was not running, after a failure or during shutdown.
              * @default 0
              */
             stopped: number;
             /**
              * Format: int64
-             * @description From another stream than the camera's current one: another publisher, or a number far off.
+             * @description From a stream other than the camera's current one: another publisher, or a distant sequence number.
              * @default 0
              */
             stray: number;
             /**
              * Format: int64
-             * @description The picture could not be decoded, or contradicts its own header.
+             * @description The picture cannot be decoded or contradicts its header.
              * @default 0
              */
             undecodable: number;
             /**
              * Format: int64
-             * @description A payload encoding that is not known, or an attachment that cannot be read.
+             * @description The payload encoding is unknown, or the attachment is unreadable.
              * @default 0
              */
             unknown_format: number;
         };
         /**
-         * @description How far an energy figure can be trusted; the order is from most to least.
+         * @description The quality of an energy figure, from the most to the least reliable.
          * @enum {string}
          */
         EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
-        /** @description What the whole node has used since it started. */
+        /** @description Energy of the whole node since it started. */
         EnergySinceStart: {
             /** @description That time, seconds. */
             covered_s: {
@@ -1987,12 +1982,12 @@ export interface components {
             joules: {
                 [key: string]: number;
             };
-            /** @description How far to trust them. */
+            /** @description Their quality. */
             quality: components["schemas"]["EnergyQuality"];
-            /** @description Where the figures come from: `rapl`, `estimate`, …; `none` without a source. */
+            /** @description The source of the figures: `rapl`, `estimate`, …; `none` without one. */
             source: string;
         };
-        /** @description What the whole node used over a time. */
+        /** @description Energy of the whole node over a time. */
         EnergyUsed: {
             /**
              * Format: double
@@ -2004,29 +1999,28 @@ export interface components {
              * @description Joules, over the time that samples cover.
              */
             joules: number;
-            /** @description How far to trust the joules: partial where the meter had gaps. */
+            /** @description The quality of the joules: partial if the meter had gaps. */
             quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: double
-             * @description Estimate of what the avoided calls would have added, joules: the time they would have run, no longer than the one
-             *     detector had nothing to do, times the watts that a running detector adds on this machine. Null while it is not
-             *     known what it adds.
+             * @description Estimated energy that the avoided calls would have cost, joules: the time they would have run, at most the idle time
+             *     of the one detector, times the watts that a running detector adds on this machine. Null while those are not known.
              */
             saved_joules_estimated?: number | null;
         };
-        /** @description What is wrong with a part. */
+        /** @description The fault of a part. */
         Fault: {
-            /** @description `not_ready` when the service cannot do its work, `degraded` when it works beside the fault. */
+            /** @description `not_ready` if the service cannot do its work, `degraded` if it works in spite of the fault. */
             effect: components["schemas"]["HealthState"];
-            /** @description What is wrong, for people. No number that moves by itself belongs here: each new text is a change. */
+            /** @description The reason, human-readable. It must not contain a number that changes by itself: each new text counts as a change. */
             reason: string;
         };
         /**
-         * @description The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
+         * @description The node's answer to a frame received as a query, sent when the frame's turn comes: the sender of a camera with
          *     `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
          */
         FrameAnswer: {
-            /** @description Why the frame will not be processed; absent when it will be. */
+            /** @description The reason why the frame will not be processed; absent if it will be. */
             refused?: string | null;
             /**
              * Format: int32
@@ -2034,29 +2028,29 @@ export interface components {
              */
             v: number;
         };
-        /** @description What a camera may add to a frame, in the attachment of its sample. */
+        /** @description Metadata that a camera may add to a frame, in the attachment of its sample. */
         FrameAttachment: {
-            /** @description Clip the frame belongs to. Without it clips are fixed time windows. */
+            /** @description Clip that the frame belongs to. Without it, clips are fixed time windows. */
             clip?: string | null;
             /**
              * Format: int32
-             * @description Rows of a raw picture.
+             * @description Height of a raw picture, pixels.
              */
             height?: number | null;
             /**
              * Format: int64
-             * @description Sequence number, one more for each frame. Without it frames are numbered by arrival.
+             * @description Sequence number, incremented per frame. Without it, frames are numbered by arrival.
              */
             seq?: number | null;
             /**
              * Format: int64
-             * @description Numbering that `seq` belongs to: a sender that restarts uses another number, such as its start time in
-             *     nanoseconds, and then loses no frame.
+             * @description Stream that `seq` belongs to: a sender that restarts uses another number, such as its start time in nanoseconds,
+             *     and so loses no frame.
              */
             stream?: number | null;
             /**
              * Format: int64
-             * @description Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
+             * @description Capture time, nanoseconds since the Unix epoch. Without it, the sample's timestamp is used.
              */
             t_ns?: number | null;
             /**
@@ -2066,14 +2060,14 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description Columns of a raw picture.
+             * @description Width of a raw picture, pixels.
              */
             width?: number | null;
         };
-        /** @description What became of frames since the node started. */
+        /** @description Counts of frames since the node started. */
         FrameCounts: {
             audit?: components["schemas"]["AuditFigures"] | null;
-            /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
+            /** @description Frames for which the detector was called, by cause, including degraded ones. */
             calls: {
                 [key: string]: number;
             };
@@ -2109,27 +2103,27 @@ export interface components {
         FrameStates: {
             /**
              * Format: int64
-             * @description Detector with at least one rescue.
+             * @description The detector ran, and at least one object was rescued.
              */
             AI: number;
             /**
              * Format: int64
-             * @description Screen says empty, detector skipped.
+             * @description The screen reported "empty"; the detector was skipped.
              */
             E: number;
             /**
              * Format: int64
-             * @description Screen, then detector.
+             * @description The screen reported "not empty"; the detector ran.
              */
             "E+I": number;
             /**
              * Format: int64
-             * @description Detector.
+             * @description The detector ran.
              */
             I: number;
             /**
              * Format: int64
-             * @description Predicted boxes, detector skipped.
+             * @description The boxes are predicted; the detector was skipped.
              */
             P: number;
         };
@@ -2148,17 +2142,17 @@ export interface components {
             version: string;
         };
         /**
-         * @description Whether a node works as it should.
+         * @description The health of a node.
          * @enum {string}
          */
         HealthState: "ready" | "degraded" | "not_ready";
-        /** @description Health with its reasons. */
+        /** @description The health of a node with the reasons. */
         HealthStatus: {
-            /** @description What is wrong, by part; empty when ready. */
+            /** @description Problems by part; empty when ready. */
             reasons: {
                 [key: string]: string;
             };
-            /** @description Whether it works as it should. */
+            /** @description Health of the node. */
             state: components["schemas"]["HealthState"];
         };
         /** @description Service, version and list of routes. */
@@ -2167,20 +2161,20 @@ export interface components {
             cameras: string[];
             /** @description The node's name. */
             node: string;
-            /** @description The interface described in full. */
+            /** @description The path of the full description. */
             openapi: string;
             /** @description The policy that decides the frames. */
             policy: string;
-            /** @description What can be asked. */
+            /** @description All routes. */
             routes: components["schemas"]["Route"][];
             /** @description The program's version. */
             version: string;
         };
-        /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
+        /** @description The number of a policy that a user may change while it runs, as declared by the policy. */
         Knob: {
             /**
              * Format: double
-             * @description The value without configuration.
+             * @description Default value.
              */
             default: number;
             /**
@@ -2188,27 +2182,27 @@ export interface components {
              * @description Largest value allowed.
              */
             maximum: number;
-            /** @description What turning it does, in one sentence. */
+            /** @description The effect of changing it, in one sentence. */
             meaning: string;
             /**
              * Format: double
              * @description Smallest value allowed.
              */
             minimum: number;
-            /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
+            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
             name: string;
             /**
              * Format: double
-             * @description Where a slider ends: above it hardly anything more is saved, at a high price.
+             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
              */
             useful_maximum: number;
             /**
              * Format: double
-             * @description Where a slider begins: below it hardly anything is saved.
+             * @description Lower end of a slider: below it hardly anything is saved.
              */
             useful_minimum: number;
         };
-        /** @description Between which values a controller moves a knob. */
+        /** @description The range within which a controller moves a knob. */
         KnobRange: {
             /**
              * Format: double
@@ -2217,11 +2211,11 @@ export interface components {
             least: number;
             /**
              * Format: double
-             * @description Largest value: what accuracy still allows.
+             * @description Largest value that accuracy still allows.
              */
             most: number;
         };
-        /** @description Time of each step of one frame, milliseconds. A step that did not happen is absent. */
+        /** @description Duration of each step of one frame, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
              * Format: double
@@ -2240,17 +2234,17 @@ export interface components {
             policy: number;
             /**
              * Format: double
-             * @description The empty-scene screen, with its preprocessing.
+             * @description The empty-scene screen, including its preprocessing.
              */
             screen?: number | null;
             /**
              * Format: double
-             * @description From reception to the answer, before it is written as JSON and published; without the time in Zenoh.
+             * @description From reception to the answer, excluding JSON serialization, publication and time in Zenoh.
              */
             total: number;
             /**
              * Format: double
-             * @description Waiting in the ring for the camera's loop.
+             * @description Wait in the ring for the camera's loop.
              */
             waiting: number;
         };
@@ -2270,7 +2264,7 @@ export interface components {
             level: string;
             /**
              * Format: int64
-             * @description Its number since the start, from 1.
+             * @description Its number, from 1 at the start.
              */
             number: number;
             /** @description Part of the program that wrote it. */
@@ -2286,15 +2280,15 @@ export interface components {
              */
             v?: number | null;
         };
-        /** @description A node: how it is, since when it runs, and what it has used since. */
+        /** @description A node: its readiness, run time, energy and savings. */
         NodeOverview: components["schemas"]["Readiness"] & {
             /** @description Energy since the start. */
             energy: components["schemas"]["EnergySinceStart"];
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
-            /** @description What was saved since the start. */
+            /** @description Savings since the start. */
             since_start: components["schemas"]["Savings"];
-            /** @description What was saved today: since midnight UTC, or since the start where that is later. */
+            /** @description Savings of today: since midnight UTC, or since the start if that is later. */
             today: components["schemas"]["Savings"];
             /**
              * Format: double
@@ -2304,9 +2298,9 @@ export interface components {
             /** @description The program's version. */
             version: string;
         };
-        /** @description What became of all frames since the node started. */
+        /** @description Counts of all frames since the node started. */
         NodeStates: components["schemas"]["FrameCounts"] & {
-            /** @description Each camera's. */
+            /** @description The counts of each camera. */
             cameras: components["schemas"]["CameraStates"][];
             /** @description Node. */
             node: string;
@@ -2316,43 +2310,43 @@ export interface components {
              */
             uptime_s: number;
         };
-        /** @description Everything a hub shows of a node between reports. */
+        /** @description The full status that a hub shows of a node between reports. */
         NodeStatus: {
             /** @description Cameras. */
             cameras: components["schemas"]["CameraStatus"][];
             /** @description Health with its reasons. */
             health: components["schemas"]["HealthStatus"];
-            /** @description Labels of its configuration, for selecting nodes: `region = "north"`. */
+            /** @description Labels from the configuration, for selecting nodes: `region = "north"`. */
             labels?: {
                 [key: string]: string;
             };
-            /** @description Detector model: file name. */
+            /** @description File name of the detector model. */
             model: string;
             /** @description The outbox. */
             outbox: components["schemas"]["OutboxStatus"];
             /** @description Policy. */
             policy: string;
-            /** @description How far they can be trusted. */
+            /** @description Quality of the power figures. */
             power_quality: components["schemas"]["EnergyQuality"];
-            /** @description Where power figures come from: `rapl`, `estimate`, … */
+            /** @description Source of the power figures: `rapl`, `estimate`, … */
             power_source: string;
-            /** @description Execution provider that really runs it; absent until the model is loaded. */
+            /** @description Execution provider that actually runs the model; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
-            /** @description Why it has no target any more, in words, if it had one since its start. */
+            /** @description Human-readable reason why a target that the node had since its start was switched off. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
-        /** @description The target in a node's status, without the figures that change all the time. */
+        /** @description The target in a node's status, without the figures that change constantly. */
         NodeTarget: {
             /**
              * Format: double
              * @description The measured value when the status was created.
              */
             actual?: number | null;
-            /** @description Who set it. */
+            /** @description Origin of the target. */
             source: components["schemas"]["SettingSource"];
             status?: components["schemas"]["TargetStatus"] | null;
             /** @description The target. */
@@ -2362,52 +2356,52 @@ export interface components {
         NotReady: components["schemas"]["Problem"] & components["schemas"]["Readiness"];
         /**
          * Format: int64
-         * @description Number of an object within a stream, from 0, never used twice.
+         * @description Number of an object within a stream, from 0, never reused.
          */
         ObjectId: number;
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
-            /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
+            /** @description True if reports survive a power loss; false without a state directory or if its disk fails. */
             durable: boolean;
             /**
              * Format: int64
-             * @description Reports lost: the outbox was full or its disk broken.
+             * @description Reports lost because the outbox was full or its disk failed.
              */
             lost: number;
             /**
              * Format: int64
-             * @description Reports that the hub refused for good.
+             * @description Reports that the hub refused permanently.
              */
             undeliverable?: number;
             /**
              * Format: int64
-             * @description Reports that wait.
+             * @description Reports waiting for delivery.
              */
             waiting: number;
         };
-        /** @description What is wrong with one of the service's parts. */
+        /** @description A fault of one of the service's parts. */
         PartFault: components["schemas"]["Fault"] & {
             /** @description The part: `detector`, `zenoh`, … */
             part: string;
             /**
              * Format: double
-             * @description Seconds since the part is at fault, whatever the reasons were meanwhile.
+             * @description Seconds that the part has been faulty, for whatever reasons.
              */
             since_s: number;
-            /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
+            /** @description The name of a camera or a task, if the part has several; absent for the part itself. */
             subject?: string | null;
         };
-        /** @description The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first. */
+        /** @description The last frames in columns: the n-th entry of each belongs to the n-th frame, the oldest first. */
         PastFrames: {
-            /** @description Milliseconds before `now_ms` that it was answered. */
+            /** @description Milliseconds between its answer and `now_ms`. */
             age_ms: number[];
             /** @description Boxes reported. */
             boxes: number[];
-            /** @description Why the detector was called; null where it was not. */
+            /** @description Why the detector was called; null if it was not. */
             cause: (components["schemas"]["CallCause"] | null)[];
-            /** @description Whether the detector was needed but not available. */
+            /** @description True if the detector was needed but not available. */
             degraded: boolean[];
-            /** @description Milliseconds of the detector; null where it did not run. */
+            /** @description Milliseconds of the detector; null if it did not run. */
             detector_ms: (number | null)[];
             /** @description Sequence number. */
             seq: number[];
@@ -2415,16 +2409,16 @@ export interface components {
             state: components["schemas"]["FrameState"][];
             /** @description Largest uncertainty before the decision; null without objects. */
             tau_max: (number | null)[];
-            /** @description Threshold in force; null where the policy has none. */
+            /** @description Threshold in force; null if the policy has none. */
             threshold: (number | null)[];
             /** @description Milliseconds from reception to publication. */
             total_ms: number[];
         };
-        /** @description Middle and tail of a set of durations, milliseconds. */
+        /** @description Mean and percentiles of a set of durations, milliseconds. */
         Percentiles: {
             /**
              * Format: int64
-             * @description How many durations.
+             * @description Number of durations.
              */
             count: number;
             /**
@@ -2455,7 +2449,7 @@ export interface components {
              * @description Length of a piece, seconds.
              */
             slot_s: number;
-            /** @description The pieces that are over, the oldest first; those without a figure are left out. */
+            /** @description The finished pieces, the oldest first; pieces without a figure are left out. */
             slots: components["schemas"]["PowerPiece"][];
         };
         /** @description Power of a piece of the last hour. */
@@ -2472,11 +2466,11 @@ export interface components {
                 [key: string]: number;
             };
         };
-        /** @description What went wrong with a request, and what would do. */
+        /** @description An error of a request, and how to correct it. */
         Problem: {
-            /** @description What is allowed instead of what was sent: methods, names, media types. */
+            /** @description The allowed methods, names or media types. */
             allowed?: string[];
-            /** @description What was wrong with this request. */
+            /** @description The error of this request. */
             detail: string;
             knob?: components["schemas"]["Knob"] | null;
             /**
@@ -2486,14 +2480,14 @@ export interface components {
             status: number;
             /** @description The status in words. */
             title: string;
-            /** @description Always `about:blank`: the title is that of the status. */
+            /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
         };
         /** @description A node's request for its desired setting. */
         PullRequest: {
             /**
              * Format: int64
-             * @description Revision it has, 0 for none.
+             * @description Revision that the node has; 0 for none.
              */
             revision: number;
             /**
@@ -2502,7 +2496,7 @@ export interface components {
              */
             v: number;
         };
-        /** @description Whether frames are processed as the configuration wants it, and by what. */
+        /** @description The readiness of the node, and what processes its frames. */
         Readiness: {
             /** @description File name of the detector's model. */
             model: string;
@@ -2510,24 +2504,24 @@ export interface components {
             node: string;
             /** @description The policy that decides frames. */
             policy: string;
-            /** @description Execution provider that really runs the detector; absent while it starts. */
+            /** @description Execution provider that runs the detector; absent while it starts. */
             provider?: string | null;
-            /** @description Whether frames are answered as wanted, perhaps with a part missing. */
+            /** @description True if frames are answered, perhaps with a part missing. */
             ready: boolean;
-            /** @description What is wrong; empty when every part works. */
+            /** @description The faults; empty when every part works. */
             reasons: components["schemas"]["PartFault"][];
-            /** @description Execution providers asked for, in order. */
+            /** @description Configured execution providers, in order. */
             requested_providers: string[];
-            /** @description Whether every part works. */
+            /** @description True if every part works. */
             state: components["schemas"]["HealthState"];
         };
-        /** @description A desired value that a node did not take. */
+        /** @description A desired value that a node refused. */
         RefusedDesired: {
-            /** @description Why, in words: the policy has another threshold, or the value is outside of its range. */
+            /** @description Human-readable reason: the policy has another threshold, or the value is out of range. */
             reason: string;
             /**
              * Format: int64
-             * @description Its revision: greater than the one in force.
+             * @description Revision of the value, greater than the one in force.
              */
             revision: number;
         };
@@ -2535,30 +2529,30 @@ export interface components {
         RefusedReport: {
             /**
              * Format: uuid
-             * @description Its identity.
+             * @description The report's id.
              */
             id: string;
-            /** @description Why, in words. */
+            /** @description Human-readable reason. */
             reason: string;
         };
-        /** @description The acknowledgement of a batch, sent after the hub's commit: every report of it is stored, but those that are refused. */
+        /** @description The acknowledgement of a batch, sent after the hub's commit: all its reports are stored, except the refused ones. */
         ReportAnswer: {
             /**
              * Format: uuid
-             * @description Identity of the hub's database. One that the node does not know has none of its reports: it sends again what it
-             *     still has.
+             * @description Id of the hub's database. A database that the node does not know has none of its reports, so the node resends
+             *     all reports that it still has.
              */
             database: string;
             desired?: components["schemas"]["Desired"] | null;
             /**
-             * @description Running counts of the node ([`ClipReport::count`]) that never came, from the first to the last of each range: the node
-             *     sends again what it still has of them.
+             * @description Ranges, inclusive, of the node's report counts ([`ClipReport::count`]) that never arrived: the node resends
+             *     those that it still has.
              */
             missing?: [
                 number,
                 number
             ][];
-            /** @description Reports that will never be stored: they are too old, or make no sense. */
+            /** @description Reports that will never be stored: they are too old or invalid. */
             refused?: components["schemas"]["RefusedReport"][];
             /**
              * Format: int32
@@ -2567,18 +2561,18 @@ export interface components {
             v: number;
         };
         /**
-         * @description Reports of one node, the oldest first. On the wire: a byte with the dictionary's number, then JSON compressed with
+         * @description Reports of one node, oldest first. On the wire: one byte with the dictionary's number, then JSON compressed with
          *     Zstandard and that dictionary (`crates/wire/src/report/dictionary-1.json`).
          */
         ReportBatch: {
-            /** @description Node; the same in each of the reports. */
+            /** @description Node; the same in every report. */
             node: string;
             /** @description The reports. */
             reports: components["schemas"]["ClipReport"][];
             /**
              * Format: int64
-             * @description The node's clock when it sent the batch, milliseconds since the Unix epoch: a hub sees from it whether the times in
-             *     the reports can be believed.
+             * @description The node's clock when it sent the batch, milliseconds since the Unix epoch, from which a hub checks that the
+             *     times in the reports are plausible.
              */
             t_ms: number;
             /**
@@ -2593,14 +2587,14 @@ export interface components {
             method: string;
             /** @description Its path; `{camera}` is replaced by a camera's name. */
             path: string;
-            /** @description What it is for. */
+            /** @description Its summary. */
             summary: string;
         };
-        /** @description What was saved over a time. */
+        /** @description Savings over a time. */
         Savings: {
             /**
              * Format: int64
-             * @description Detector calls avoided: frames answered without it, degraded ones not among them.
+             * @description Avoided calls of the detector: frames answered without it, except degraded ones.
              */
             avoided_calls: number;
             /**
@@ -2616,24 +2610,24 @@ export interface components {
             frames: number;
             /**
              * Format: int64
-             * @description From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
+             * @description The beginning of the time, milliseconds since the Unix epoch: the node's start, or midnight UTC if that is later.
              */
             since_ms: number;
         };
         /**
-         * @description Who set a threshold or a target.
+         * @description The origin of a threshold or a target.
          * @enum {string}
          */
         SettingSource: "configuration" | "local" | "hub";
-        /** @description The boxes of one frame for recordings: interpolated between two detector calls if the second came in time. */
+        /** @description The boxes of one frame for recordings, interpolated between two detector calls if the second came in time. */
         SettledMessage: {
-            /** @description What is in view. */
+            /** @description The boxes in view. */
             boxes: components["schemas"]["BoxMessage"][];
-            /** @description Clip the frame belongs to. */
+            /** @description Clip that the frame belongs to. */
             clip: string;
             /**
              * Format: int32
-             * @description Rows of the picture.
+             * @description Height of the picture, pixels.
              */
             height: number;
             /**
@@ -2641,7 +2635,7 @@ export interface components {
              * @description Sequence number of the frame.
              */
             seq: number;
-            /** @description False for a frame whose boxes are those it was answered with, because no later detector call came in time. */
+            /** @description False if the boxes are those of the original answer because no later detector call came in time. */
             settled: boolean;
             /** @description Frame state. */
             state: components["schemas"]["FrameState"];
@@ -2657,30 +2651,30 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description Columns of the picture.
+             * @description Width of the picture, pixels.
              */
             width: number;
         };
-        /** @description What other thresholds would have skipped over the last frames. */
+        /** @description Estimates of the frames that other thresholds would have skipped. */
         SkipEstimate: {
             /**
              * Format: double
              * @description Time they took, seconds.
              */
             duration_s: number;
-            /** @description Frames looked at. */
+            /** @description The number of frames. */
             frames: number;
             /**
              * Format: double
-             * @description Share of the frames, really.
+             * @description Their share of the frames.
              */
             skip_rate: number;
-            /** @description Frames that really were answered without the detector. */
+            /** @description Frames that were in fact answered without the detector. */
             skipped: number;
-            /** @description What each value would have skipped, in the order asked for. */
+            /** @description The estimate for each value, in the requested order. */
             values: components["schemas"]["ValueEstimate"][];
         };
-        /** @description What other thresholds would have skipped over the last minutes. */
+        /** @description Estimates of the frames that other thresholds would have skipped over the last minutes. */
         SkipEstimates: components["schemas"]["SkipEstimate"] & {
             /** @description Camera. */
             camera: string;
@@ -2693,31 +2687,31 @@ export interface components {
             threshold: components["schemas"]["Threshold"];
         };
         /**
-         * @description A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,
-         *     the node sends a [`Heartbeat`] instead.
+         * @description A heartbeat, with the full status if it changed or was requested. If only the number of waiting reports changed, the
+         *     node sends a [`Heartbeat`] instead.
          */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
-            /** @description Whether it works as it should. */
+            /** @description Health of the node. */
             health: components["schemas"]["HealthState"];
             /**
              * Format: int64
-             * @description Revision of the desired value that is in force; 0 when none is.
+             * @description Revision of the desired value in force; 0 for none.
              */
             revision: number;
             /**
              * Format: int32
-             * @description A random number of this run of the process: it distinguishes two runs, and two nodes with the same name.
+             * @description A random number for this run of the process: it distinguishes two runs, and two nodes with the same name.
              */
             run: number;
             /**
              * Format: int64
-             * @description Number of this message within the run, from 0; a gap makes the hub ask for the full status.
+             * @description Number of this message within the run, from 0; after a gap the hub requests the full status.
              */
             seq: number;
             /**
              * Format: int64
-             * @description When the process started, nanoseconds since the Unix epoch.
+             * @description Start time of the process, nanoseconds since the Unix epoch.
              */
             started_ns: number;
             /**
@@ -2732,15 +2726,15 @@ export interface components {
             v: number;
             /**
              * Format: int64
-             * @description Reports that wait in the outbox.
+             * @description Reports waiting in the outbox.
              */
             waiting: number;
         };
-        /** @description What is to be held. As JSON one field: `{"skip_rate": 0.5}`. */
+        /** @description The target to hold. In JSON, one field: `{"skip_rate": 0.5}`. */
         Target: {
             /**
              * Format: double
-             * @description Recall against the detector: the lower end of its interval is held at this.
+             * @description Recall against the detector: the lower end of its interval is held at this value.
              */
             recall: number;
         } | {
@@ -2757,23 +2751,23 @@ export interface components {
             watts: number;
         };
         /**
-         * @description A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for
-         *     none.
+         * @description A target in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}`
+         *     for none.
          */
         TargetMessage: {
             target?: components["schemas"]["Target"] | null;
             /**
              * Format: int32
-             * @description Version; may be left out on the way in.
+             * @description Version; optional on input.
              */
             v?: number;
         };
         /** @description The target of a node and its state. */
         TargetReport: {
-            /** @description Why there is none any more, in words. */
+            /** @description Human-readable reason why there is no target any more. */
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
-            /** @description Who set it, or switched it off. */
+            /** @description Origin of the target or of its removal. */
             source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
             target?: components["schemas"]["Target"] | null;
@@ -2783,47 +2777,47 @@ export interface components {
              * @description Version.
              */
             v: number;
-            /** @description The same in words. */
+            /** @description The state, human-readable. */
             why?: string | null;
         };
         /** @description The state of a target. */
         TargetState: {
             /**
              * Format: double
-             * @description What is measured of it; for recall the lower end of its interval. Absent before anything is.
+             * @description The measured value; for recall, the lower end of its interval. Absent before the first measurement.
              */
             actual?: number | null;
             /**
              * Format: int64
-             * @description For recall, the boxes that the figure rests on.
+             * @description For recall, the number of boxes behind the measured value.
              */
             boxes?: number | null;
             /**
              * Format: double
-             * @description The knob's value in force.
+             * @description The knob's current value.
              */
             knob: number;
-            /** @description Why it has that value. */
+            /** @description The reason for that value. */
             status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
-             * @description How often that began.
+             * @description Number of times that this began.
              */
             unmet: number;
             /**
              * Format: double
-             * @description Seconds in which the target could not be met inside the range.
+             * @description Time during which the target could not be met inside the range, seconds.
              */
             unmet_s: number;
         };
         /**
-         * @description Why the knob has its value.
+         * @description The reason for the knob's value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /**
-         * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-         *     under expected-loss. So one policy's value cannot be mistaken for another's.
+         * @description The value of a policy's threshold with the policy's name for it: `{"name": "u", "value": 3e-4}`, or `lambda` under
+         *     expected-loss. The name prevents mistaking one policy's value for another's.
          */
         Threshold: {
             /** @description The threshold's name. */
@@ -2838,7 +2832,7 @@ export interface components {
         ThresholdChange: {
             /**
              * Format: int64
-             * @description First frame that it applies to.
+             * @description First frame to which it applies.
              */
             seq: number;
             /** @description The new value. */
@@ -2857,21 +2851,18 @@ export interface components {
             threshold: components["schemas"]["Threshold"];
             /**
              * Format: int32
-             * @description Version; may be left out on the way in.
+             * @description Version; optional on input.
              */
             v?: number;
         };
         /** @description The thresholds of a node. */
         Thresholds: {
-            /** @description Each camera's. */
+            /** @description The thresholds of each camera. */
             cameras: components["schemas"]["CameraThreshold"][];
-            /**
-             * @description Whether values changed while running hold after a restart: a `state_dir` is set and can be
-             *     written to.
-             */
+            /** @description True if values set at run time survive a restart: a `state_dir` is set and can be written to. */
             survives_restart: boolean;
         };
-        /** @description What one value would have skipped. */
+        /** @description The estimate for one value. */
         ValueEstimate: {
             /**
              * Format: double
@@ -2886,13 +2877,13 @@ export interface components {
              */
             value: number;
         };
-        /** @description Who asks. */
+        /** @description The caller. */
         WhoAsks: {
-            /** @description Whether the caller may change something, and not only look. */
+            /** @description True if the caller may change settings, and not only read. */
             may_tune: boolean;
-            /** @description Name of the token; `anonymous` without one. */
+            /** @description The name of the token; `anonymous` without one. */
             name: string;
-            /** @description Whether what is asked of this interface needs a token that did not come with the request. */
+            /** @description True if the interface needs a token that the request lacks. */
             token_needed: boolean;
         };
     };

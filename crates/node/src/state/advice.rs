@@ -14,12 +14,12 @@ const FOLLOWED: u64 = 100;
 /// The number of uncertainties kept for the suggestion.
 const KEPT: usize = 512;
 
-/// A policy that has skipped nothing, and what to try.
+/// A policy that has skipped nothing, and a value to try.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Advice {
-    /// Frames since the knob was turned last; the detector ran on every one.
+    /// Frames since the last change of the knob; the detector ran on every one.
     pub frames: u64,
-    /// Frames of those with objects.
+    /// The number of these frames with objects.
     pub followed: u64,
     /// The knob's name.
     pub knob: &'static str,

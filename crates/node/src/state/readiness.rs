@@ -2,13 +2,15 @@
 //!
 //! | part | not ready | degraded |
 //! | --- | --- | --- |
-//! | `detector` | it is starting, its session is being rebuilt, or its GPU is lost | | | `screen` | | its session is
-//! being rebuilt: the detector is called instead | | `cameras` | they are not subscribed yet | no frame has come from
-//! one for a while, or its source has failed | | `power` | | the meter cannot be read, or returns no samples | |
-//! `outbox` | | reports are lost, or do not survive a power loss although a state directory is set | | `zenoh` | the
-//! local session is not open, or closed | another node has the same name | | `uplink` | | the session to the hub is not
-//! open | | `disk` | | the state directory cannot be written | | `tasks` | a camera's loop has failed and does not run
-//! | a task failed and runs again, or a non-essential one does not run |
+//! | `detector` | it is starting, its session is being rebuilt, or its GPU is lost | |
+//! | `screen` | | its session is being rebuilt: the detector is called instead |
+//! | `cameras` | they are not subscribed yet | no frame has come from one for a while, or its source has failed |
+//! | `power` | | the meter cannot be read, or returns no samples |
+//! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
+//! | `zenoh` | the local session is not open, or closed | another node has the same name |
+//! | `uplink` | | the session to the hub is not open |
+//! | `disk` | | the state directory cannot be written |
+//! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
 use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;

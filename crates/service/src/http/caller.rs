@@ -9,20 +9,20 @@ use utoipa::openapi::OpenApi;
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
 use utoipa::{Modify, ToSchema};
 
-/// Who asks.
+/// The caller.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct WhoAsks {
-    /// Name of the token; `anonymous` without one.
+    /// The name of the token; `anonymous` without one.
     name: String,
-    /// Whether what is asked of this interface needs a token that did not come with the request.
+    /// True if the interface needs a token that the request lacks.
     token_needed: bool,
-    /// Whether the caller may change something, and not only look.
+    /// True if the caller may change settings, and not only read.
     may_tune: bool,
 }
 
-/// Who asks, and what that one may do
+/// The caller and its permissions
 ///
-/// Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
+/// Open to all: it says what a token allows, or that one is needed.
 /// `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
 #[utoipa::path(get, operation_id = "caller", path = "/api/v1/caller", tag = "health", security(()), responses((status = 200, body = WhoAsks)))]
 pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {

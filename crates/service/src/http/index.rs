@@ -11,7 +11,7 @@ pub struct Route {
     method: &'static str,
     /// Its path; `{camera}` is replaced by a camera's name.
     path: String,
-    /// What it is for.
+    /// Its summary.
     summary: String,
 }
 

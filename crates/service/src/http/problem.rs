@@ -14,22 +14,22 @@ use utoipa::ToSchema;
 /// The media type of a problem document.
 pub(super) const MEDIA_TYPE: &str = "application/problem+json";
 
-/// What went wrong with a request, and what would do.
+/// An error of a request, and how to correct it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Problem {
-    /// Always `about:blank`: the title is that of the status.
+    /// Always `about:blank`: the title is the text of the status.
     #[serde(rename = "type")]
     kind: &'static str,
     /// The status in words.
     title: &'static str,
     /// The HTTP status.
     status: u16,
-    /// What was wrong with this request.
+    /// The error of this request.
     detail: String,
-    /// What is allowed instead of what was sent: methods, names, media types.
+    /// The allowed methods, names or media types.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     allowed: Vec<String>,
-    /// The range of the threshold, where the request was about it.
+    /// The range of the threshold, if the request was about one.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Knob>)]
     knob: Option<Box<Knob>>,

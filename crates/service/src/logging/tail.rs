@@ -26,7 +26,7 @@ static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
 /// One line of the log.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct LogLine {
-    /// Its number since the start, from 1.
+    /// Its number, from 1 at the start.
     pub number: u64,
     /// When, milliseconds since the Unix epoch.
     pub at_ms: i64,

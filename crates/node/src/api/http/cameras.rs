@@ -20,7 +20,7 @@ use utoipa::ToSchema;
 pub(super) struct CameraEntry {
     /// Its name.
     camera: String,
-    /// Zenoh key its frames come on; absent where it has a source.
+    /// Zenoh key of its frames; absent if it has a source.
     #[serde(skip_serializing_if = "Option::is_none")]
     key: Option<String>,
     /// Address of the source that the node opens for it, without credentials.
@@ -42,8 +42,8 @@ pub(super) struct CameraEntry {
     /// Rows of its newest frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     height: Option<u32>,
-    /// The equivalent of `u` in the published code, in pictures of this size; absent where that is the same
-    /// number, before the first frame, and under other policies.
+    /// The equivalent of `u` in the published code, for pictures of this size; absent if it is the same number, before the
+    /// first frame, and under other policies.
     #[serde(skip_serializing_if = "Option::is_none")]
     u_as_published: Option<f64>,
     /// Suggested value if nothing is skipped although objects are tracked.
@@ -73,7 +73,7 @@ pub(super) struct CameraDetail {
     /// Who set it.
     #[serde(skip_serializing_if = "Option::is_none")]
     set_by: Option<SettingSource>,
-    /// What the policy calls its threshold, its range and its default; absent when the policy has none.
+    /// The name, range and default of the policy's threshold; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
     /// Number of frames in each state; they add up to `frames`.
@@ -153,9 +153,9 @@ pub(super) async fn one(
     }))
 }
 
-/// What was found in a camera's newest frame
+/// The detections of a camera's newest frame
 ///
-/// The message that was published on Zenoh for it.
+/// The message that was published on Zenoh.
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
 #[utoipa::path(
     get, path = "/api/v1/cameras/{camera}/detections", tag = "frames",

@@ -17,15 +17,15 @@ use uuid::Uuid;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Of this camera only.
+    /// Only of this camera.
     camera: Option<String>,
-    /// At most this many; 50 without it.
+    /// Maximum number; 50 by default.
     #[param(minimum = 1, maximum = 256)]
     limit: Option<usize>,
-    /// Reports older than the one of this identity only: `next` of an answer, for the clips before those.
+    /// Only reports older than the one with this identity: the `next` of an answer, for earlier clips.
     #[param(value_type = Option<String>, format = "uuid")]
     before: Option<Uuid>,
-    /// Reports newer than the one of this identity only: the newest that is known, for the clips since.
+    /// Only reports newer than the one with this identity: the newest known one, for later clips.
     #[param(value_type = Option<String>, format = "uuid")]
     after: Option<Uuid>,
 }
@@ -36,7 +36,7 @@ pub(super) struct Clips {
     /// The reports, as published on Zenoh.
     #[schema(value_type = Vec<ClipReport>)]
     clips: Vec<Arc<ClipReport>>,
-    /// To be given as `before` for the clips before these; absent when there are none in memory.
+    /// The `before` of the next page; absent if there are no earlier clips in memory.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, format = "uuid")]
     next: Option<Uuid>,

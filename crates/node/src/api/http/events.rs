@@ -31,10 +31,10 @@ const LAGGED: &str = "lagged";
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// About this camera only. Events about the detector come all the same.
+    /// Only events of this camera, and of the detector.
     camera: Option<String>,
-    /// Names of the kinds wanted, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`,
-    /// `detector`. All of them without it.
+    /// Only these kinds, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`, `detector`. All kinds by
+    /// default.
     types: Option<String>,
 }
 
@@ -112,7 +112,7 @@ fn wanted(
     }
 }
 
-/// What happens on the node, as server-sent events
+/// The node's events, as server-sent events
 ///
 /// First the present state (counters, thresholds, detector), then each change. A reader that is too slow
 /// loses events; the event `lagged` has their number.

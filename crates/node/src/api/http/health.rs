@@ -26,12 +26,12 @@ pub(crate) struct Health {
     uptime_s: f64,
 }
 
-/// Whether frames are processed as the configuration wants it, and by what.
+/// The readiness of the node, and what processes its frames.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Readiness {
-    /// Whether frames are answered as wanted, perhaps with a part missing.
+    /// True if frames are answered, perhaps with a part missing.
     ready: bool,
-    /// Whether every part works.
+    /// True if every part works.
     state: HealthState,
     /// The node.
     node: String,
@@ -39,12 +39,12 @@ pub(super) struct Readiness {
     policy: &'static str,
     /// File name of the detector's model.
     model: String,
-    /// Execution provider that really runs the detector; absent while it starts.
+    /// Execution provider that runs the detector; absent while it starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     provider: Option<&'static str>,
-    /// Execution providers asked for, in order.
+    /// Configured execution providers, in order.
     requested_providers: Vec<&'static str>,
-    /// What is wrong; empty when every part works.
+    /// The faults; empty when every part works.
     reasons: Vec<PartFault>,
 }
 
@@ -90,7 +90,7 @@ pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Health> {
     })
 }
 
-/// Whether frames are processed as wanted, and by which execution provider
+/// Whether frames are processed, and by which execution provider
 ///
 /// 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
 /// fails. `curl http://127.0.0.1:8080/readyz`

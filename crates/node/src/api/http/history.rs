@@ -23,26 +23,26 @@ pub(super) struct Selection {
     frames: Option<usize>,
 }
 
-/// The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first.
+/// The last frames in columns: the n-th entry of each belongs to the n-th frame, the oldest first.
 #[derive(Default, Serialize, ToSchema)]
 pub(super) struct PastFrames {
     /// Sequence number.
     seq: Vec<u64>,
-    /// Milliseconds before `now_ms` that it was answered.
+    /// Milliseconds between its answer and `now_ms`.
     age_ms: Vec<u64>,
     /// Frame state.
     state: Vec<FrameState>,
-    /// Why the detector was called; null where it was not.
+    /// Why the detector was called; null if it was not.
     cause: Vec<Option<CallCause>>,
-    /// Whether the detector was needed but not available.
+    /// True if the detector was needed but not available.
     degraded: Vec<bool>,
     /// Boxes reported.
     boxes: Vec<u16>,
     /// Largest uncertainty before the decision; null without objects.
     tau_max: Vec<Option<f32>>,
-    /// Threshold in force; null where the policy has none.
+    /// Threshold in force; null if the policy has none.
     threshold: Vec<Option<f32>>,
-    /// Milliseconds of the detector; null where it did not run.
+    /// Milliseconds of the detector; null if it did not run.
     detector_ms: Vec<Option<f32>>,
     /// Milliseconds from reception to publication.
     total_ms: Vec<f32>,
@@ -57,7 +57,7 @@ pub(super) struct CameraHistory {
     now_ms: i64,
     /// Length of a piece of the hour, seconds.
     slot_s: u64,
-    /// The last hour in pieces, the oldest first, the last one still open; those without a frame are left out.
+    /// The last hour in pieces, the oldest first, the last one still open; pieces without a frame are left out.
     slots: Vec<CameraPiece>,
     /// The last frames.
     frames: PastFrames,
@@ -115,7 +115,7 @@ pub(super) async fn camera(
 pub(super) struct PowerHistory {
     /// Length of a piece, seconds.
     slot_s: u64,
-    /// The pieces that are over, the oldest first; those without a figure are left out.
+    /// The finished pieces, the oldest first; pieces without a figure are left out.
     slots: Vec<PowerPiece>,
 }
 
@@ -135,12 +135,12 @@ pub(super) async fn power(State(shared): State<RouteState>) -> Json<PowerHistory
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Values {
-    /// Values of the threshold, separated by commas, at most 64; without it, 41 from a hundredth of the default to a hundred
-    /// times it.
+    /// Values of the threshold, separated by commas, at most 64; by default 41, from a hundredth of the default threshold to a
+    /// hundred times it.
     values: Option<String>,
 }
 
-/// What other thresholds would have skipped over the last minutes.
+/// Estimates of the frames that other thresholds would have skipped over the last minutes.
 #[derive(Serialize, ToSchema)]
 pub(super) struct SkipEstimates {
     /// Camera.
@@ -174,7 +174,7 @@ fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
     }
 }
 
-/// What other thresholds would have skipped over the last minutes
+/// The frames that other thresholds would have skipped over the last minutes
 ///
 /// An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
 /// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`

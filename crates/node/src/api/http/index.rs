@@ -18,9 +18,9 @@ pub(super) struct Index {
     policy: &'static str,
     /// Names of the cameras.
     cameras: Vec<String>,
-    /// The interface described in full.
+    /// The path of the full description.
     openapi: &'static str,
-    /// What can be asked.
+    /// All routes.
     routes: Vec<Route>,
 }
 

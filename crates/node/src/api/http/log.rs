@@ -33,8 +33,8 @@ pub(super) struct Log {
 
 /// The last lines of the log
 ///
-/// The node keeps the newest 1000 in memory, from level `info` on whatever standard error is to hear. No configured secret
-/// is in them. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+/// The node keeps the newest 1000 in memory, from level `info` on, whatever the level of standard error. Configured secrets
+/// are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
 #[utoipa::path(
     get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
     responses(

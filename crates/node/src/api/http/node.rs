@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// A node: how it is, since when it runs, and what it has used since.
+/// A node: its readiness, run time, energy and savings.
 #[derive(Serialize, ToSchema)]
 pub(super) struct NodeOverview {
     /// The program's version.
@@ -24,18 +24,18 @@ pub(super) struct NodeOverview {
     outbox: OutboxStatus,
     /// Energy since the start.
     energy: EnergySinceStart,
-    /// What was saved since the start.
+    /// Savings since the start.
     since_start: Savings,
-    /// What was saved today: since midnight UTC, or since the start where that is later.
+    /// Savings of today: since midnight UTC, or since the start if that is later.
     today: Savings,
 }
 
-/// What the whole node has used since it started.
+/// Energy of the whole node since it started.
 #[derive(Serialize, ToSchema)]
 pub(super) struct EnergySinceStart {
-    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    /// The source of the figures: `rapl`, `estimate`, …; `none` without one.
     source: String,
-    /// How far to trust them.
+    /// Their quality.
     quality: EnergyQuality,
     /// Joules by domain, over the time that samples cover.
     joules: BTreeMap<String, f64>,
@@ -45,7 +45,7 @@ pub(super) struct EnergySinceStart {
 
 /// The node in one answer
 ///
-/// As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
+/// Like `/readyz`, but always with status 200: it is for display, not for probes.
 /// `curl http://127.0.0.1:8080/api/v1/node`
 #[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {

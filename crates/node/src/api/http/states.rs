@@ -12,7 +12,7 @@ use axum::extract::{Path, State};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// What became of frames since the node started.
+/// Counts of frames since the node started.
 #[derive(Serialize, ToSchema)]
 pub(super) struct FrameCounts {
     /// Frames processed.
@@ -23,7 +23,7 @@ pub(super) struct FrameCounts {
     skip_rate: f64,
     /// Frames answered from prediction because the detector was not available.
     degraded_frames: u64,
-    /// Frames that the detector was called for, by cause; degraded ones are among them.
+    /// Frames for which the detector was called, by cause, including degraded ones.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
     /// Audit results of skipped frames; absent without an audit.
@@ -51,17 +51,17 @@ pub(super) struct CameraStates {
     last_frame_age_s: Option<f64>,
 }
 
-/// What became of all frames since the node started.
+/// Counts of all frames since the node started.
 #[derive(Serialize, ToSchema)]
 pub(super) struct NodeStates {
     /// Node.
     node: String,
     /// Seconds since it started.
     uptime_s: f64,
-    /// All cameras together.
+    /// The sums over all cameras.
     #[serde(flatten)]
     counts: FrameCounts,
-    /// Each camera's.
+    /// The counts of each camera.
     cameras: Vec<CameraStates>,
 }
 

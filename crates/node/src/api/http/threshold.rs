@@ -46,10 +46,10 @@ pub(super) struct CameraThreshold {
     #[serde(flatten)]
     #[schema(value_type = BTreeMap<String, f64>)]
     value: NamedValue,
-    /// What the policy calls it, its range and its default; absent when the policy has none.
+    /// Its name in the policy, its range and its default; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
-    /// Whether a value changed while running holds after a restart; absent in a list.
+    /// True if a value set at run time survives a restart; absent in a list.
     #[serde(skip_serializing_if = "Option::is_none")]
     survives_restart: Option<bool>,
 }
@@ -57,14 +57,13 @@ pub(super) struct CameraThreshold {
 /// The thresholds of a node.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Thresholds {
-    /// The value in force, where all cameras have the same.
+    /// The value in force, if all cameras have the same.
     #[serde(flatten)]
     #[schema(value_type = BTreeMap<String, f64>)]
     value: NamedValue,
-    /// Whether values changed while running hold after a restart: a `state_dir` is set and can be
-    /// written to.
+    /// True if values set at run time survive a restart: a `state_dir` is set and can be written to.
     survives_restart: bool,
-    /// Each camera's.
+    /// The thresholds of each camera.
     cameras: Vec<CameraThreshold>,
 }
 

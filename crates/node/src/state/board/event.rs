@@ -83,7 +83,7 @@ pub struct FrameEvent {
     /// Camera.
     #[schema(value_type = String)]
     pub camera: Arc<str>,
-    /// What was published for the frame.
+    /// The message that was published.
     #[serde(flatten)]
     #[schema(value_type = DetectionsMessage)]
     pub detections: Arc<DetectionsMessage>,
@@ -99,15 +99,15 @@ pub struct ThresholdEvent {
     pub threshold: Threshold,
 }
 
-/// How the detector is doing.
+/// The state of the detector.
 #[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct DetectorEvent {
     /// `starting`, `ready` or `degraded`.
     status: &'static str,
-    /// Execution provider that really runs it; absent while it starts.
+    /// Execution provider that runs it; absent while it starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     provider: Option<&'static str>,
-    /// What happened, when degraded.
+    /// The reason, if degraded.
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
 }

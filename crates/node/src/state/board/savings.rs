@@ -10,29 +10,28 @@ use utoipa::ToSchema;
 
 const DAY_MS: i64 = 86_400_000;
 
-/// What the whole node used over a time.
+/// Energy of the whole node over a time.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct EnergyUsed {
-    /// How far to trust the joules: partial where the meter had gaps.
+    /// The quality of the joules: partial if the meter had gaps.
     pub quality: EnergyQuality,
     /// Joules, over the time that samples cover.
     pub joules: f64,
     /// That time, seconds.
     pub covered_s: f64,
-    /// Estimate of what the avoided calls would have added, joules: the time they would have run, no longer than the one
-    /// detector had nothing to do, times the watts that a running detector adds on this machine. Null while it is not
-    /// known what it adds.
+    /// Estimated energy that the avoided calls would have cost, joules: the time they would have run, at most the idle time
+    /// of the one detector, times the watts that a running detector adds on this machine. Null while those are not known.
     pub saved_joules_estimated: Option<f64>,
 }
 
-/// What was saved over a time.
+/// Savings over a time.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Savings {
-    /// From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
+    /// The beginning of the time, milliseconds since the Unix epoch: the node's start, or midnight UTC if that is later.
     pub since_ms: i64,
     /// Frames processed.
     pub frames: u64,
-    /// Detector calls avoided: frames answered without it, degraded ones not among them.
+    /// Avoided calls of the detector: frames answered without it, except degraded ones.
     pub avoided_calls: u64,
     /// Frames answered from prediction because the detector was not available.
     pub degraded_frames: u64,

@@ -1,4 +1,4 @@
-//! Estimates from recorded uncertainties what another threshold would have skipped over the last frames.
+//! Estimates from recorded uncertainties which of the last frames another threshold would have skipped.
 //!
 //! Replays the frames under the other value. Where the detector would have rested longer or shorter than it did, the
 //! recorded uncertainty is scaled by its growth with the time since a call ([`Growth`]). Calls for reasons other than
@@ -11,7 +11,7 @@ use albireo_core::policy::CallCause;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// What one value would have skipped.
+/// The estimate for one value.
 #[derive(Debug, Serialize, ToSchema)]
 pub(crate) struct ValueEstimate {
     /// The value.
@@ -22,18 +22,18 @@ pub(crate) struct ValueEstimate {
     pub skip_rate: f64,
 }
 
-/// What other thresholds would have skipped over the last frames.
+/// Estimates of the frames that other thresholds would have skipped.
 #[derive(Debug, Serialize, ToSchema)]
 pub(crate) struct SkipEstimate {
-    /// Frames looked at.
+    /// The number of frames.
     frames: usize,
     /// Time they took, seconds.
     duration_s: f64,
-    /// Frames that really were answered without the detector.
+    /// Frames that were in fact answered without the detector.
     pub skipped: usize,
-    /// Share of the frames, really.
+    /// Their share of the frames.
     skip_rate: f64,
-    /// What each value would have skipped, in the order asked for.
+    /// The estimate for each value, in the requested order.
     pub values: Vec<ValueEstimate>,
 }
 
