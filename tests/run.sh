@@ -12,7 +12,7 @@ export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxr
 export ORT_DISABLE_TELEMETRY=1
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
 # Most of the time of most tests is waiting for processes.
-export RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((3 * $(nproc)))}"
+export RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * $(nproc)))}"
 # hadolint comes with that environment.
 export PATH="$PATH:$(dirname "$ALBIREO_PYTHON")"
 

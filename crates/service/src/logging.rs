@@ -89,10 +89,15 @@ fn filter(level: &str) -> Result<EnvFilter, ParseError> {
 mod tests {
     use super::{filter, subscriber, tail_level};
     use crate::config::LogFormat;
+    use parking_lot::Mutex;
     use tracing::{Level, subscriber::with_default};
+
+    /// Held by a test that sets a subscriber: `tracing` caches for all threads what the subscribers there are want.
+    pub(super) static ONE_SUBSCRIBER: Mutex<()> = Mutex::new(());
 
     #[test]
     fn what_nobody_reads_is_not_made() {
+        let _alone = ONE_SUBSCRIBER.lock();
         let log = subscriber("warn", LogFormat::Human).unwrap();
         with_default(log, || {
             assert!(tracing::enabled!(Level::INFO));

@@ -193,6 +193,7 @@ mod tests {
     // One test, for the lines and the secrets are those of the process.
     #[test]
     fn a_line_says_where_it_comes_from_and_no_secret_is_in_it() {
+        let _alone = super::super::tests::ONE_SUBSCRIBER.lock();
         tracing::subscriber::with_default(tracing_subscriber::registry().with(layer()), || {
             let span = tracing::info_span!("camera", name = "front");
             let _inside = span.enter();

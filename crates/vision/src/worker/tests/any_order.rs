@@ -85,7 +85,9 @@ async fn play(script: Vec<Happens>) {
     }
     // From now on every run ends well.
     asked.iter().for_each(|_| end(Step::Answer));
-    while !asked.iter().all(|(_, answer)| answer.is_finished()) {
+    // The worker still counts a picture that was given up, until it looks at its queue again.
+    let is_over = |asked: &[(usize, Asked)]| asked.iter().all(|(_, answer)| answer.is_finished());
+    while !is_over(&asked) || stage.counts().waiting > 0 {
         pass(Duration::from_millis(100)).await;
     }
     let mut answered = Answered::default();
