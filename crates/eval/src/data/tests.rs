@@ -253,7 +253,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     );
     assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
     assert_eq!(clips.report.unmapped_classes["trailer"], 1);
-    // Ground truth in the place of predictions is noticed, and so is a frame that comes twice.
+    // Ground truth instead of predictions is noticed, and so is a frame that comes twice.
     assert_refused(
         bdd100k::read(&source(None, Some(&truth))),
         &["has no `score`"],

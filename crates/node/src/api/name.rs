@@ -107,11 +107,12 @@ async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use albireo_service::readiness::Readiness;
 
-    async fn session(settings: &[(&str, &str)]) -> Session {
+    /// A session that looks for no others, with these settings in Zenoh's own terms.
+    pub(crate) async fn session(settings: &[(&str, &str)]) -> Session {
         let mut config = zenoh::Config::default();
         config
             .insert_json5("scouting/multicast/enabled", "false")

@@ -159,14 +159,7 @@ impl Bench {
 
 /// A key of a session that neither listens nor looks for others.
 async fn silent_outlet(camera: &Arc<CameraBoard>) -> Outlet {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("listen/endpoints", "[]"),
-        ("scouting/multicast/enabled", "false"),
-    ] {
-        config.insert_json5(key, value).unwrap();
-    }
-    let session = zenoh::open(config).await.unwrap();
+    let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
     let sent = (CongestionControl::Drop, publishing::LIVE);
     let outlet = Outlet::declare(&session, camera.keys.detections(), sent, camera);
     outlet.await.unwrap()

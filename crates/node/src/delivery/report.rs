@@ -103,12 +103,7 @@ mod tests {
     async fn a_report_that_is_not_published_is_counted_and_kept_for_the_hub() {
         let board = Board::open(&NodeConfig::default()).unwrap();
         let camera = Arc::clone(&board.cameras[0]);
-        let mut config = zenoh::Config::default();
-        for key in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
-            config.insert_json5(key, "false").unwrap();
-        }
-        config.insert_json5("listen/endpoints", "[]").unwrap();
-        let session = zenoh::open(config).await.unwrap();
+        let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let publisher = session.declare_publisher("clip").advanced();
         let reporter = Reporter {
             board: Arc::clone(&board),

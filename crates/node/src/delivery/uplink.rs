@@ -366,12 +366,7 @@ mod tests {
         let mut config = NodeConfig::default();
         config.outbox.retry_min_ms = 1;
         let board = Board::open(&config).unwrap();
-        let mut zenoh = zenoh::Config::default();
-        for key in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
-            zenoh.insert_json5(key, "false").unwrap();
-        }
-        zenoh.insert_json5("listen/endpoints", "[]").unwrap();
-        let closed = zenoh::open(zenoh).await.unwrap();
+        let closed = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         closed.close().await.unwrap();
         let mut health = board.readiness.subscribe();
         let (uplink, _ended) = Uplink::start(UplinkSetup {

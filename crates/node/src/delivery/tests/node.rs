@@ -67,7 +67,7 @@ pub(super) fn image(file: &Path) -> Vec<u8> {
     bytes
 }
 
-/// Puts a database file in the place of another.
+/// Replaces a database file by another.
 pub(super) fn put(file: &Path, image: &[u8]) {
     for ending in ["-wal", "-shm"] {
         let mut beside = file.as_os_str().to_owned();

@@ -343,7 +343,7 @@ impl World {
         self.time.between(-days * DAY, days * DAY)
     }
 
-    /// An older copy of its state takes the place of what a node has.
+    /// An older copy of its state replaces that of a node.
     fn restore_node(&mut self, at: usize) {
         let Some(state) = self.states.get(&at) else {
             return;
