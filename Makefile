@@ -21,11 +21,11 @@ export ORT_DISABLE_TELEMETRY := 1
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: onnxruntime web ## camera, node, hub and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
+demo: onnxruntime web ## run camera, node and hub in one process, with nothing to configure (DEMO_SECONDS=N stops it)
 	cargo build --locked $$(bash tests/features.sh)
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
-# What is fetched waits for the network, what is built for the processor: side by side.
+# Downloads wait for the network and builds for the processor, so both run in parallel.
 test: onnxruntime debian web ## fetch what the tests need and run them all
 	@$(MAKE) --no-print-directory -j3 python wheel-tests build-tests
 	@bash tests/run.sh
@@ -33,7 +33,7 @@ test: onnxruntime debian web ## fetch what the tests need and run them all
 build-tests:
 	cargo test --locked $$(bash tests/features.sh) --no-run
 
-lint: ## formatting and clippy of every combination of features that is shipped, as the continuous integration does
+lint: ## check formatting, and run clippy for every shipped combination of features, as in CI
 	cargo fmt --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	cargo clippy --locked --no-default-features -- -D warnings
@@ -42,14 +42,14 @@ lint: ## formatting and clippy of every combination of features that is shipped,
 	CARGO_TARGET_DIR=target/python cargo clippy --locked --manifest-path crates/python/Cargo.toml -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps -p albireo-core
 
-deny: ## licences, sources and bans of all dependencies (ADVISORIES=1: known vulnerabilities too)
+deny: ## check licences, sources and bans of all dependencies (ADVISORIES=1: known vulnerabilities too)
 	@cargo deny --version >/dev/null 2>&1 || cargo install --locked cargo-deny
 	cargo deny --locked check licenses bans sources $(if $(ADVISORIES),advisories)
 
-fuzz: ## every parser under coverage-guided fuzzing, 20 minutes each (MINUTES=N); needs nightly Rust and cargo-fuzz
+fuzz: ## fuzz every parser with coverage guidance, 20 minutes each (MINUTES=N); needs nightly Rust and cargo-fuzz
 	@bash fuzz/run.sh
 
-simulate: ## delivery simulated from seeds, optimised: crashes, losses, copied and restored state (SEEDS=10000; SEED=7 prints one run)
+simulate: ## simulate delivery from seeds: crashes, losses, copied and restored state (SEEDS=10000; SEED=7 prints one run)
 	ALBIREO_WITHOUT_PAGES=1 ALBIREO_SEEDS=$(or $(SEEDS),10000) ALBIREO_SEED=$(SEED) cargo test --locked --profile bench -p albireo-node --lib \
 		delivery::tests::no_seed -- --nocapture
 
@@ -60,11 +60,11 @@ soak: onnxruntime python ## run a node and a hub under faults for half an hour, 
 bench: onnxruntime web ## run the benches, optimised (slow the first time)
 	cargo bench --locked
 
-bench-peers: ## the decision core beside other trackers, the JPEG decoder beside others
+bench-peers: ## compare the decision core with other trackers, and the JPEG decoder with others
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
 
-peers: $(WHEEL) $(VENDORS_ENVIRONMENT) ## Python's trackers beside ours on the recordings, into EVALUATION.md (by hand: fetches 6.5 GB)
+peers: $(WHEEL) $(VENDORS_ENVIRONMENT) ## compare Python's trackers with ours on the recordings, into EVALUATION.md (by hand: fetches 6.5 GB)
 	cargo build --locked $$(bash tests/features.sh)
 	$(VENDORS)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
 	$(VENDORS)/python tests/peers/compare.py --shared "$${ALBIREO_SHARED:-../shared}" --page EVALUATION.md
@@ -72,7 +72,7 @@ peers: $(WHEEL) $(VENDORS_ENVIRONMENT) ## Python's trackers beside ours on the r
 gpu: onnxruntime ## measure the node on an NVIDIA GPU, write benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
-parity: onnxruntime $(WHEEL) $(VENDORS_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
+parity: onnxruntime $(WHEEL) $(VENDORS_ENVIRONMENT) ## compare with the vendors' own detector code (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" YOLO_OFFLINE=true \
 		YOLO_CONFIG_DIR="$(abspath $(CACHE))/vendors/config" $(VENDORS)/python \
@@ -88,39 +88,39 @@ $(VENDORS_ENVIRONMENT): tests/parity/requirements.txt
 	$(VENDORS)/pip install --quiet --disable-pip-version-check --no-deps boxmot==25.0.0 norfair==2.3.0 trackeval==1.3.0
 	@touch $@
 
-board: ## the node for a small board: without hub, simulator, evaluation and renderer
+board: ## build the node for a small board: without hub, simulator, evaluation and renderer
 	cargo build --locked --no-default-features
 
-web: ## build the web pages with Node.js and npm; the rest works without them
+web: ## build the web pages with Node.js and npm; everything else works without them
 	@bash web/build.sh
 
-browser: onnxruntime web ## the pages in Debian's Chromium against the program, by hand (on a busy machine a step may be too slow)
+browser: onnxruntime web ## test the pages in Debian's Chromium against the program, by hand (on a busy machine a step may be too slow)
 	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" ALBIREO_BIN="$(abspath target/debug/albireo)" npm --prefix web run browser
 
-release: web ## the optimised program in target/release/albireo
+release: web ## build the optimised program in target/release/albireo
 	cargo build --locked --release
 
-dist: web ## the release, in target/dist: programs, packages, licences, checksums (TARGET=… for another machine)
+dist: web ## build the release in target/dist: programs, packages, licences, checksums (TARGET=… for another machine)
 	bash deploy/dist.sh
 
-onnxruntime: $(ONNXRUNTIME) ## the ONNX Runtime library, from its Python wheel
+onnxruntime: $(ONNXRUNTIME) ## fetch the ONNX Runtime library from its Python wheel
 $(ONNXRUNTIME): deploy/fetch-onnxruntime.sh
 	bash deploy/fetch-onnxruntime.sh $(CACHE)/onnxruntime
 	@touch $@
 
-python: $(PYTHON_ENVIRONMENT) ## the Python environment for the tests' independent clients
+python: $(PYTHON_ENVIRONMENT) ## create the Python environment for the tests' independent clients
 $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	python3 -m venv $(CACHE)/python
 	$(CACHE)/python/bin/python -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
 	@touch $@
 
-wheel: $(WHEEL) ## the Python package in target/wheels, with its sources (TARGET=aarch64 for another machine)
+wheel: $(WHEEL) ## build the Python package in target/wheels, with its sources (TARGET=aarch64 for another machine)
 $(WHEEL): $(WHEEL_SOURCES)
 	bash crates/python/build.sh $(TARGET)
 	@touch $@
 
-wheel-tests: $(WHEEL_ENVIRONMENT) ## the Python environment that the package is tested in
+wheel-tests: $(WHEEL_ENVIRONMENT) ## create the Python environment in which the package is tested
 $(WHEEL_ENVIRONMENT): $(addprefix crates/python/tests/,requirements.txt environment.sh) $(WHEEL)
 	bash crates/python/tests/environment.sh $(CACHE)/wheel
 	@touch $@

@@ -75,7 +75,7 @@ This program was built for a board, without the feature `eval`. A program built
 with it has demo, replay, compare and eval, and can play a camera to this node
 from another machine.";
 
-/// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
+/// Run a video object detector only on the frames that need it, and track the objects on the others.
 #[derive(Debug, Parser)]
 #[command(
     version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true,
@@ -96,7 +96,7 @@ enum Command {
     Check(check::Arguments),
     /// Describe a detector, and run it on pictures.
     Detect(detect::Arguments),
-    /// List the power meters that work on this machine, their rails, and watts now.
+    /// List the power meters that work on this machine, with their rails and present watts.
     Power(power::Arguments),
     #[cfg(feature = "eval")]
     /// Play a clip to a live node under several policies, and measure what each costs and finds.
@@ -112,10 +112,10 @@ enum Command {
     /// Collect diagnostics from a node or a hub into one archive.
     Diag(diag::Arguments),
     #[cfg(feature = "hub")]
-    /// Run a hub: a fleet's reports, presence and history.
+    /// Run a hub: it stores a fleet's reports, shows its state and changes its settings.
     Hub(hub::Arguments),
     #[cfg(feature = "hub")]
-    /// See and tune a fleet through its hub, from the terminal.
+    /// Show and tune a fleet through its hub, from the terminal.
     Fleet(Box<fleet::Arguments>),
     #[cfg(feature = "hub")]
     /// Run the router between the nodes of a fleet and its hubs.
@@ -130,7 +130,7 @@ enum Command {
     /// Send a hub the load of a fleet without cameras.
     Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
-    /// Replay recordings through any policy: accuracy against detector calls.
+    /// Replay recordings through any policy, and compare accuracy and detector calls.
     Eval(eval::EvalArguments),
     /// Write the manual pages of all subcommands into a folder.
     Man(man::Arguments),

@@ -61,14 +61,14 @@ enum Command {
         role: Option<Role>,
         /// Name in the certificate.
         name: Option<String>,
-        /// Renew all that expire within this many days.
+        /// Renew all certificates that expire within this many days.
         #[arg(long, value_name = "DAYS", conflicts_with = "role")]
         within: Option<u32>,
         /// How long they are valid, days.
         #[arg(long, default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=36_500))]
         days: u32,
     },
-    /// Take a certificate out of the access control that is generated from now on.
+    /// Leave a certificate out of all access rules that are generated from now on.
     Revoke {
         /// Role of the certificate.
         role: Role,

@@ -64,10 +64,10 @@ const PATIENCE: Duration = Duration::from_secs(120);
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// A policy, as NAME or NAME:SETTING; give it again for each. The others are compared with the first
+    /// A policy, as NAME or NAME:SETTING; may be repeated. The others are compared with the first
     #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo", "expected-loss"])]
     policy: Vec<String>,
-    /// Threshold of the policies that have one; give it again to try several [default: the configuration's]
+    /// Threshold of the policies that have one; may be repeated to try several [default: the configuration's]
     #[arg(long, value_name = "U", value_delimiter = ',')]
     u: Vec<f64>,
     /// A video file, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
@@ -76,7 +76,7 @@ pub(super) struct Arguments {
     /// Rounds; each plays every policy once
     #[arg(long, help_heading = PLAYING, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeat: u32,
-    /// Play this much of the clip at most, in its own time
+    /// Play at most this many seconds of the clip
     #[arg(long, help_heading = PLAYING, default_value_t = 20.0, value_parser = above_zero)]
     seconds: f64,
     /// Frames per second of a source that has none of its own
@@ -85,7 +85,7 @@ pub(super) struct Arguments {
     /// Play this many times as fast as the clip's own rate
     #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor, conflicts_with = "unpaced")]
     speed: f64,
-    /// Play as fast as the node takes the frames; none is dropped then
+    /// Play as fast as the node accepts frames; none is dropped
     #[arg(long, help_heading = PLAYING)]
     unpaced: bool,
     /// Warm-up before each run, seconds of the clip

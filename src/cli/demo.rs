@@ -53,7 +53,7 @@ pub(super) struct Arguments {
     /// A video file, a folder of pictures, or a tar archive of such folders; `demo` is demo/road.tar
     #[arg(long, value_name = "FILE", default_value = "demo")]
     clip: SourceName,
-    /// Policy that decides, with the value of its knob if it should not be the default
+    /// The policy, with the value of its threshold if not the default
     #[arg(long, value_name = "NAME[:VALUE]", default_value = "albireo")]
     policy: String,
     /// Uncertainty threshold at the start
@@ -62,10 +62,10 @@ pub(super) struct Arguments {
     /// The detector, an ONNX file
     #[arg(long, value_name = "FILE", default_value = "models/yolox_nano.onnx")]
     detector: PathBuf,
-    /// Port of the HTTP interface; another free one when it is taken
+    /// Port of the HTTP interface; if it is in use, another free one
     #[arg(long, default_value_t = 8080)]
     port: u16,
-    /// Port of the hub's HTTP interface; another free one when it is taken
+    /// Port of the hub's HTTP interface; if it is in use, another free one
     #[cfg(feature = "hub")]
     #[arg(long, default_value_t = 8090)]
     hub_port: u16,

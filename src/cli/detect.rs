@@ -51,7 +51,7 @@ pub(super) struct Arguments {
     /// A box that overlaps a better one of its class by more than this is dropped.
     #[arg(long, default_value_t = 0.45)]
     overlap: f64,
-    /// The most detections of a picture.
+    /// The most detections per picture.
     #[arg(long, default_value_t = 300)]
     most: usize,
     /// The execution provider that runs the model.

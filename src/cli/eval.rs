@@ -57,7 +57,7 @@ enum What {
         /// Predictions with scores, in the same form.
         #[arg(long)]
         detections: PathBuf,
-        /// Size of the pictures, which the files do not say.
+        /// Size of the pictures, which the files do not contain.
         #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::values::parse_size)]
         size: PictureSize,
         /// Frames per second.
@@ -76,7 +76,7 @@ enum What {
         #[command(flatten)]
         run: RunArguments,
     },
-    /// Run a real detector once over videos or pictures, then every policy on what it found.
+    /// Run a real detector once over videos or pictures, then every policy on its detections.
     #[command(alias = "pictures")]
     Video(video::VideoArguments),
     /// Propose a value of a policy's threshold for a target, from a recording with your own detector.
@@ -108,7 +108,7 @@ fn profile_parser() -> impl TypedValueParser<Value = Profile> {
 /// Arguments of every comparison of policies.
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
-    /// Whose definitions apply where the published code and the paper's text differ.
+    /// The definitions that apply where the published code and the paper's text differ.
     #[arg(long, default_value = "paper", value_parser = profile_parser())]
     profile: Profile,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
@@ -121,7 +121,7 @@ struct RunArguments {
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
-    /// Where the verdicts of the empty-scene screen come from.
+    /// The source of the empty-scene screen's verdicts.
     #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
     /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
@@ -140,11 +140,12 @@ struct RunArguments {
     /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
     #[arg(long, help_heading = JUDGED)]
     coco_interpolation: bool,
-    /// Also judge boxes when frames arrive, with a detector that takes this many milliseconds, or those of FILE in
-    /// turn, one measured run on each line; at-arrival.txt in --out.
+    /// Also judge boxes when frames arrive, with a detector that takes this many milliseconds, or the times in FILE in
+    /// turn, one measured run per line; at-arrival.txt in --out.
     #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS|FILE", value_parser = RunTimes::read)]
     detector_ms: Option<RunTimes>,
-    /// Also judge the boxes that are drawn between two detector calls once the second is known; settled.txt in --out.
+    /// Also judge the boxes that are interpolated between two detector calls once the second is known; settled.txt in
+    /// --out.
     #[arg(long, help_heading = JUDGED)]
     settled: bool,
     /// Project energy and frame time with the model of a board with this detector (config/energy); without one,

@@ -85,9 +85,9 @@ enum Command {
     SetU(set::Arguments),
     /// Let selected nodes hold a target instead of a threshold.
     SetTarget(set::TargetArguments),
-    /// Show the history of orders.
+    /// Show the history of changes.
     Changes(set::ChangesArguments),
-    /// List nodes that were changed locally after they took the desired value or target.
+    /// List nodes that were changed locally after they applied the desired value or target.
     Drift,
     /// Change a value in stages, each gated on measurements.
     #[command(subcommand)]

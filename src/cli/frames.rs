@@ -20,7 +20,7 @@ pub struct FrameTarget {
     /// First part of the key PREFIX/NODE/CAMERA/frame
     #[arg(long, help_heading = WHERE, default_value = "albireo")]
     pub prefix: String,
-    /// Node the frames are for
+    /// Node that receives the frames
     #[arg(long, help_heading = WHERE, default_value = "node")]
     pub node: String,
     /// Camera to play
@@ -30,10 +30,10 @@ pub struct FrameTarget {
     #[arg(long, help_heading = WHERE, conflicts_with_all = ["prefix", "node", "camera"])]
     pub key: Option<String>,
 
-    /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
+    /// Zenoh endpoint to connect to; may be repeated [default: tcp/127.0.0.1:7447]
     #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Zenoh endpoint to listen on, may be given again
+    /// Zenoh endpoint to listen on; may be repeated
     #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
 }

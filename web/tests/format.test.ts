@@ -11,7 +11,7 @@ describe("numbers are written as people read them", () => {
     expect(plain(joules(87_029_465))).toBe("87.0 MJ");
     expect(plain(watts(24.72))).toBe("24.7 W");
     expect(plain(milliseconds(0.2256))).toBe("0.226 ms");
-    expect(plain(edp(49_438))).toBe("49.4 kJ·ms a frame");
+    expect(plain(edp(49_438))).toBe("49.4 kJ·ms per frame");
   });
 
   test("a figure that is not there is no zero", () => {

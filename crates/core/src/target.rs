@@ -253,14 +253,14 @@ impl TargetStatus {
     /// Returns the human-readable form.
     pub const fn as_str(self) -> &'static str {
         match self {
-            Self::Measuring => "too little has been measured yet",
-            Self::Moving => "on the way to the target",
+            Self::Measuring => "not enough data yet",
+            Self::Moving => "not reached yet",
             Self::Held => "the target is held",
-            Self::MoreThanKept => "more than kept, at the end of the range",
-            Self::CannotBeMet => "cannot be met inside the range",
-            Self::NoFrames => "no frames come",
-            Self::NoPower => "there is no figure of power",
-            Self::NoAudit => "nothing is audited",
+            Self::MoreThanKept => "exceeded, at the end of the threshold's range",
+            Self::CannotBeMet => "cannot be met within the threshold's range",
+            Self::NoFrames => "no frames arrive",
+            Self::NoPower => "the node has no power figures",
+            Self::NoAudit => "no frames are audited",
         }
     }
 }

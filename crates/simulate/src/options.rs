@@ -48,7 +48,7 @@ pub struct Options {
     /// Prefix of the nodes' names.
     #[arg(long, default_value = "sim-")]
     pub name: String,
-    /// Duration from when all sessions are open, seconds.
+    /// Duration after all sessions are open, seconds.
     #[arg(long = "seconds", alias = "for", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Duration,
     /// Seconds between two heartbeats.

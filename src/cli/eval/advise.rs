@@ -31,7 +31,7 @@ pub(super) struct AdviseArguments {
     /// The policy whose threshold is chosen.
     #[arg(long, value_name = "NAME", default_value = "albireo")]
     policy: String,
-    /// Detections below this confidence are not used, as `detector.confidence` of a node.
+    /// Detections below this confidence are not used, like a node's `detector.confidence`.
     #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
     /// Frames per second of folders of pictures.

@@ -55,7 +55,7 @@ pub(super) struct VideoArguments {
 /// Where ground truth comes from.
 #[derive(Debug, Args)]
 struct TruthArguments {
-    /// Ground truth, may be given again. Clips that it does not name are left out. Without any, clips are judged
+    /// Ground truth; may be repeated. Clips that it does not name are left out. Without any, clips are judged
     /// against Vanilla's own output.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
     ground_truth: Vec<PathBuf>,
@@ -85,7 +85,7 @@ pub(super) struct PassArguments {
     /// Order of the screen's colour planes.
     #[arg(long, help_heading = LOOKED, value_enum, default_value_t = ColorOrder::Rgb, requires = "screen_model")]
     screen_color_order: ColorOrder,
-    /// Which of the screen's outputs means "empty".
+    /// Number of the screen's output that means "empty".
     #[arg(long, help_heading = LOOKED, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
     screen_empty_class: u8,
     /// Save detections, screen verdicts and ground truth here, in the layout of `albireo eval recorded`.

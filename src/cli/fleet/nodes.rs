@@ -28,7 +28,7 @@ pub(super) struct ListArguments {
     /// Only nodes in this state: online, degraded, silent or offline.
     #[arg(long)]
     state: Option<String>,
-    /// Sort by name, state (offline first), heard (the last heard first) or waiting (the most waiting reports first).
+    /// Sort by name, state (offline first), heard (most recent first) or waiting (most waiting reports first).
     #[arg(long, default_value = "name", value_parser = ["name", "state", "heard", "waiting"])]
     sort: String,
     /// The most nodes to list.

@@ -39,11 +39,11 @@ pub(super) enum RolloutCommand {
         #[arg(long)]
         follow: bool,
     },
-    /// Pause a rollout; its times do not run on.
+    /// Pause a rollout and its timers.
     Pause(Number),
     /// Continue a rollout; a stage that is held soaks again.
     Resume(Number),
-    /// Begin the next stage now, whatever the gates say.
+    /// Begin the next stage now, regardless of the gates.
     Next(Number),
     /// Return all nodes of a rollout to their old values.
     Return(Number),
@@ -80,19 +80,19 @@ pub(super) struct RolloutArguments {
     /// How many nodes have the value in each stage, numbers or percent (rounded up), the last 100%.
     #[arg(long, value_delimiter = ',', value_name = "SIZES")]
     stages: Vec<String>,
-    /// How long a stage is held before it is judged.
+    /// Time that a stage is held before it is judged.
     #[arg(long = "soak", value_parser = seconds, value_name = "TIME")]
     soak_s: Option<f64>,
-    /// How much longer, if it could not be judged.
+    /// Further time if the stage could not be judged.
     #[arg(long = "patience", value_parser = seconds, value_name = "TIME")]
     patience_s: Option<f64>,
-    /// What the change may cost; may be given several times, and replaces the gates by default.
+    /// Bound on what the change may cost; may be repeated, and replaces the default gates.
     #[arg(long = "gate", value_name = "GATE")]
     gates: Vec<String>,
-    /// When a gate fails: give the old value back, or hold.
+    /// Action when a gate fails: return the old values, or hold.
     #[arg(long, value_parser = ["return", "hold"])]
     on_failure: Option<String>,
-    /// How long a node may stay out of reach; then its value is withdrawn.
+    /// Time that a node may stay out of reach; then its value is withdrawn.
     #[arg(long = "offline-deadline", value_parser = seconds, value_name = "TIME")]
     offline_deadline_s: Option<f64>,
     /// Show updates until it is done, held or returned.
@@ -112,7 +112,7 @@ pub(super) enum TrialCommand {
         /// Its number [default: the newest]
         id: Option<i64>,
     },
-    /// End a trial now, with what was measured; the old values return.
+    /// End a trial now, with the results so far; the old values return.
     End(Number),
 }
 
@@ -126,7 +126,7 @@ pub(super) struct TrialArguments {
     #[command(flatten)]
     #[serde(flatten)]
     basics: Basics,
-    /// How long the values hold.
+    /// Time that the values are kept.
     #[arg(long = "for", value_parser = seconds, default_value = "1h", value_name = "TIME")]
     duration_s: f64,
 }
@@ -141,7 +141,7 @@ struct Basics {
     #[arg(long, default_value = "u")]
     #[serde(skip)]
     knob: String,
-    /// How far back the measurements before the change go.
+    /// Length of the measurements before the change.
     #[arg(long = "baseline", value_parser = seconds, value_name = "TIME")]
     baseline_s: Option<f64>,
     /// Confidence level of verdicts and intervals.
@@ -150,7 +150,7 @@ struct Basics {
     /// Fewest clips of a node before and after.
     #[arg(long, value_name = "N")]
     fewest_clips: Option<u64>,
-    /// How long a node in reach may take to report the value.
+    /// Time that an online node has to report the value.
     #[arg(long = "apply-within", value_parser = seconds, value_name = "TIME")]
     apply_within_s: Option<f64>,
     /// Seed of the random order of the nodes, or of the groups.

@@ -45,7 +45,7 @@ pub struct PublishOptions {
     /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
-    /// Name no clips: the node cuts by its own time window
+    /// Name no clips: the node uses its own time windows
     #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
     pub no_clip: bool,
     /// Sequence number of the first frame.

@@ -35,7 +35,7 @@ export function Changes() {
                 <a href={href(["nodes", one.node])}>{one.node}</a> desired <Setting value={one.desired} />, in force{" "}
                 {one.in_force ? <Setting value={one.in_force} /> : "not the same on all cameras"}, since {dateTime(one.since_ms)}
                 {one.why ? `: ${one.why}` : ""}
-                {one.set_back ? `, set back ${one.set_back} times` : ""}
+                {one.set_back ? `, set back by the hub ${one.set_back} times` : ""}
               </li>
             ))}
           </ul>
@@ -49,7 +49,7 @@ export function Changes() {
             <table>
               <thead>
                 <tr>
-                  {["revision", "when", "who", "value", "for", "by way of", "why", "outcome"].map((head) => (
+                  {["revision", "when", "who", "value", "for", "origin", "why", "outcome"].map((head) => (
                     <th key={head} scope="col" class="left">{head}</th>
                   ))}
                 </tr>
@@ -71,7 +71,7 @@ export function Changes() {
             </table>
           </div>
         )}
-        {hasMore && <button type="button" class="plain" onClick={more}>Older ones</button>}
+        {hasMore && <button type="button" class="plain" onClick={more}>Show older changes</button>}
       </Section>
     </>
   );
@@ -112,8 +112,8 @@ export function Aside() {
   const found = useLoaded<{ reports: SetAside[]; next?: number | null }>("/api/v1/set-aside?limit=100", 10_000);
   const reports = found.value?.reports ?? [];
   return (
-    <Section id="aside" title="Reports that could not be read" wide>
-      <p class="message quiet">They were acknowledged, so that they do not block later reports, and are kept here with the reason.</p>
+    <Section id="aside" title="Reports set aside" wide>
+      <p class="message quiet">These reports could not be parsed or had impossible figures. They were acknowledged, so they do not block later reports, and are kept here with the reason.</p>
       <Fault text={found.fault} />
       {found.value && reports.length === 0 && <p class="message good">None.</p>}
       {reports.map((report) => (

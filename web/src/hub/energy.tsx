@@ -26,7 +26,7 @@ const SPANS: Span[] = [
   { id: "month", words: "last 30 days", step: 24 * HOUR, points: 30 },
 ];
 
-/** Beginnings of the points, all of which are over: one that goes on would dive. Days begin where the hub's do, in UTC. */
+/** Beginnings of the points. Only completed points are shown: an incomplete one would look like a drop. Days are in UTC, as in the hub. */
 export function beginnings(span: Span, now: number): number[] {
   const last = (Math.floor(now / span.step) - 1) * span.step;
   return Array.from({ length: span.points }, (_, index) => last - (span.points - 1 - index) * span.step);
@@ -35,7 +35,7 @@ export function beginnings(span: Span, now: number): number[] {
 type Point = { at: number } & Found;
 type Found = { groups: EnergyGroup[]; audit?: Energy["audit"] };
 
-/** One answer for each point, four at a time; what lies behind is read once. */
+/** One answer for each point, four requests at a time. Older points are read once. */
 function usePoints(span: Span): { points: Point[]; fault: string } {
   const [points, setPoints] = useState<Point[]>([]);
   const [fault, setFault] = useState("");
@@ -45,7 +45,7 @@ function usePoints(span: Span): { points: Point[]; fault: string } {
     const look = async () => {
       const times = beginnings(span, Date.now());
       const last = times.at(-1)!;
-      // Reports may come late, so the last two are read again.
+      // Reports may arrive late, so the last two points are read again.
       const missing = times.filter((at) => !known.has(at) || at >= last - span.step);
       const work = async () => {
         for (let at = missing.pop(); at !== undefined; at = missing.pop()) {
@@ -115,7 +115,7 @@ export function EnergyView() {
         }
       >
         <Fault text={fault} />
-        {points.length > 0 && qualities.length === 0 && <p class="message quiet">No clip with energy in this time.</p>}
+        {points.length > 0 && qualities.length === 0 && <p class="message quiet">No clip with energy in this period.</p>}
         {qualities.map((quality) => (
           <Energies key={quality} quality={quality} points={points} />
         ))}
@@ -170,10 +170,10 @@ function Energies({ quality, points }: { quality: string; points: Point[] }) {
       <Quality quality={quality} />
       <Chart
         data={data}
-        label={`Energy of the fleet by time, ${quality}, beside the same and what avoided calls saved`}
+        label={`Energy of the fleet over time, ${quality}, and the same plus the energy that avoided calls saved`}
         lines={[
           { label: "energy used", colour: "--state-i" },
-          { label: "≈ with what avoided calls saved (estimated)", colour: "--quiet", dash: [6, 4] },
+          { label: "≈ plus energy saved by avoided calls (estimated)", colour: "--quiet", dash: [6, 4] },
         ]}
         value={joules}
         range={[0, null]}

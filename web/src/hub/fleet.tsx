@@ -14,7 +14,7 @@ import { Tune } from "./tune";
 import type { NodeView } from "./types";
 
 const HEIGHT = 38;
-/** Most names of one selection: a longer one is a label that somebody has yet to give. */
+/** Most names of one selection. For larger selections labels are the better tool. */
 const MOST_SELECTED = 1000;
 
 export const selected = signal<ReadonlySet<string>>(new Set());
@@ -58,7 +58,7 @@ export function Fleet() {
   const rows = useMemo(() => new Rows(filter, () => setTurn((turn) => turn + 1)), [key]);
   useEffect(() => () => rows.stop(), [rows]);
   const scroller = useRef<HTMLDivElement>(null);
-  // The row at the top, and not the pixel: what is drawn changes only with it.
+  // The row at the top, not the pixel: the drawn rows change only with it.
   const [top, setTop] = useState(0);
   const [view, setView] = useState(600);
 
@@ -101,7 +101,7 @@ export function Fleet() {
     const on = node !== undefined && picked.has(node.node);
     const known = drawn.current.get(slot);
     if (known && known.index === index && known.node === node && known.picked === on) return known.element;
-    // The element that scrolls out at one end comes in at the other.
+    // The element that scrolls out at one end is reused at the other.
     const element = <Row key={slot} index={index} node={node} picked={on} />;
     drawn.current.set(slot, { index, node, picked: on, element });
     return element;
@@ -237,7 +237,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
   );
 }
 
-/** What a node used today; measured and estimated are never added. */
+/** The energy that a node used today; measured and estimated figures are never added. */
 function Today({ energy }: { energy: NodeView["today"] }) {
   const { measured_joules: measured, estimated_joules: estimated } = energy;
   if (measured === 0 && estimated === 0) return <>–</>;
@@ -305,7 +305,7 @@ function Picker({ filter, total }: { filter: Filter; total: number }) {
       const found = await names(filter, MOST_SELECTED);
       selected.value = new Set(found.names);
       if (found.total > found.names.length) {
-        setSaid(`The first ${count(found.names.length)} of ${count(found.total)}: for more, name them below by a glob or a label.`);
+        setSaid(`The first ${count(found.names.length)} of ${count(found.total)}: for more, use a glob or a label below.`);
       }
     } catch (error) {
       setSaid(error instanceof Error ? error.message : String(error));
@@ -315,7 +315,7 @@ function Picker({ filter, total }: { filter: Filter; total: number }) {
   return (
     <div class="row picker">
       <button type="button" class="plain" onClick={all} disabled={total === 0}>
-        Select all of these
+        Select all matches
       </button>
       <button type="button" class="plain" onClick={() => (selected.value = new Set())} disabled={picked === 0}>
         Select none
@@ -328,13 +328,13 @@ function Picker({ filter, total }: { filter: Filter; total: number }) {
   );
 }
 
-/** What happened lately, while this page was open. */
+/** The latest events since this page was opened. */
 function Happened() {
   const known = events.value.slice(0, 12);
   return (
-    <Section id="happened" title="What happened" wide aside={<span class="quiet">since this page was opened</span>}>
+    <Section id="happened" title="Events" wide aside={<span class="quiet">since this page was opened</span>}>
       {known.length === 0 ? (
-        <p class="message quiet">Nothing yet.</p>
+        <p class="message quiet">No events yet.</p>
       ) : (
         <ul class="events">
           {known.map((event) => (
@@ -351,7 +351,7 @@ function Happened() {
 
 function detail(value: unknown): string {
   if (typeof value !== "object" || value === null) return value === undefined || value === null ? "" : String(value);
-  // In words if there are any; the rest is on the node's own page.
+  // The reason, if there is one; the rest is on the node's own page.
   if ("reason" in value && typeof value.reason === "string") return value.reason;
   return Object.entries(value)
     .filter(([, entry]) => entry !== null && entry !== "")

@@ -1,4 +1,4 @@
-// One node as it is now: it sends counters and pictures only while this is open.
+// The live view of one node. The node sends counters and pictures only while this view is open.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { answer, follow, pause } from "../shared/api";
@@ -7,7 +7,7 @@ import { Fault, Figure, Quality, Section } from "../shared/parts";
 import { heldText } from "../shared/target";
 import type { CountersMessage, TargetReport } from "./types";
 
-/** Shortest time between two pictures: they go over the node's uplink. */
+/** Shortest time between two pictures, milliseconds: they use the node's uplink. */
 const PICTURE_MS = 2000;
 /** Seconds over which rates are shown. */
 const WINDOW = 30;
@@ -17,7 +17,7 @@ export interface Rate {
   skipRate: number;
 }
 
-/** Frames a second and skip rate between the first and the last of some counters; none where the node restarted. */
+/** Frames per second and skip rate between the first and the last of some counters; undefined if the node restarted between them. */
 export function rate(samples: readonly CountersMessage[]): Rate | undefined {
   const [first, last] = [samples[0], samples.at(-1)];
   if (!first || !last || first === last) return undefined;
@@ -72,15 +72,15 @@ export function Live({ node }: { node: string }) {
   );
 }
 
-/** The target of the node, and how far it is met. */
+/** The target of the node, and its measured value. */
 function Held({ report }: { report: TargetReport | null | undefined }) {
   if (!report?.target) return null;
   const { state, range } = report;
   return (
     <p class="message" id="held-now">
-      Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "it begins"}. The threshold is{" "}
-      <b>{small(state?.knob)}</b> of {small(range?.least)} to {small(range?.most)}.
-      {state && state.unmet > 0 && ` It could not be met for ${duration(state.unmet_s)} in all.`}
+      Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "starting"}. The threshold is{" "}
+      <b>{small(state?.knob)}</b>, allowed {small(range?.least)} to {small(range?.most)}.
+      {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}
     </p>
   );
 }

@@ -16,18 +16,18 @@ const WEEK_MS = 7 * 86_400_000;
 
 /** Why the threshold has its value. */
 const TARGET_STATUS: Record<TargetStatus, string> = {
-  measuring: "too little has been measured yet",
-  moving: "on the way to the target",
+  measuring: "not enough data yet",
+  moving: "not reached yet",
   held: "the target is held",
-  more_than_kept: "more than kept, at the end of the range",
-  cannot_be_met: "it cannot be met inside the knob's range",
-  no_frames: "no frames come",
-  no_power: "there is no figure of power",
-  no_audit: "nothing is audited",
+  more_than_kept: "exceeded, at the end of the threshold's range",
+  cannot_be_met: "cannot be met within the threshold's range",
+  no_frames: "no frames arrive",
+  no_power: "the node has no power figures",
+  no_audit: "no frames are audited",
 };
 
 function setBy(source: string): string {
-  return source === "hub" ? "the hub" : source === "local" ? "somebody at the node" : "its configuration";
+  return source === "hub" ? "the hub" : source === "local" ? "a local change" : "its configuration";
 }
 
 export function Node({ name }: { name: string }) {
@@ -93,7 +93,7 @@ export function Node({ name }: { name: string }) {
               <p class="message" id="held">
                 Holds <b>{heldText(status.target.target)}</b>
                 {typeof status.target.actual === "number" && <>, <b>{small(status.target.actual)}</b> at its last report</>}:{" "}
-                {status.target.status ? TARGET_STATUS[status.target.status] : "it begins"}; set by {setBy(status.target.source)}.
+                {status.target.status ? TARGET_STATUS[status.target.status] : "starting"}; set by {setBy(status.target.source)}.
               </p>
             )}
             {status?.target_off && <p class="message wait" id="held">Holds no target any more: {status.target_off}.</p>}
@@ -166,13 +166,13 @@ export function Node({ name }: { name: string }) {
         <dl class="pairs">
           <dt>stored</dt>
           <dd>{count(is?.reports?.stored ?? 0)}</dd>
-          <dt>never came</dt>
+          <dt>missing</dt>
           <dd class={is?.reports?.missing ? "bad" : ""}>{count(is?.reports?.missing ?? 0)}</dd>
           <dt>set aside</dt>
           <dd class={is?.reports?.set_aside ? "bad" : ""}>{count(is?.reports?.set_aside ?? 0)}</dd>
           <dt>refused: too old</dt>
           <dd class={is?.reports?.refused ? "bad" : ""}>{count(is?.reports?.refused ?? 0)}</dd>
-          <dt>count restarted</dt>
+          <dt>counter restarts</dt>
           <dd>{count(is?.reports?.resets ?? 0)}</dd>
           <dt>first, last</dt>
           <dd>{is?.reports ? `${dateTime(is.reports.first_ms)}, ${dateTime(is.reports.last_ms)}` : "–"}</dd>
@@ -180,7 +180,7 @@ export function Node({ name }: { name: string }) {
       </Section>
       <Section id="node-changes" title="Changes" wide>
         <Fault text={changes.fault} />
-        {changes.value?.changes.length === 0 && <p class="message quiet">No changes by this hub.</p>}
+        {changes.value?.changes.length === 0 && <p class="message quiet">This hub has changed nothing.</p>}
         <ul class="events">
           {(changes.value?.changes ?? []).map((change) => (
             <li key={change.revision}>
@@ -194,11 +194,11 @@ export function Node({ name }: { name: string }) {
   );
 }
 
-/** Takes a node that is gone off the list. */
+/** Removes a node that is gone from the list. */
 function Forget({ name }: { name: string }) {
   const [fault, setFault] = useState("");
   const forget = async () => {
-    if (!confirm(`Forget ${name}? Its clips and history stay; what is desired of it is dropped.`)) return;
+    if (!confirm(`Forget ${name}? Its clips and history stay; its desired setting is removed.`)) return;
     try {
       await answer(`/api/v1/nodes/${encodeURIComponent(name)}`, { method: "DELETE" });
       location.hash = href(["fleet"]);
@@ -224,7 +224,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
           <tr>
             <th scope="col" class="left">policy and value</th>
             <th scope="col" class="left">energy is</th>
-            {["clips", "hours", "skipped", "calls avoided", "recall of the detector", "energy", "per hour", "saved ≈"].map((head) => (
+            {["clips", "hours", "skipped", "calls avoided", "recall against the detector", "energy", "per hour", "saved ≈"].map((head) => (
               <th key={head} scope="col">{head}</th>
             ))}
           </tr>

@@ -22,14 +22,14 @@ const OUTCOMES = ["refused", "timed_out", "missed", "waiting", "pending", "super
 const OUTCOME_WORDS: Record<string, string> = {
   applied: "in force",
   returned: "old value again",
-  unchanged: "had it already",
+  unchanged: "already had it",
   would_change: "would change",
   refused: "refused",
   timed_out: "did not report in time",
-  waiting: "out of reach, gets it on its return",
+  waiting: "out of reach, gets it when it returns",
   pending: "asked, no answer yet",
-  superseded: "overtaken by a later change",
-  missed: "away until the deadline",
+  superseded: "replaced by a later change",
+  missed: "out of reach until the deadline",
   untouched: "not asked yet",
 };
 const OUTCOME_MOODS: Record<string, Mood> = { applied: "good", unchanged: "good", refused: "bad", timed_out: "bad", missed: "bad", waiting: "wait" };
@@ -40,7 +40,7 @@ export function outcomeWords(outcome: string): string {
 
 export function Outcomes({ counts }: { counts: Record<string, number> }) {
   const known = Object.keys(counts).sort((a, b) => OUTCOMES.indexOf(a) - OUTCOMES.indexOf(b));
-  if (known.length === 0) return <span class="quiet">nobody yet</span>;
+  if (known.length === 0) return <span class="quiet">no node yet</span>;
   return (
     <span class="outcomes">
       {known.map((outcome) => (
@@ -65,7 +65,7 @@ export function settingText(value: DesiredSetting | Threshold | null | undefined
   return held ? `hold ${held[0]} = ${small(held[1])}` : "hold nothing";
 }
 
-/** An interval on a line with its bound at zero: where it lies is seen before it is read. */
+/** An interval drawn on a line around zero, with its numbers beside it. */
 export function IntervalBar({ interval, words }: { interval: Interval; words: (value: number) => string }) {
   const reach = Math.max(Math.abs(interval.lower), Math.abs(interval.upper), 1e-12) * 1.15;
   const place = (value: number) => `${(50 + (50 * value) / reach).toFixed(1)}%`;
@@ -89,7 +89,7 @@ export interface Loaded<T> {
   again: () => void;
 }
 
-/** What a path answers; loaded again every `everyMs`, when the fleet changed (sums over long times wait for their turn), and when asked to. */
+/** The answer of a path. It is loaded again every `everyMs`, on request, and, if `everyMs` is below 10 s, when the fleet changed. */
 export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded<T> {
   const [value, setValue] = useState<T | undefined>(undefined);
   const [fault, setFault] = useState("");
@@ -132,10 +132,10 @@ export function Field({ label, children, wide }: { label: string; children: Comp
 /** Whether the energy of any avoided call is known. */
 export const knowsSaved = (group: EnergyGroup) => group.avoided_calls === 0 || group.unpriced_calls < group.avoided_calls;
 
-/** What avoided calls would have added, where nodes know what a call adds. */
+/** The energy that avoided calls would have added, where nodes know the cost of a call. */
 export function Saved({ group }: { group: EnergyGroup }) {
   if (!knowsSaved(group)) return <>–</>;
-  const without = group.unpriced_calls > 0 ? `, without ${short(group.unpriced_calls)} calls whose cost is not known` : "";
+  const without = group.unpriced_calls > 0 ? `, excluding ${short(group.unpriced_calls)} calls of unknown cost` : "";
   return (
     <>
       {joules(group.saved_joules_estimated)}

@@ -39,7 +39,7 @@ export function afterReturn(counts: Record<string, number>): Record<string, numb
 
 /** One bar per stage: how far its nodes are. */
 function Stages({ rollout }: { rollout: RolloutView }) {
-  // Nodes that got the value have the old one again.
+  // Nodes that got the value have their old one again.
   const returned = rollout.phase === "returned";
   const over = returned || ["done", "finishing"].includes(rollout.phase);
   return (
@@ -86,7 +86,7 @@ export function Gates({ gates }: { gates: GateResult[] }) {
             <th scope="col" class="left">figure</th>
             <th scope="col">before</th>
             <th scope="col">after</th>
-            <th scope="col" class="left">change, with its interval</th>
+            <th scope="col" class="left">change, with interval</th>
             <th scope="col">nodes</th>
             <th scope="col">compared with</th>
           </tr>
@@ -246,8 +246,8 @@ function Begin({ onBegun }: { onBegun: () => void }) {
     event.preventDefault();
     setFault("");
     const minutes = parsed(fields.soak);
-    if (value === undefined) return setFault("Say which value of u is to be rolled out, such as 5e-4.");
-    if (minutes === undefined) return setFault("Say how many minutes each stage is held.");
+    if (value === undefined) return setFault("Enter the value of u to roll out, such as 5e-4.");
+    if (minutes === undefined) return setFault("Enter how many minutes each stage is held.");
     try {
       const begun = await send<RolloutView>("POST", "/api/v1/rollouts", {
         u: value,
@@ -270,13 +270,13 @@ function Begin({ onBegun }: { onBegun: () => void }) {
         <div class="fields">
           <Field label="for which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
           <Field label="u"><input type="text" inputmode="decimal" placeholder="5e-4" {...field("value")} /></Field>
-          <Field label="stages: nodes or share of them, all before included" wide><input type="text" {...field("stages")} /></Field>
+          <Field label="stages: cumulative numbers or shares of nodes" wide><input type="text" {...field("stages")} /></Field>
           <Field label="each held for, minutes"><input type="text" inputmode="decimal" {...field("soak")} /></Field>
-          <Field label="gates: what the change may cost" wide><input type="text" {...field("gates")} /></Field>
+          <Field label="gates: bounds on what the change may cost" wide><input type="text" {...field("gates")} /></Field>
           <Field label="when a gate fails">
             <select value={fields.failure} onChange={(event) => setFields({ ...fields, failure: event.currentTarget.value })}>
               <option value="return">return the old values</option>
-              <option value="hold">hold, and ask</option>
+              <option value="hold">hold, and wait for a decision</option>
             </select>
           </Field>
           <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>

@@ -4,9 +4,9 @@ import { signal } from "@preact/signals";
 import { every, follow, json } from "../shared/api";
 import type { Energy, EnergyGroup, NodeList, StoredEvent } from "./types";
 
-/** Events that are remembered. */
+/** Most events that the page keeps. */
 const MOST_EVENTS = 200;
-/** Shortest time between two looks because of events, milliseconds: four a second at most. */
+/** Shortest time between two reloads because of events, milliseconds: at most four per second. */
 const LEAST_MS = 250;
 
 export const fleet = signal<Pick<NodeList, "counts" | "waiting"> | undefined>(undefined);
@@ -18,13 +18,13 @@ export const events = signal<StoredEvent[]>([]);
 /** Grows when something that is shown may have changed. */
 export const changed = signal(0);
 
-/** The same, every two seconds at most: for what costs the hub more than a page of rows. */
+/** The same, at most every two seconds: for requests that cost the hub more than a page of rows. */
 export const changedSlowly = signal(0);
 
 let scheduled = false;
 let slowlyAt = 0;
 
-/** Reloads soon, at most four times a second however much happens. */
+/** Reloads soon, at most four times per second whatever the number of events. */
 export function lookSoon(): void {
   if (scheduled) return;
   scheduled = true;
@@ -79,7 +79,7 @@ export function watchFleet(signal: AbortSignal): void {
   void every(20_000, signal, whileReached(lookAtEnergy));
 }
 
-/** Energy by quality, which are never added: the largest first. */
+/** Energy by quality (qualities are never added), the one with the most clips first. */
 export function byQuality(groups: readonly EnergyGroup[]): EnergyGroup[] {
   return [...groups].filter((group) => group.quality !== "unavailable").sort((a, b) => b.clips - a.clips);
 }

@@ -33,7 +33,7 @@ export function Header() {
           <Pill mood="wait">connecting</Pill>
         )}
       </span>
-      {lost.value !== undefined && <span class="why">{lost.value}. Trying again; what is shown is the last that was heard.</span>}
+      {lost.value !== undefined && <span class="why">{lost.value}. Reconnecting; the page shows the last data received.</span>}
       <nav aria-label="Views">
         {VIEWS.map(([view, words]) => (
           <a key={view} href={href([view])} aria-current={here === view ? "page" : undefined}>
@@ -44,7 +44,7 @@ export function Header() {
       {who && who.name !== "anonymous" && (
         <span class="quiet who">
           as {who.name}
-          {who.may_tune ? "" : ", who may look and not change"}
+          {who.may_tune ? "" : ", read-only"}
         </span>
       )}
     </header>
@@ -59,7 +59,7 @@ export function Summary() {
   const audit = auditToday.value;
   const states = ["online", "degraded", "silent", "offline"] as const;
   return (
-    <section class="wide headline" aria-label="The fleet in a line">
+    <section class="wide headline" aria-label="Summary of the fleet">
       <dl class="figures">
         <Figure label="nodes">
           <span class="by-state">
@@ -83,7 +83,7 @@ export function Summary() {
                   avoided calls saved <Saved group={group} /> <Quality quality="estimated" />
                 </>
               ) : (
-                "what avoided calls saved is not known"
+                "energy saved by avoided calls unknown"
               )
             }
           >

@@ -22,12 +22,12 @@ function Phase({ trial }: { trial: TrialView }) {
   return <Pill mood={phase.mood}>{phase.words}</Pill>;
 }
 
-/** A trial that is over has given every node its old value back. */
+/** After a trial every node has its old value again. */
 function counts(trial: TrialView): Record<string, number> {
   return trial.phase === "done" ? afterReturn(trial.counts) : trial.counts;
 }
 
-/** Whether a difference of it is a share of what it was. */
+/** Whether the difference of a figure is relative to its earlier value. */
 function isRelative(figure: string): boolean {
   return /^(joules|edp|latency)/.test(figure);
 }
@@ -65,7 +65,7 @@ export function Trial({ id }: { id: string }) {
           </p>
           {["applying", "running"].includes(trial.phase) && (
             <div class="row">
-              <button type="button" class="danger" disabled={forbidden !== undefined} onClick={end}>End it now</button>
+              <button type="button" class="danger" disabled={forbidden !== undefined} onClick={end}>End the trial now</button>
             </div>
           )}
           {forbidden && <p class="message wait">{forbidden}</p>}
@@ -106,7 +106,7 @@ export function Trial({ id }: { id: string }) {
               </table>
             </div>
           ) : (
-            <p class="message quiet">The result appears when it is over.</p>
+            <p class="message quiet">The result appears at the end of the trial.</p>
           )}
         </>
       )}
@@ -149,8 +149,8 @@ function Begin({ onBegun }: { onBegun: () => void }) {
     setFault("");
     const values = terms(fields.values).map(parsed);
     const minutes = parsed(fields.minutes);
-    if (values.length < 2 || values.includes(undefined)) return setFault("Say two or more values of u, such as 3e-4, 5e-4.");
-    if (minutes === undefined) return setFault("Say how many minutes it lasts.");
+    if (values.length < 2 || values.includes(undefined)) return setFault("Enter two or more values of u, such as 3e-4, 5e-4.");
+    if (minutes === undefined) return setFault("Enter how many minutes it lasts.");
     try {
       const begun = await send<TrialView>("POST", "/api/v1/trials", {
         values: values.map((u) => ({ u })),
@@ -170,8 +170,8 @@ function Begin({ onBegun }: { onBegun: () => void }) {
       <form onSubmit={begin}>
         <div class="fields">
           <Field label="on which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
-          <Field label="values of u to compare, the first is the measure"><input type="text" placeholder="3e-4, 5e-4" {...field("values")} /></Field>
-          <Field label="for, minutes"><input type="text" inputmode="decimal" {...field("minutes")} /></Field>
+          <Field label="values of u to compare; the first is the reference"><input type="text" placeholder="3e-4, 5e-4" {...field("values")} /></Field>
+          <Field label="duration, minutes"><input type="text" inputmode="decimal" {...field("minutes")} /></Field>
           <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
         </div>
         <div class="row">

@@ -1,4 +1,4 @@
-// Setting a value or a target on selected nodes, with the outcome at each as it comes.
+// Sets a value or a target on selected nodes, and shows the outcome per node as it arrives.
 
 import { signal } from "@preact/signals";
 import { useState } from "preact/hooks";
@@ -12,20 +12,20 @@ import { href, route } from "./route";
 import { lookSoon } from "./store";
 import type { OrderAnswer, OutcomeLine } from "./types";
 
-/** Lines of outcomes that are shown; the counts have them all. */
+/** Most lines of outcomes that are shown; the counts include all. */
 const SHOWN = 100;
 /** How long the outcomes are followed, seconds. */
 const FOLLOW_S = 120;
 
-/** What was ordered last, so that it stays while the page shows something else. */
+/** The last change, kept while the page shows another view. */
 const order = signal<{ counts: Record<string, number>; lines: OutcomeLine[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
 
-/** The terms of what is written: names, globs and labels between commas. */
+/** The terms of a text: names, globs and labels between commas. */
 export function terms(text: string): string[] {
   return text.split(",").map((term) => term.trim()).filter(Boolean);
 }
 
-/** Takes the next pieces of a text with one JSON object a line. */
+/** Parses a text with one JSON object per line, as its pieces arrive. */
 export class LineParser {
   #rest = "";
 
@@ -40,7 +40,7 @@ export class LineParser {
 const HOLD = "hold ";
 const NOTHING = `${HOLD}nothing`;
 
-/** Where an order goes, and what of its body says what is ordered; nothing while a number is missing. */
+/** The path of a change and the fields of its body; undefined while a number is missing. */
 export function ordered(what: string, number: number | undefined): { path: string; fields: Record<string, unknown> } | undefined {
   const path = what.startsWith(HOLD) ? "/api/v1/target" : "/api/v1/threshold";
   if (what === NOTHING) return { path, fields: { target: null } };
@@ -59,7 +59,7 @@ function placeholder(what: string): string {
   return TARGETS.find((target) => HOLD + target.name === what)?.begin ?? "5e-4";
 }
 
-/** What the button does, in words. */
+/** The text of the button. */
 function buttonText(what: string, number: number | undefined): string {
   if (what === NOTHING) return "Hold nothing";
   const verb = what.startsWith(HOLD) ? "Hold" : "Set";
@@ -83,8 +83,8 @@ export function Tune() {
 
   const attempt = async (work: () => Promise<void>) => {
     setFault("");
-    if (chosen.length === 0) return setFault("Say which nodes: select some above, or write names, globs, labels or “all”.");
-    if (!what) return setFault(`Say which value ${knob.replace(HOLD, "")} shall have, such as ${placeholder(knob)}.`);
+    if (chosen.length === 0) return setFault("Choose nodes: select some above, or enter names, globs, labels or “all”.");
+    if (!what) return setFault(`Enter a value for ${knob.replace(HOLD, "")}, such as ${placeholder(knob)}.`);
     try {
       await work();
     } catch (error) {
@@ -122,7 +122,7 @@ export function Tune() {
           if (last.counts !== undefined) show(false, last.revision ?? undefined);
           else byNode.set((line as OutcomeLine).node, line as OutcomeLine);
         }
-        // Thousands come at once.
+        // Thousands may arrive at once.
         if (order.value?.running && performance.now() - painted > 200) {
           painted = performance.now();
           show(true);

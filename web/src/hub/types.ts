@@ -1,4 +1,4 @@
-// The messages of a hub, as its OpenAPI document has them.
+// The messages of a hub, from its OpenAPI document.
 
 import type { components } from "../api/hub";
 

@@ -1,4 +1,4 @@
-// All cameras as tiles: which are live, stale, never seen, degraded.
+// All cameras as tiles, each live, stale, degraded or never seen.
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
@@ -7,7 +7,7 @@ import { CopyButton, Pill, Section, type Mood } from "../shared/parts";
 import { cameras, lost, open, opened, picture, rates, samples, tick, usualGap } from "./store";
 import type { CameraEntry } from "./types";
 
-/** A camera is stale when no frame came for this long, or three times as long as between its frames lately. */
+/** A camera is stale after this many seconds without a frame, or after three times its usual gap between frames if that is longer. */
 const STALE_S = 2.5;
 
 export type CameraWord = "live" | "stale" | "never seen" | "degraded";
@@ -24,7 +24,7 @@ function snippet(key: string): string {
   return `albireo replay VIDEO.mp4 --loop --key ${key}`;
 }
 
-/** Draws again every second: ages grow by themselves. */
+/** Renders again every second, because ages grow. */
 function useSeconds(): void {
   const [, setNow] = useState(0);
   useEffect(() => {
@@ -49,7 +49,7 @@ export function Tiles() {
 
 type Entry = CameraEntry & { readAt: number };
 
-/** How a camera is, in a pill; and how long ago its last picture came. */
+/** The state of a camera as a pill, and the age of its last picture. */
 function stateOf(camera: Entry): { word: CameraWord; age: number | undefined; pill: ComponentChildren } {
   // The age read earlier has grown since; newly counted frames reset it.
   const elapsed = (performance.now() - camera.readAt) / 1000;
@@ -97,14 +97,14 @@ export function OnlyCamera() {
   );
 }
 
-/** What is wrong with a camera, or how to send it pictures. */
+/** The fault of a camera, or how to send it pictures. */
 export function Help({ camera, folded = false }: { camera: CameraEntry; folded?: boolean }) {
   const seen = camera.last_frame_age_s !== undefined && camera.last_frame_age_s !== null;
   const command = snippet(camera.key ?? "");
   const help = (
     <>
       <p>
-        Publish JPEG, PNG or raw pictures by Zenoh on the key <code>{camera.key}</code>, for example:
+        Publish JPEG, PNG or raw pictures on the Zenoh key <code>{camera.key}</code>, for example:
       </p>
       <pre tabIndex={0}>{command}</pre>
       <CopyButton text={command} />
@@ -131,7 +131,7 @@ function degradedLately(camera: string): boolean {
   return !!first && !!last && last.degraded > first.degraded;
 }
 
-/** A small picture, every two seconds while it can be seen. */
+/** A small picture, reloaded every two seconds while it is visible. */
 function Thumbnail({ camera, frames }: { camera: string; frames: number }) {
   const [address, setAddress] = useState("");
   const seen = frames > 0;

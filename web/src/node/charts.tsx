@@ -8,7 +8,7 @@ import { Quality, Section } from "../shared/parts";
 import { percentile, type Seen } from "./frames";
 import { counters, hour, knob, log, opened, pointed, power, samples, tick } from "./store";
 
-/** Length of a piece of the hour, seconds. */
+/** Length of an interval of the hour, seconds. */
 const SLOT_S = 10;
 /** Frames that the chart of uncertainties shows. */
 const FRAMES = 600;
@@ -18,7 +18,7 @@ type Column = (number | null)[];
 /** Longest pause between two frames that a line is drawn across, seconds. */
 const LONGEST_PAUSE_S = 10;
 
-/** Frames, with an empty place in each long pause, where the line is to end. */
+/** Frames, with an empty entry in each long pause, so that the line has a gap there. */
 export function withGaps<F extends { at: number }>(frames: readonly F[]): (F | { at: number })[] {
   return frames.flatMap((frame, index) => {
     const before = frames[index - 1];
@@ -54,7 +54,7 @@ export function Uncertainty() {
         <Chart
           key={String(comparable)}
           data={shown}
-          label="Largest uncertainty of each of the last frames, and the threshold. The detector runs where the first reaches the second."
+          label="Largest uncertainty of each of the last frames, and the threshold. The detector runs when the uncertainty reaches the threshold."
           lines={[
             { label: "largest τ of the frame", colour: "--state-i" },
             ...(comparable ? [{ label: "threshold u", colour: "--bad", dash: [6, 4], steps: true }] : []),
@@ -80,7 +80,7 @@ const DOMAINS: Record<string, { label: string; colour: string }> = {
   io_mem: { label: "memory and I/O", colour: "--state-ei" },
 };
 
-/** Power by domain over the last hour: in pieces of ten seconds before this page was opened. */
+/** Power by domain over the last hour; before this page was opened, in intervals of ten seconds. */
 export function Power() {
   const now = tick.value;
   const message = counters.value.get(opened.value ?? "") ?? [...counters.value.values()][0];
@@ -136,7 +136,7 @@ export function DetectorTime() {
       median.push(slot.detector_p50_ms ?? null);
       tail.push(slot.detector_p99_ms ?? null);
     }
-    // After the node's pieces, those that this page computes from the frames it receives.
+    // After the node's intervals come those that this page computes from the frames it receives.
     const begin = before.length ? before.at(-1)!.at_ms / 1000 + SLOT_S : 0;
     const pieces = new Map<number, number[]>();
     for (const frame of log.last(6000)) {
@@ -157,7 +157,7 @@ export function DetectorTime() {
     ["p99", percentile(times, 0.99)],
   ];
   return (
-    <Section id="detector" title="Detector time" aside={<span class="quiet">last {times.length} calls seen here</span>}>
+    <Section id="detector" title="Detector time" aside={<span class="quiet">last {times.length} calls on this page</span>}>
       <dl class="figures">
         {figures.map(([label, value]) => (
           <div class="figure" key={label}>
@@ -172,7 +172,7 @@ export function DetectorTime() {
       </dl>
       <Chart
         data={byTime}
-        label="Detector time over the last hour, median and 99th percentile of ten seconds each"
+        label="Detector time over the last hour, median and 99th percentile per ten seconds"
         lines={[
           { label: "p50", colour: "--state-i" },
           { label: "p99", colour: "--state-ai", dash: [4, 3] },
@@ -185,7 +185,7 @@ export function DetectorTime() {
   );
 }
 
-/** Skip rate, frames per second and detector time over the last hour: in pieces of ten seconds as the node remembers them. */
+/** Skip rate and frames per second over the last hour, in the ten-second intervals that the node stores. */
 export function Rates() {
   const now = tick.value;
   const camera = opened.value ?? "";
@@ -198,7 +198,7 @@ export function Rates() {
     const begin = list[0]?.at ?? Infinity;
     before.forEach((slot, index) => {
       const from = slot.at_ms / 1000;
-      // A piece that is not over when the page opens is shown from the frames that the page receives.
+      // An interval that has not ended when the page opens is shown from the frames that the page receives.
       if (from + SLOT_S > begin || (begin === Infinity && index === before.length - 1)) return;
       // A gap in time is a gap in the line.
       if (times.length && from - times.at(-1)! > 2 * SLOT_S) {
@@ -224,7 +224,7 @@ export function Rates() {
     return { skip: [times, skip] as uPlot.AlignedData, rate: [times, rate] as uPlot.AlignedData };
   }, [now, camera, before]);
   return (
-    <Section id="rates" title="Skip rate and frame rate" aside={<span class="quiet">over the last hour, by ten seconds</span>}>
+    <Section id="rates" title="Skip rate and frame rate" aside={<span class="quiet">over the last hour, per ten seconds</span>}>
       <Chart
         data={data.skip}
         label="Share of frames that skipped the detector, over the last hour"

@@ -1,4 +1,4 @@
-// Clips with their energy: sortable, and as a file.
+// Clips with their energy, as a sortable table and as a CSV file.
 
 import { useState } from "preact/hooks";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
@@ -36,8 +36,8 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "duration", head: "length", key: (clip) => clip.duration_s, cell: (clip) => duration(clip.duration_s), unit: "s" },
     {
       id: "energy", head: "energy", key: (clip) => clip.energy.joules ?? undefined, unit: "J",
-      // Joules of only a part of the time are marked.
-      cell: (clip) => joules(clip.energy.joules) + (clip.energy.coverage < 0.999 ? ` in ${percent(clip.energy.coverage)} of the time` : ""),
+      // Joules that cover only part of the clip are marked.
+      cell: (clip) => joules(clip.energy.joules) + (clip.energy.coverage < 0.999 ? ` for ${percent(clip.energy.coverage)} of the time` : ""),
     },
     { id: "edp", head: "EDP", key: (clip) => clip.energy.edp ?? undefined, cell: (clip) => edp(clip.energy.edp), unit: "J·ms/frame" },
     { id: "energy_is", head: "energy is", key: (clip) => clip.energy.quality, cell: (clip) => <Quality quality={clip.energy.quality} />, left: true },
@@ -60,7 +60,7 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
 export function Clips() {
   const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
   const all = columns(knob.value?.name ?? "u", cameras.value.length > 1);
-  // A figure that no clip has gets no column.
+  // A column is hidden if no clip has a value for it.
   const shown = all.filter((column) => !["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
   const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);
   const download = () => {
@@ -118,9 +118,9 @@ export function Clips() {
         </div>
       )}
       {rows.some((clip) => clip.audit) && (
-        <p class="message quiet">* Compared with the detector, on the few skipped frames that were audited; one clip has few boxes.</p>
+        <p class="message quiet">* Compared with the detector, on the audited skipped frames only; a single clip has few boxes.</p>
       )}
-      {rows.length > SHOWN && <p class="message quiet">The first {SHOWN} of {count(rows.length)}; the file has them all.</p>}
+      {rows.length > SHOWN && <p class="message quiet">The table shows the first {SHOWN} of {count(rows.length)} clips; the file has all.</p>}
     </Section>
   );
 }

@@ -1,4 +1,4 @@
-// Frames: what their states mean, why the detector ran, and the last ones of a camera.
+// Frames: the meaning of their states, the causes of detector calls, and the last frames of a camera.
 
 import { small } from "../shared/format";
 import type { CallCause, CameraHistory, Detections, FrameState } from "./types";
@@ -42,21 +42,21 @@ export function skipped(frame: Pick<Detections, "state" | "degraded">): boolean 
 export interface CauseWords {
   /** A few words for lists. */
   name: string;
-  /** A sentence's part. */
+  /** A clause for sentences. */
   meaning: string;
 }
 
-/** Why the detector is called, in words: each cause that a node reports. */
+/** The causes of a detector call that a node reports. */
 export const CAUSES: Record<CallCause, CauseWords> = {
   uncertain: { name: "uncertain", meaning: "an object became too uncertain" },
   new_object: { name: "new object", meaning: "a new object is not certain yet" },
   expected_loss: { name: "expected loss", meaning: "the boxes expected to be lost were worth a call" },
-  object_cap: { name: "object's cap", meaning: "an object had gone without the detector for as long as one may" },
-  periodic_cap: { name: "periodic cap", meaning: "the camera had gone without the detector for as long as it may" },
+  object_cap: { name: "object's cap", meaning: "an object reached its longest time without the detector" },
+  periodic_cap: { name: "periodic cap", meaning: "the camera reached its longest time without the detector" },
   screen: { name: "screen", meaning: "the screen saw something" },
   audit: { name: "audit", meaning: "the detector checks the screen by chance" },
   empty_limit: { name: "empty too long", meaning: "the screen had said “empty” too often in a row" },
-  no_objects: { name: "no objects", meaning: "no object is followed and no screen was asked" },
+  no_objects: { name: "no objects", meaning: "no object is tracked and no screen decides" },
   start: { name: "start", meaning: "the stream began" },
   retry: { name: "retry", meaning: "the detector had failed before" },
   changed: { name: "changed", meaning: "the picture changed" },

@@ -16,14 +16,14 @@ interface State {
 }
 
 function state(): State {
-  if (lost.value !== undefined) return { mood: "bad", word: "node does not answer", why: "Trying again. What is shown is the last that was heard." };
+  if (lost.value !== undefined) return { mood: "bad", word: "node does not answer", why: "Reconnecting. The page shows the last data received." };
   const now = overview.value;
   if (!now) return { mood: "wait", word: "connecting", why: "" };
   if (now.state === "ready") return { mood: "good", word: "ready", why: "" };
   return { mood: "bad", word: now.state === "degraded" ? "degraded" : "not ready", why: "" };
 }
 
-/** What is wrong, by name on one line; opened, each with its reason. */
+/** The faulty parts on one line; unfolded, each with its reason. */
 function Faults() {
   const reasons = overview.value?.reasons ?? [];
   if (reasons.length === 0 || lost.value !== undefined) return null;
@@ -50,7 +50,7 @@ function Faults() {
   );
 }
 
-/** Whether the detector runs on something else than what was asked for first. */
+/** The detector's provider; bad if it is not the first one requested. */
 function provider(): { mood: Mood; text: string } {
   const now = overview.value;
   const runs = detector.value?.provider ?? now?.provider;
@@ -109,7 +109,7 @@ export function Header() {
   );
 }
 
-/** What the node saves and what that costs, in one sentence. */
+/** One sentence on the detector calls saved and the recall. */
 export function headline(savings: Pick<Savings, "frames" | "avoided_calls" | "degraded_frames"> | undefined, camera: string | undefined, recall: AuditRate | null | undefined): string {
   if (!savings?.frames) return "No frame yet.";
   if (savings.degraded_frames === savings.frames) return "Every frame was answered without the detector it needed.";
@@ -129,7 +129,7 @@ export function Headline() {
   );
 }
 
-/** What the whole node used and saved, since the start and today, and what skipping costs the opened camera. */
+/** The energy used and the calls saved by the whole node, since the start and today, and the recall of the opened camera. */
 export function Saving() {
   const now = overview.value;
   const all = [...counters.value.values()];
@@ -180,14 +180,14 @@ export function Saving() {
           </Figure>
         )}
         {whole && whole.degraded_frames > 0 && (
-          <Figure label="degraded frames" note="answered without the detector they needed; not among the avoided">
+          <Figure label="degraded frames" note="answered without the detector they needed; not counted as avoided">
             <span class="big bad">{count(whole.degraded_frames)}</span>
           </Figure>
         )}
       </dl>
       {now && !now.outbox.durable && now.outbox.waiting > 0 && (
         <p class="message quiet">
-          {plural(now.outbox.waiting, "clip report")} in memory, waiting for a hub: lost when the node stops, because no state_dir
+          {plural(now.outbox.waiting, "clip report")} in memory, waiting for a hub. They are lost when the node stops, because no state_dir
           is set.
         </p>
       )}
@@ -196,10 +196,10 @@ export function Saving() {
   );
 }
 
-/** What the avoided calls would have added to that energy. */
+/** The energy that the avoided calls would have added. */
 function Saved({ energy, saved }: { energy: Energy; saved: number }) {
   return (
-    <span title="Estimated: run time of the avoided detector calls, no longer than the detector was idle, times the watts that a running detector adds on this machine.">
+    <span title="Estimated: run time of the avoided detector calls, at most the detector's idle time, times the watts that a running detector adds on this machine.">
       avoided calls saved ≈ {joules((saved / energy.covered_s) * 3600)} ({percent(saved / (energy.joules + saved))})
     </span>
   );

@@ -7,13 +7,13 @@ import { counters, opened, overview } from "./store";
 const DROPPED: Record<string, string> = {
   lost: "lost on the way",
   overrun: "replaced by a newer one",
-  late: "too late",
-  stray: "of another stream",
+  late: "out of order",
+  stray: "from another stream",
   duplicate: "received twice",
   undecodable: "not decodable",
   oversized: "too large",
-  unknown_format: "of an unknown format",
-  stopped: "left when the node stopped",
+  unknown_format: "in an unknown format",
+  stopped: "while the camera's loop was stopped",
 };
 
 export function Health() {
@@ -33,7 +33,7 @@ export function Health() {
         <dd>{now.model}</dd>
         <dt>runs on</dt>
         <dd>
-          {now.provider ?? "nothing yet"} (asked for: {now.requested_providers.join(", ")})
+          {now.provider ?? "nothing yet"} (requested: {now.requested_providers.join(", ")})
         </dd>
         <dt>power figures</dt>
         <dd>{now.energy.source}</dd>

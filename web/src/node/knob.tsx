@@ -8,10 +8,10 @@ import { cameras, counters, knob, knobInForce, opened, overview, thresholds } fr
 import type { Knob, SkipEstimates } from "./types";
 
 const STEPS = 200;
-/** Values that the paper measured with (its threshold sweep). */
+/** The values of the paper's threshold sweep. */
 const PAPER = [3e-4, 5e-4, 7e-4, 1e-3];
 
-/** The slider covers what is of use, as the policy says; the field takes the whole range. */
+/** The range of the slider: the useful values of the policy. The text field accepts the whole range. */
 export function usefulRange(knob: Pick<Knob, "useful_minimum" | "useful_maximum">): [number, number] {
   return [knob.useful_minimum, knob.useful_maximum];
 }
@@ -25,7 +25,7 @@ export function fromSlider(place: number, [low, high]: [number, number]): number
   return Number((low * (high / low) ** (place / STEPS)).toPrecision(3));
 }
 
-/** Time between two looks at what other values would have skipped, milliseconds. */
+/** Time between two requests for the skip rates of other values, milliseconds. */
 const ESTIMATE_MS = 5000;
 
 /** Share of frames that a value would have skipped, between the values that the node computed. */
@@ -41,7 +41,7 @@ export function estimated(curve: readonly { value: number; skip_rate: number }[]
   return low.skip_rate + share * (high.skip_rate - low.skip_rate);
 }
 
-/** What other values would have skipped over the last minutes, as the node computes it. */
+/** The skip rates of other values over the last minutes, computed by the node. */
 function useEstimates(camera: string | undefined, name: string | undefined): SkipEstimates | undefined {
   const [found, setFound] = useState<SkipEstimates | undefined>(undefined);
   useEffect(() => {
@@ -49,7 +49,7 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
     if (camera === undefined || name !== "u") return;
     const stop = new AbortController();
     void every(ESTIMATE_MS, stop.signal, async () => {
-      // A camera without frames has no recording: the node would refuse.
+      // A camera without frames has no recording: the node would return an error.
       if (!counters.value.get(camera)?.frames) return;
       setFound(await json<SkipEstimates>(`/api/v1/cameras/${encodeURIComponent(camera)}/skip-estimate`, { signal: stop.signal }));
     });
@@ -75,7 +75,7 @@ export function KnobPanel() {
   if (!about) {
     return (
       <Section id="knob" title="Threshold">
-        <p class="message quiet">The policy {overview.value?.policy ?? ""} has no threshold to turn.</p>
+        <p class="message quiet">The policy {overview.value?.policy ?? ""} has no threshold.</p>
       </Section>
     );
   }
@@ -90,7 +90,7 @@ export function KnobPanel() {
     event.preventDefault();
     const path = everywhere ? "/api/v1/threshold" : `/api/v1/cameras/${encodeURIComponent(opened.value!)}/threshold`;
     try {
-      // As typed where it is no number: the node says what is wrong with it.
+      // Text that is not a number is sent as typed: the node explains what is wrong with it.
       await send("PUT", path, { [about.name]: value ?? text.trim() });
       setSaid({ good: true, text: `${about.name} = ${small(value)} from the next frame on.` });
       setEdited(false);
@@ -133,7 +133,7 @@ export function KnobPanel() {
             At {small(value)}, <b>≈ {percent(estimated(estimates.values, value), 0)}</b> of the last {duration(estimates.duration_s)} would
             have skipped the detector{" "}
             <span class="quiet">
-              (it was {percent(estimates.skip_rate, 0)}). <Quality quality="estimated" /> Tracking would have gone differently, too.
+              (it was {percent(estimates.skip_rate, 0)}). <Quality quality="estimated" /> Tracking would have differed too.
             </span>
           </p>
         )}
@@ -172,7 +172,7 @@ export function KnobPanel() {
         {advice && (
           <p id="knob-advice" class="row">
             <span>
-              No frame of {advice.frames} was skipped, though objects were followed in {advice.followed} of them. Try{" "}
+              No frame of {advice.frames} was skipped, although objects were tracked in {advice.followed} of them. Try{" "}
             </span>
             <button type="button" class="plain" onClick={() => change(typed(advice.try))}>
               {small(advice.try, 1)}

@@ -11,7 +11,7 @@ const EVERY_MS = 2000;
 const LEVELS = ["ERROR", "WARN", "INFO"] as const;
 const MOODS: Record<string, string> = { ERROR: "bad", WARN: "wait" };
 
-/** Lines of a level or a graver one. */
+/** Lines of a level or a more severe one. */
 export function graver(lines: readonly LogLine[], least: string): LogLine[] {
   const place = (level: string) => {
     const at = (LEVELS as readonly string[]).indexOf(level);

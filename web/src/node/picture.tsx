@@ -1,4 +1,4 @@
-// The picture with its boxes: the unchanged JPEG, boxes over it by source; can be paused and stepped through.
+// The picture with its boxes: the unchanged JPEG with boxes drawn by source. It can be paused and stepped through.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { pause, Refused } from "../shared/api";
@@ -16,7 +16,7 @@ const LINES: Record<BoxSource, { colour: string; dash: number[] }> = {
   rescued: { colour: "#ffb454", dash: [2, 4] },
 };
 
-/** Pictures that are kept for stepping. */
+/** Most pictures kept for stepping. */
 const KEPT = 60;
 /** Shortest time between two pictures, milliseconds. */
 const LEAST_MS = 90;
@@ -70,7 +70,7 @@ export function Picture() {
     const run = async () => {
       while (!stop.signal.aborted) {
         try {
-          // A camera that was never seen has no picture to ask for.
+          // A camera without frames has no picture.
           if (document.hidden || pointed.value !== undefined || !counters.value.get(camera)?.frames) {
             await pause(200, stop.signal);
             continue;
@@ -82,7 +82,7 @@ export function Picture() {
             kept.current.push(got);
             if (kept.current.length > KEPT) kept.current.shift();
           }
-          // The picture is there before the frame is decided: boxes and picture are shown together.
+          // The picture arrives before its frame is decided; wait, to show boxes and picture together.
           if (!log.bySeq(got.seq)) await Promise.race([came(), pause(400, stop.signal)]);
           if (pointed.value === undefined) await show(got.seq, got.file);
           const rest = LEAST_MS - (performance.now() - began);
@@ -150,7 +150,7 @@ export function Picture() {
           <i class="line detected" /> detected in this frame
         </li>
         <li>
-          <i class="line predicted" /> predicted, detector not asked
+          <i class="line predicted" /> predicted, detector skipped
         </li>
         {log.newestFinal && (
           <li>
@@ -183,12 +183,12 @@ function draw(canvas: HTMLCanvasElement, frame: Seen | undefined, bitmap: ImageB
     context.fillStyle = "#0b0e13";
     context.fillRect(0, 0, width, height);
   }
-  // Lines and words keep their size on the screen, whatever the picture's.
+  // Lines and labels keep their size on the screen at every picture size.
   const unit = width / (canvas.clientWidth || width);
   context.lineWidth = 2 * unit;
   context.font = `600 ${11 * unit}px system-ui, sans-serif`;
   context.textBaseline = "bottom";
-  // Where frames are answered at once: what the detector found in a frame shortly before this one.
+  // If frames are answered at once: the detector's boxes of a frame shortly before this one.
   const earlier = frame && log.newestFinal !== frame && frame.at - (log.newestFinal?.at ?? 0) < 2 ? log.newestFinal : undefined;
   context.lineWidth = unit;
   context.strokeStyle = "#4fb3ff99";

@@ -6,7 +6,7 @@ import { Section } from "../shared/parts";
 import { STATES, describe, words } from "./frames";
 import { log, pointed, tick } from "./store";
 
-/** Most rows; the first comes before the second is begun. */
+/** Most rows. The first is filled before the second begins. */
 const MOST_ROWS = 4;
 const HEIGHT = 22;
 const GAP = 4;
@@ -16,7 +16,7 @@ export function rowsOf(width: number, length: number): number {
   return Math.min(MOST_ROWS, Math.max(1, Math.ceil(length / width)));
 }
 
-/** Which frame of the log is drawn at a place; undefined where none is. */
+/** The index of the frame drawn at a position; undefined if there is none. */
 export function frameAt(x: number, row: number, width: number, length: number): number | undefined {
   const rows = rowsOf(width, length);
   const fromEnd = (rows - 1 - row) * width + (width - 1 - x);
@@ -24,7 +24,7 @@ export function frameAt(x: number, row: number, width: number, length: number): 
   return x >= 0 && x < width && row >= 0 && row < rows && index >= 0 ? index : undefined;
 }
 
-/** Where a frame of the log is drawn. */
+/** The position of a frame of the log. */
 export function placeOf(index: number, width: number, length: number): { x: number; row: number } | undefined {
   const fromEnd = length - 1 - index;
   const row = rowsOf(width, length) - 1 - Math.floor(fromEnd / width);
@@ -99,7 +99,7 @@ export function Ribbon() {
       <p class="hovered">
         {looked
           ? describe(looked, Date.now() / 1000)
-          : "Point at a pixel to see the frame and why the detector ran; click to keep it in view."}
+          : "Point at a pixel to see its frame and why the detector ran; click to select the frame."}
       </p>
       <ul class="legend">
         {STATES.map(({ state, name, colour, ran }) => (
@@ -108,7 +108,7 @@ export function Ribbon() {
           </li>
         ))}
         <li>
-          <i class="block degraded tall" /> degraded: no detector to be had
+          <i class="block degraded tall" /> degraded: detector not available
         </li>
       </ul>
     </Section>
@@ -139,7 +139,7 @@ function draw(canvas: HTMLCanvasElement, width: number, marked: number | undefin
     const { x, row } = placeOf(index, width, log.length)!;
     const top = row * (HEIGHT + GAP);
     if (frame.degraded) {
-      // Distinct from the others: full height, in pieces.
+      // Distinct from the others: full height, dashed.
       context.fillStyle = bad;
       for (let y = 0; y < HEIGHT; y += 4) context.fillRect(x, top + y, 1, 2);
       continue;

@@ -8,13 +8,13 @@ import type {
   Thresholds,
 } from "./types";
 
-/** Frames of the opened camera that are remembered: minutes, and some megabytes at most. */
+/** Most frames of the opened camera that the page keeps: minutes, and at most some megabytes. */
 export const MOST_FRAMES = 6000;
-/** Counter samples remembered, one a second. */
+/** Most counter samples kept, one per second. */
 const MOST_SAMPLES = 3600;
-/** Clips remembered: as many as the node does. */
+/** Most clips kept, as many as in the node. */
 const MOST_CLIPS = 256;
-/** Frames of the past that are asked for. */
+/** Most frames requested from the node's history. */
 const MOST_PAST = 4000;
 
 export interface Sample {
@@ -41,15 +41,15 @@ export const detector = signal<DetectorEvent | undefined>(undefined);
 /** Events that this page was too slow for. */
 export const missed = signal(0);
 
-/** The camera that is looked at; kept in the address, so that a link leads to it. */
+/** The opened camera. It is part of the address, so that a link leads to it. */
 export const opened = signal<string | undefined>(cameraOfAddress());
 export const log = new FrameLog(MOST_FRAMES);
-/** Grows a few times a second while there is something new to draw. */
+/** Grows a few times per second while there is something new to draw. */
 export const tick = signal(0);
 /** The frame that picture, ribbon and charts point at; undefined while they follow the newest. */
 export const pointed = signal<number | undefined>(undefined);
 
-/** Seconds between two frames, the last times that one came: silence itself is no such time. */
+/** Seconds between two frames, the latest ones by camera. The present silence does not count. */
 const gaps = new Map<string, { at: number; last: number[] }>();
 
 /** The usual time between two frames of a camera, seconds: the median of the last ones. */
@@ -60,7 +60,7 @@ export function usualGap(camera: string): number {
 
 export const samples = new Map<string, Sample[]>();
 export const power: PowerSample[] = [];
-/** The last hour of the opened camera in pieces, as the node remembers it; what this page saw itself comes after. */
+/** The last hour of the opened camera in the intervals that the node stores. Frames that this page received follow. */
 export const hour = signal<CameraSlot[]>([]);
 
 export const knob = computed(() => {
@@ -142,7 +142,7 @@ async function lookAtAll(): Promise<void> {
   await lookAtNode();
 }
 
-/** What the node's power was before this page was opened. */
+/** Loads the node's power from before this page was opened. */
 async function lookAtPower(): Promise<void> {
   const { slots, slot_s } = await json<PowerHistory>("/api/v1/power");
   const began = power[0]?.at ?? Date.now() / 1000;
@@ -153,7 +153,7 @@ async function lookAtPower(): Promise<void> {
   dirty = true;
 }
 
-/** What became of a camera's frames before this page was opened. */
+/** Loads a camera's frames from before this page was opened. */
 async function lookAtPast(camera: string, signal: AbortSignal): Promise<void> {
   const history = await json<CameraHistory>(
     `/api/v1/cameras/${encodeURIComponent(camera)}/history?frames=${MOST_PAST}`,
@@ -170,7 +170,7 @@ async function lookAtNode(): Promise<void> {
   const before = overview.value?.uptime_s ?? 0;
   const now = await json<Overview>("/api/v1/node");
   if (now.uptime_s < before) {
-    // Another run of the node: its frames are different ones.
+    // The node restarted: its frames are different ones.
     log.clear();
     pointed.value = undefined;
     samples.clear();
@@ -247,7 +247,7 @@ export function watchFrames(camera: string, signal: AbortSignal): void {
   });
 }
 
-/** Called at every frame of the opened camera. */
+/** Functions called at every frame of the opened camera. */
 export const frameListeners = new Set<(frame: Frame) => void>();
 
 /** The newest picture of a camera with the number of its frame. */
@@ -261,7 +261,7 @@ export interface Rates {
   skipRate: number;
 }
 
-/** Frames a second and skip rate of a camera over the last `seconds` that were seen. */
+/** Frames per second and skip rate of a camera over the last `seconds`. */
 export function rates(camera: string, seconds: number): Rates | undefined {
   const list = samples.get(camera);
   const last = list?.at(-1);

@@ -20,7 +20,7 @@ export function TargetPanel() {
     void every(LOOK_MS, stop.signal, async () => setReport(await json<TargetReport>("/api/v1/target", { signal: stop.signal })));
     return () => stop.abort();
   }, []);
-  // The only thresholds that a controller moves.
+  // A controller moves only these thresholds.
   if (!report || !["u", "lambda"].includes(knob.value?.name ?? "")) return null;
   const set = async (target: Record<string, number> | null) => {
     try {

@@ -1,4 +1,4 @@
-// The messages of a node, as its OpenAPI document has them.
+// The messages of a node, from its OpenAPI document.
 
 import type { components } from "../api/node";
 

@@ -1,4 +1,4 @@
-// Calls to the service that the page came from, and its event streams.
+// Calls to the service that serves the page, and its event streams.
 
 import { signal } from "@preact/signals";
 
@@ -8,16 +8,16 @@ export interface Caller {
   may_tune: boolean;
 }
 
-/** Who asks; undefined until the service said so. */
+/** The caller as the service knows it; undefined until the first answer. */
 export const caller = signal<Caller | undefined>(undefined);
-/** Whether a token has been tried that the service does not know. */
+/** Whether the service refused the token. */
 export const tokenRefused = signal(false);
 
 const KEY = "token";
-// The token lives as long as the tab; a token in the address would end up in histories and logs.
+// The token is kept as long as the tab; a token in the address would end up in histories and logs.
 let token = sessionStorage.getItem(KEY) ?? "";
 
-/** What the service answered in place of what was asked for. */
+/** An error that the service answered. */
 export class Refused extends Error {
   constructor(
     readonly status: number,
@@ -54,7 +54,7 @@ export async function answer(path: string, options?: RequestInit): Promise<Respo
   return response;
 }
 
-/** The answer as JSON of the type that the caller took from the OpenAPI document. */
+/** The answer as JSON, of a type from the OpenAPI document. */
 export async function json<T>(path: string, options?: RequestInit): Promise<T> {
   return (await (await answer(path, options)).json()) as T;
 }
@@ -66,7 +66,7 @@ export function send<T>(method: "PUT" | "POST", path: string, body?: unknown, si
   return json<T>(path, init);
 }
 
-/** Asks the service who this is, so that a token can be asked for before anything is refused. */
+/** Asks the service who the caller is, so that the page can ask for a token before a request is refused. */
 export async function askWho(): Promise<Caller> {
   const response = await call("/api/v1/caller");
   if (!response.ok) throw new Refused(response.status, response.statusText);
@@ -95,7 +95,7 @@ export interface StreamEvent {
   data: string;
 }
 
-/** Takes the next pieces of an event stream's text, and gives the events that are complete. */
+/** Parses an event stream's text as its pieces arrive, and returns the complete events. */
 export class EventParser {
   #rest = "";
 
@@ -126,8 +126,8 @@ export interface Following {
 }
 
 /**
- * Reads an event stream until aborted, and again when it breaks: after half a second, then twice as long each time up
- * to five. EventSource cannot send a token, so the stream is read by hand; `Last-Event-ID` is given as it would.
+ * Reads an event stream until aborted. When it breaks, it reconnects after 0.5 s, doubling up to 5 s. EventSource cannot
+ * send a token, so the stream is read by hand, with the same `Last-Event-ID`.
  */
 export async function follow(stream: Following): Promise<void> {
   let wait = 500;
@@ -172,7 +172,7 @@ export function pause(ms: number, signal?: AbortSignal): Promise<void> {
   });
 }
 
-/** Does `work` now and every `ms` while the page is visible, until aborted; a failure is left to the next turn. */
+/** Does `work` now and every `ms` while the page is visible, until aborted. After a failure the next turn tries again. */
 export async function every(ms: number, signal: AbortSignal, work: () => Promise<void>): Promise<void> {
   while (!signal.aborted) {
     if (!document.hidden) {

@@ -9,9 +9,9 @@ export interface Line {
   /** Name of a custom property with the colour. */
   colour: string;
   dash?: number[];
-  /** Steps, for what holds until it changes. */
+  /** Steps, for values that apply until they change. */
   steps?: boolean;
-  /** Points and no line: for what happens now and then. */
+  /** Points without a line, for occasional values. */
   points?: boolean;
 }
 
@@ -19,14 +19,14 @@ export interface ChartProps {
   /** Seconds since the Unix epoch, then one column for each line. */
   data: uPlot.AlignedData;
   lines: Line[];
-  /** What the chart shows, for who cannot see it. */
+  /** A description of the chart, for screen readers. */
   label: string;
   log?: boolean;
-  /** Values of the vertical axis, as words. */
+  /** Formats the values of the vertical axis. */
   value: (value: number) => string;
   height?: number;
   range?: [number | null, number | null];
-  /** Charts of one name share a crosshair. */
+  /** Charts with the same name share a crosshair. */
   sync?: string;
   onCursor?: (index: number | null) => void;
 }
@@ -78,7 +78,7 @@ function options(props: ChartProps, width: number, cursor: (index: number | null
   };
 }
 
-/** A time on the axis, as exact as the step between two asks for; the day's clock has 24 hours. */
+/** A time on the axis, as exact as the step between two labels requires, in 24 hours. */
 function moment(seconds: number, step: number): string {
   const at = new Date(seconds * 1000);
   if (step >= 86_400) return at.toLocaleDateString(undefined, { day: "numeric", month: "short" });
@@ -90,7 +90,7 @@ function bound(fixed: number | null | undefined, pad: number): uPlot.Range.Limit
   return fixed === null || fixed === undefined ? { pad, soft: 0, mode: 1 } : { pad: 0, hard: fixed, soft: fixed, mode: 1 };
 }
 
-/** The chart with a legend that says the value under the crosshair, or the last one. */
+/** The chart with a legend that shows the value under the crosshair, or the last one. */
 export function Chart(props: ChartProps) {
   const place = useRef<HTMLDivElement>(null);
   const legend = useRef<HTMLParagraphElement>(null);

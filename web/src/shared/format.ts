@@ -8,7 +8,7 @@ export function count(value: number | undefined | null): string {
   return value === undefined || value === null ? NONE : plain.format(value);
 }
 
-/** `1.23 M`: for figures that would not fit. */
+/** `1.23 M`: for figures that would be too long. */
 export function short(value: number | undefined | null): string {
   if (value === undefined || value === null) return NONE;
   if (Math.abs(value) < 100_000) return plain.format(Math.round(value));
@@ -28,7 +28,7 @@ function scaled(value: number, unit: string, steps: readonly [number, string][])
   return `${digits(value)}${THIN}${unit}`;
 }
 
-/** Three digits that count, without an exponent. */
+/** Three significant digits, without an exponent. */
 function digits(value: number): string {
   const size = Math.abs(value);
   if (size === 0) return "0";
@@ -56,7 +56,7 @@ export function milliseconds(value: number | undefined | null): string {
 
 /** Energy-delay product. */
 export function edp(value: number | undefined | null): string {
-  return value === undefined || value === null ? NONE : `${scaled(value, "J·ms", LARGE)} a frame`;
+  return value === undefined || value === null ? NONE : `${scaled(value, "J·ms", LARGE)} per frame`;
 }
 
 /** `3 h 20 min`: the two largest units. */
@@ -98,7 +98,7 @@ export function small(value: number | undefined | null, precision = 2): string {
   return `${mantissa}×10${raised}`;
 }
 
-/** The same as one types it: `3e-4`. */
+/** The same as people type it: `3e-4`. */
 export function typed(value: number): string {
   if (value !== 0 && (Math.abs(value) < 0.01 || Math.abs(value) >= 1e5)) {
     const [mantissa, exponent] = Number(value.toPrecision(6)).toExponential().split("e") as [string, string];
@@ -107,7 +107,7 @@ export function typed(value: number): string {
   return String(Number(value.toPrecision(6)));
 }
 
-/** What somebody typed as a number: a comma or a true minus sign are what people write. */
+/** The number that a text means; a decimal comma and a true minus sign are accepted. */
 export function parsed(text: string): number | undefined {
   const trimmed = text.trim().replace("−", "-").replace(",", ".");
   const value = Number(trimmed);

@@ -14,7 +14,7 @@ export function Pill({ mood, children, title }: { mood: Mood; children: Componen
   );
 }
 
-/** Where a figure of energy comes from, as a mark: filled when metered, an outline with ≈ when not. */
+/** A mark for the quality of an energy figure: filled if measured, an outline with ≈ if estimated. */
 export function Quality({ quality }: { quality: string }) {
   const words: Record<string, string> = {
     measured: "measured",
@@ -70,9 +70,9 @@ export function Unlock({ what }: { what: string }) {
   return (
     <main class="narrow">
       <section aria-labelledby="unlock-title" class="wide">
-        <h2 id="unlock-title">This {what} asks for a token</h2>
+        <h2 id="unlock-title">This {what} requires a token</h2>
         <form onSubmit={submit}>
-          <label for="token">Token, as in the {what}'s configuration. It is kept until this tab is closed.</label>
+          <label for="token">The token from the {what}'s configuration. It is kept until this tab is closed.</label>
           <div class="row">
             <input
               id="token"
@@ -94,18 +94,18 @@ export function Unlock({ what }: { what: string }) {
   );
 }
 
-/** Why something cannot be changed, or nothing. */
+/** The reason why the caller cannot change settings; undefined if it can. */
 export function whyNot(): string | undefined {
   const who = caller.value;
   return who && !who.may_tune
-    ? `The token “${who.name}” may look and not change: this needs one with the role “tune”.`
+    ? `The token “${who.name}” can read but not change settings. This needs a token with the role “tune”.`
     : undefined;
 }
 
 export function CopyButton({ text }: { text: string }) {
   const [done, setDone] = useState(false);
   const copy = async () => {
-    // Available only on pages of this machine and over TLS.
+    // Available only on localhost and over TLS.
     await navigator.clipboard?.writeText(text);
     setDone(true);
     setTimeout(() => setDone(false), 1500);
@@ -126,7 +126,7 @@ export function Fault({ text }: { text: string }) {
   );
 }
 
-/** Downloads what a path gives; a link could not carry the token. */
+/** Downloads the answer of a path; a link could not carry the token. */
 export function Download({ path, name, children }: { path: string; name: string; children: ComponentChildren }) {
   const [fault, setFault] = useState("");
   const load = async () => {

@@ -5,7 +5,7 @@ import { render } from "preact";
 import type { VNode } from "preact";
 import { askWho, pause } from "./api";
 
-/** Shows `page`, then asks the service who this is until it answers: it may still be starting. `lost` says why not. */
+/** Shows `page`, then asks the service who the caller is until it answers: it may still be starting. `lost` has the reason. */
 export async function start(page: VNode, lost: Signal<string | undefined>): Promise<void> {
   render(page, document.getElementById("page")!);
   for (;;) {

@@ -5,15 +5,15 @@ import type { ComponentChildren } from "preact";
 export interface Column<T> {
   id: string;
   head: string;
-  /** What it is sorted by and written to a file as; undefined where there is nothing. */
+  /** The value for sorting and for the file; undefined if there is none. */
   key: (row: T) => number | string | undefined;
   cell: (row: T) => ComponentChildren;
   unit?: string;
-  /** Words, not numbers. */
+  /** Text, not numbers. */
   left?: boolean;
 }
 
-/** Sorted by a column; what has no value comes last either way. */
+/** Sorted by a column; rows without a value come last in both directions. */
 export function sorted<T>(rows: readonly T[], column: Column<T>, down: boolean): T[] {
   return [...rows].sort((a, b) => {
     const [x, y] = [column.key(a), column.key(b)];

@@ -2,7 +2,7 @@
 
 import { small } from "./format";
 
-/** What can be held, with its unit and a value to begin with. */
+/** The targets, each with its unit and an initial value. */
 export const TARGETS = [
   { name: "skip_rate", words: "skip rate", unit: "of the frames", begin: "0.5" },
   { name: "recall", words: "recall against the detector, at least", unit: "", begin: "0.9" },
@@ -11,7 +11,7 @@ export const TARGETS = [
 
 export type TargetName = (typeof TARGETS)[number]["name"];
 
-/** Name and value of a target as the message has it: one field. */
+/** Name and value of a target, the only field of its message. */
 export function nameAndValue(target: object | null | undefined): [TargetName, number] | undefined {
   const entry = Object.entries(target ?? {})[0];
   return entry && [entry[0] as TargetName, entry[1] as number];

@@ -10,7 +10,7 @@
             boxes = skip.predict()
     print(skip)
 
-`help(albireo.Skipper)` says more; `albireo.track` is for those who have no loop of their own.
+`help(albireo.Skipper)` describes all settings and methods; `albireo.track` runs the loop for you.
 """
 
 from ._core import __version__

@@ -1,4 +1,4 @@
-"""The loop's partner: says which frames need the detector, and where the objects are on the others."""
+"""Decides which frames need the detector, and predicts where the objects are on the others."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _number(n: Any) -> int:
 
 
 class Skipper:
-    """Says which frames of a video need the detector, and where the objects are on the others.
+    """Decides which frames of a video need the detector, and predicts where the objects are on the others.
 
     >>> import numpy as np
     >>> from albireo import Skipper
@@ -59,21 +59,21 @@ class Skipper:
     >>> skip.skipped > 0.5
     True
 
-    One skipper follows one stream. Frame numbers increase and may jump: over lost frames the objects move on.
+    One skipper follows one stream. Frame numbers increase and may jump: the objects move on over lost frames.
     `update` takes what the detector found as a tuple of arrays `(xyxy, confidence, class_id)`, as one array with rows of x1,
     y1, x2, y2, confidence and class, as supervision's `Detections` or as Ultralytics' `Results`; boxes come back as the same
     type, with `tracker_id` and `source` ("detected", "predicted", "followed" or "rescued"). Rows come back with the id
     before the confidence and without `source`, as Ultralytics and BoxMOT write tracks. `print(skip)` says what was skipped and why the detector was called.
 
     policy: `"expected-loss"`, `"albireo"`, `"fixed-skip"`, … With `+flow` (`"expected-loss+flow"`) optical flow moves the
-        boxes of skipped frames; it wants the picture of every frame (`look`).
-    threshold: what a call is worth; higher skips more. Its name and range depend on the policy (`knob`).
+        boxes of skipped frames; it needs the picture of every frame (`look`).
+    threshold: the price of a call; higher skips more. Its name and range depend on the policy (`knob`).
     size: width and height of the pictures in pixels.
     profile: `"paper"`, or `"reference"` for the published code's decisions.
     audit: the share of skipped frames that `audit_due` draws, 0 to 1; `seed` decides which.
     late: for a detector in another thread: `submit` and `deliver` take the place of `wants_detector` and `update`.
-    settle: `settled` gives every frame again when the next call is known, its boxes drawn between two calls.
-    resumable: keeps what it is given, so that a pickle goes on where this one stopped (about 50 bytes a detection).
+    settle: `settled` returns every frame again when the next call is known, with boxes interpolated between two calls.
+    resumable: stores its input, so that a pickle resumes where it stopped (about 50 bytes per detection).
     """
 
     def __init__(
@@ -128,30 +128,30 @@ class Skipper:
         self._looked = True
 
     def wants_detector(self, n: int | None = None, *, empty: bool | None = None) -> bool:
-        """Begins frame `n`, by default the one after the last, and says whether the detector should run on it.
+        """Begins frame `n`, by default the next one, and returns whether the detector should run on it.
 
         If so, call `update` with what it found, or `unavailable` when it failed; if not, call `predict`. A frame that is
-        left without either counts as lost. `empty` is for those who have a cheap check of their own whether anything is
-        in view: True where nothing is.
+        left without either counts as lost. `empty` is the result of your own cheap check, if you have one: True if
+        nothing is in view.
         """
         if self._late:
             raise RuntimeError("this skipper takes late detections: call submit(n), predict() and deliver(n, result)")
         return self._begin(n, empty)
 
     def submit(self, n: int | None = None, *, empty: bool | None = None) -> bool:
-        """Begins frame `n` with `late=True`, and says whether to give its picture to the detector.
+        """Begins frame `n` with `late=True`, and returns whether to give its picture to the detector.
 
-        `predict` has boxes for it at once. Call `deliver` with what the detector found when it has found it; until then no
-        other frame asks for it.
+        `predict` returns its boxes at once. Call `deliver` when the detector's result is there; until then no other frame
+        needs the detector.
         """
         if not self._late:
             raise RuntimeError("submit(n) is for detections that come late: make the skipper with late=True")
         return self._begin(n, empty)
 
     def deliver(self, n: int, result: Any) -> Any:
-        """Takes what the detector found on frame `n`, None where it failed, and returns that frame's final boxes.
+        """Takes the detector's result for frame `n`, None if it failed, and returns that frame's final boxes.
 
-        The objects move on from there to the frame at hand, so the next `predict` knows of it.
+        The objects move on from there to the present frame, so the next `predict` includes the result.
         """
         n = _number(n)
         if result is None:
@@ -169,10 +169,10 @@ class Skipper:
         return back(boxes, None)
 
     def settled(self, *, end: bool = False) -> list[tuple[int, Any]]:
-        """Frames that can be told for good since the last call, each once and in order, with their boxes.
+        """Frames that became final since the last call, each once and in order, with their boxes.
 
-        Needs `settle=True`. Boxes between two detector calls are drawn between both; a frame comes when the next call is
-        known, at most 256 frames later. `end=True` gives out what is left.
+        Needs `settle=True`. Boxes between two detector calls are interpolated; a frame is returned when the next call is
+        known, at most 256 frames later. `end=True` returns the remaining frames.
         """
         return [(n, self._back(named(arrays), None)) for n, _, _, arrays in self._core.settled(end)]
 
@@ -190,9 +190,9 @@ class Skipper:
         return wanted
 
     def update(self, result: Any) -> Any:
-        """Takes what the detector found on this frame, and returns the boxes to show, as the same type.
+        """Takes the detector's result for this frame, and returns the boxes to show, as the same type.
 
-        Detections whose numbers make no box (not finite, sides of zero or less) or no confidence are left out and counted.
+        Invalid detections (not finite, sides of zero or less, invalid confidence) are dropped and counted.
         """
         arrays, back = read(result, self._size, self._names)
         boxes = named(self._core.update(*arrays))
@@ -201,9 +201,9 @@ class Skipper:
         return back(boxes, None)
 
     def unavailable(self, image: Any = None) -> Any:
-        """Ends a frame that wanted the detector without it, and returns the predicted boxes.
+        """Ends a frame that needed the detector without it, and returns the predicted boxes.
 
-        Use it when the detector failed: the next frame will want it again.
+        Use it when the detector failed: the next frame needs it again.
         """
         boxes = named(self._core.unavailable())
         self._failed += 1
@@ -211,7 +211,7 @@ class Skipper:
         return self._back(boxes, image)
 
     def predict(self, image: Any = None) -> Any:
-        """The boxes of a frame that does without the detector, as the type that `update` last took.
+        """Returns the boxes of a frame that skips the detector, as the type that `update` last took.
 
         `image` becomes the picture of Ultralytics' results (`orig_img`).
         """
@@ -243,7 +243,7 @@ class Skipper:
 
     @property
     def threshold(self) -> float | None:
-        """The policy's threshold; may be set, and holds from the next frame on. None for a policy without one."""
+        """The policy's threshold; may be set, and applies from the next frame. None for a policy without one."""
         return self._core.threshold
 
     @threshold.setter
@@ -257,12 +257,12 @@ class Skipper:
 
     @property
     def knob(self) -> tuple[str, str, float, float] | None:
-        """Of the threshold: name, meaning, least and largest value."""
+        """Name, meaning, smallest and largest value of the threshold."""
         return self._core.knob
 
     @property
     def looks(self) -> bool:
-        """Whether the policy looks at pictures (`look`)."""
+        """Whether the policy needs pictures (`look`)."""
         return self._core.looks
 
     @property
@@ -272,7 +272,7 @@ class Skipper:
 
     @property
     def frame(self) -> int | None:
-        """The number of the frame at hand."""
+        """The number of the present frame."""
         return self._core.frame
 
     @property
@@ -297,7 +297,7 @@ class Skipper:
 
     @property
     def skipped(self) -> float:
-        """Share of the frames so far that did without the detector, 0 to 1."""
+        """Share of the frames so far that skipped the detector, 0 to 1."""
         return 1.0 - self.calls / self.frames if self.frames else 0.0
 
     @property
@@ -307,7 +307,7 @@ class Skipper:
 
     @property
     def recall(self) -> tuple[float, float, float] | None:
-        """Of the audited frames: share of the detector's boxes that had been shown, and its interval of 95 %."""
+        """Share of the detector's boxes on audited frames that had been shown, and its 95 % interval."""
         return self._core.recall()
 
     def __str__(self) -> str:

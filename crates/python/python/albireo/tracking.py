@@ -1,4 +1,4 @@
-"""Tracks the objects of a video without a loop of your own."""
+"""Tracks the objects of a video and runs the loop itself."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Tracked(NamedTuple):
     boxes: Any
     """Its boxes, as the type that the model returns."""
     skip: Skipper
-    """What decided it: `skip.state`, `skip.cause`, `print(skip)`."""
+    """The skipper, for `skip.state`, `skip.cause` and `print(skip)`."""
 
 
 def track(
