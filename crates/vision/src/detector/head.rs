@@ -42,7 +42,7 @@ pub struct Candidate {
 /// The reason why a model does not fit a head.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Misfit {
-    /// The model that the head expects, in words.
+    /// The model that the head expects.
     pub expected: String,
     /// The first difference.
     pub reason: String,
@@ -67,7 +67,7 @@ impl Head {
     /// the number of rows rejected because a number in them is not finite or not possible.
     ///
     /// # Errors
-    /// If the outputs do not have the shape that the model announced; in words.
+    /// If the outputs do not have the shape that the model announced.
     pub fn read(
         &self,
         outputs: &[TensorView<'_>],
