@@ -54,17 +54,16 @@ mod tracker;
 mod vanilla;
 
 pub use albireo::Albireo;
-pub use albireo_settings::{AlbireoSettings, Profile};
-pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
+pub use albireo_settings::{
+    AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
+};
 pub(crate) use baselines::{Ablation, ErdOnly};
 pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, FrameEvidence, decide};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
-pub use fixed_skip::FixedSkip;
-pub use fixed_skip::FixedSkipSettings;
-pub use fixed_skip::SkippedBoxes;
+pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use late::{CannotRewind, LatePolicy, NotPending};
 pub use published::MinConfidence;
 pub use published_threshold::published_threshold;

@@ -1,8 +1,7 @@
 //! The states of all objects of one stream.
 
 use super::{Association, LifeCycle, Matcher, Missed, ObjectState, is_usable};
-use crate::detection::Detection;
-use crate::detection::ObjectId;
+use crate::detection::{Detection, ObjectId};
 use crate::geometry::PictureSize;
 use crate::kalman::{FilterModel, FilterParameters};
 

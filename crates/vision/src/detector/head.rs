@@ -9,8 +9,7 @@ mod suppression;
 mod yolo;
 mod yolox;
 
-pub use recognise::Unrecognised;
-pub use recognise::recognise;
+pub use recognise::{Unrecognised, recognise};
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, PictureInput, Signature};
