@@ -318,7 +318,7 @@ impl Knob {
     /// # Errors
     /// [`KnobError::OutOfRange`] otherwise, including NaN and infinities.
     pub fn check(&self, value: f64) -> Result<f64, KnobError> {
-        // NaN compares false to everything and is refused.
+        // NaN compares false to everything and is rejected.
         if value >= self.minimum && value <= self.maximum {
             Ok(value)
         } else {
@@ -403,7 +403,7 @@ pub trait Policy: Send + Sync {
         let _ = visit;
     }
 
-    /// The number of detections refused so far because their numbers give no valid box (not finite, sides of zero or
+    /// The number of detections rejected so far because their numbers give no valid box (not finite, sides of zero or
     /// less, absurdly large) or confidence. They are neither followed nor reported.
     fn rejected_detections(&self) -> u64 {
         0

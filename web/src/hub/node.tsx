@@ -19,10 +19,10 @@ const TARGET_STATUS: Record<TargetStatus, string> = {
   measuring: "too little has been measured yet",
   moving: "on the way to the target",
   held: "the target is held",
-  more_than_kept: "more than kept, at the end of the range",
+  more_than_kept: "the target is exceeded, at the end of the range",
   cannot_be_met: "it cannot be met inside the knob's range",
-  no_frames: "no frames come",
-  no_power: "there is no figure of power",
+  no_frames: "no frames arrive",
+  no_power: "the power is unknown",
   no_audit: "nothing is audited",
 };
 

@@ -98,7 +98,7 @@ export function Unlock({ what }: { what: string }) {
 export function whyNot(): string | undefined {
   const who = caller.value;
   return who && !who.may_tune
-    ? `The token “${who.name}” may look and not change: this needs one with the role “tune”.`
+    ? `The token “${who.name}” may only read: this needs a token with the role “tune”.`
     : undefined;
 }
 
