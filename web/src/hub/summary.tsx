@@ -44,7 +44,7 @@ export function Header() {
       {who && who.name !== "anonymous" && (
         <span class="quiet who">
           as {who.name}
-          {who.may_tune ? "" : ", who may look and not change"}
+          {who.may_tune ? "" : ", who may only read"}
         </span>
       )}
     </header>

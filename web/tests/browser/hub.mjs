@@ -191,9 +191,9 @@ token = "a-token-that-may-look"
   await test("who may look cannot tune, and sees why", async () => {
     const looker = await open(browser, address);
     await unlock(looker, "a-token-that-may-look");
-    await looker.getByText("who may look and not change").waitFor();
+    await looker.getByText("who may only read").waitFor();
     assert(await looker.getByRole("button", { name: /^Set/ }).last().isDisabled(), "the button can be pressed");
-    await looker.getByText(/needs one with the role/).first().waitFor();
+    await looker.getByText(/needs a token with the role/).first().waitFor();
     quiet(looker);
     await looker.context().close();
   });
