@@ -18,12 +18,12 @@ async fn check_online_reports_the_running_provider_and_that_the_hub_accepts_repo
     let hub = HubProcess::start(&settings);
     hub.until_ready().await;
     let said = check_online(&zenoh, ("ALBIREO_NODE__PREFIX", "albireo")).succeeds();
-    let uplink = "works  uplink.connect: the router answers, and a hub takes reports";
+    let uplink = "works  uplink.connect: the router answers, and a hub accepts reports";
     assert_says(&said, &["works  detector: runs on cpu, ", uplink]);
     // A hub of another fleet is none of this node's.
     let other = check_online(&zenoh, ("ALBIREO_NODE__PREFIX", "another"));
     let said = other.out.clone() + &other.fails();
-    assert_says(&said, &["but no hub takes reports"]);
+    assert_says(&said, &["but no hub accepts reports"]);
 }
 
 #[test]

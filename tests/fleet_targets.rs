@@ -53,7 +53,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     let revision = revision.split(':').next().unwrap();
     let refused = hub.get(&format!("/api/v1/changes/{revision}")).await;
     let words = refused["nodes"][1]["detail"].as_str().unwrap();
-    assert_says(words, &["policy `vanilla` has nothing to turn"]);
+    assert_says(words, &["policy `vanilla` has no threshold"]);
     let held = json!({"target": {"skip_rate": 0.5}, "source": "hub"});
     assert_has(&at_node(&car).await, &held);
 

@@ -145,7 +145,7 @@ fn a_program_without_rails_says_that_root_is_needed_and_another_program_is_refus
     let denied = "permission denied; it prints no power rails for this user";
     for (line, said) in [
         (line, &[denied, "sudo -n tegrastats"][..]),
-        ("hello", &["does not print lines of tegrastats"]),
+        ("hello", &["its output is not that of tegrastats"]),
     ] {
         let (_folder, config) = stand_in(&json!({"lines": [line]}));
         let error = power::open(&config).err().unwrap();

@@ -6,7 +6,7 @@
 //! - *Recall against the detector*: share of the detector's boxes that were shown.
 //! - *Precision against the detector*: share of the shown boxes that the detector confirms.
 //!
-//! Neither is accuracy against the truth: a detector misses objects and reports false ones, and a policy that keeps
+//! Neither is accuracy against ground truth: a detector misses objects and reports false ones, and a policy that keeps
 //! showing an object that the detector misses loses precision here although it may be right.
 //!
 //! A drawn frame that the detector had no time for is *missed*. Detectors are busy in busy scenes, so missed frames are

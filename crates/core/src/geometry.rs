@@ -12,7 +12,7 @@ pub struct PictureSize {
 }
 
 impl PictureSize {
-    /// A size of `width` columns and `height` rows.
+    /// Creates a size of `width` columns and `height` rows.
     pub const fn new(width: u32, height: u32) -> Self {
         Self { width, height }
     }
@@ -145,7 +145,7 @@ impl Corners {
 
     /// Returns an area that overlaps every box whose intersection over union with this one is at least `gate`. With I
     /// and U the areas of intersection and union, and w, h the sides: the shared part of w is at least
-    /// I/h ≥ gate·U/h ≥ gate·w. So the other box begins before `x2 − gate·w` and ends behind `x1 + gate·w`, and
+    /// I/h ≥ gate·U/h ≥ gate·w. So the other box begins before `x2 − gate·w` and ends after `x1 + gate·w`, and
     /// likewise along y. With a gate above one half these two change order, and the bounds still hold.
     pub(crate) fn core(self, gate: f64) -> Self {
         // Slightly less, so that rounding excludes no box.

@@ -9,11 +9,10 @@ mod dense;
 mod filter;
 mod parameters;
 
-pub use filter::Filter;
-pub use filter::Gauge;
-pub use parameters::FilterParameters;
-pub use parameters::{Deviations, MeasurementNoise, MotionModel};
-pub use parameters::{FilterModel, MeasurementUnit};
+pub use filter::{Filter, Gauge};
+pub use parameters::{
+    Deviations, FilterModel, FilterParameters, MeasurementNoise, MeasurementUnit, MotionModel,
+};
 
 #[cfg(test)]
 mod tests;

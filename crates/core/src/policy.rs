@@ -54,17 +54,16 @@ mod tracker;
 mod vanilla;
 
 pub use albireo::Albireo;
-pub use albireo_settings::{AlbireoSettings, Profile};
-pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
+pub use albireo_settings::{
+    AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
+};
 pub(crate) use baselines::{Ablation, ErdOnly};
 pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, FrameEvidence, decide};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
-pub use fixed_skip::FixedSkip;
-pub use fixed_skip::FixedSkipSettings;
-pub use fixed_skip::SkippedBoxes;
+pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use late::{CannotRewind, LatePolicy, NotPending};
 pub use published::MinConfidence;
 pub use published_threshold::published_threshold;
@@ -319,7 +318,7 @@ impl Knob {
     /// # Errors
     /// [`KnobError::OutOfRange`] otherwise, including NaN and infinities.
     pub fn check(&self, value: f64) -> Result<f64, KnobError> {
-        // NaN compares false to everything and is refused.
+        // NaN compares false to everything and is rejected.
         if value >= self.minimum && value <= self.maximum {
             Ok(value)
         } else {
@@ -404,7 +403,7 @@ pub trait Policy: Send + Sync {
         let _ = visit;
     }
 
-    /// The number of detections refused so far because their numbers give no valid box (not finite, sides of zero or
+    /// The number of detections rejected so far because their numbers give no valid box (not finite, sides of zero or
     /// less, absurdly large) or confidence. They are neither followed nor reported.
     fn rejected_detections(&self) -> u64 {
         0

@@ -111,7 +111,7 @@ pub enum TargetError {
     /// The policy has no knob that a controller can move.
     #[error(
         "a target moves `u` or `lambda`, and policy `{policy}` has {}",
-        knob.map_or_else(|| "nothing to turn".to_owned(), |knob| format!("`{knob}`"))
+        knob.map_or_else(|| "no threshold".to_owned(), |knob| format!("`{knob}`"))
     )]
     Policy {
         /// The policy.
@@ -120,7 +120,7 @@ pub enum TargetError {
         knob: Option<&'static str>,
     },
     /// The range is invalid or not within the knob's.
-    #[error("the range of `{name}` must lie within {} to {}, and its ends apart", short(*.least), short(*.most))]
+    #[error("the range of `{name}` must lie within {} to {}, and its ends must differ", short(*.least), short(*.most))]
     Range {
         /// The knob's name.
         name: &'static str,

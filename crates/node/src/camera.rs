@@ -67,7 +67,7 @@ impl CameraParts {
         if let Some(closed) = closed
             && self.closed.send(closed).is_err()
         {
-            tracing::error!("a clip ended and its reporter has stopped");
+            tracing::error!("a clip is lost: its reporter has stopped");
         }
     }
 }
@@ -86,7 +86,7 @@ pub(crate) struct Camera {
     newest: Option<(u64, u64)>,
     /// The index of the policy's first frame, from which it counts.
     first_index: Option<u64>,
-    /// The camera's clip name of the previous frame.
+    /// The camera's name for the clip of the previous frame.
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
@@ -366,7 +366,7 @@ impl Camera {
         if let Some(value) = *self.threshold.borrow_and_update()
             && let Err(error) = self.decider.policy.set_knob(value)
         {
-            tracing::error!(camera = self.parts.board.name(), %error, "threshold not taken by the policy");
+            tracing::error!(camera = self.parts.board.name(), %error, "the policy rejected a threshold");
         }
     }
 }
@@ -374,7 +374,7 @@ impl Camera {
 /// Also runs if the loop panicked or was aborted, so that the counts until then are reported.
 impl Drop for Camera {
     fn drop(&mut self) {
-        // The cause of a panic may be used here; a second panic must not end the process.
+        // May panic again for the same cause; a second panic while unwinding must not abort the process.
         if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
             tracing::error!(camera = self.parts.board.name(), "the open clip is lost");
         }

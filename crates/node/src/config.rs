@@ -146,11 +146,11 @@ pub struct NodeSection {
     pub answer: AnswerTime,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
-    /// Maximum time for stopping, whatever hangs. Not a setting: service managers wait for 10 s and more.
+    /// Maximum time for stopping, even if something hangs. Not a setting: service managers wait for 10 s and more.
     #[serde(skip)]
     pub stop_timeout: Duration,
-    /// With a service manager: seconds after which a broken detector, screen or camera loop stops the feeding of the
-    /// watchdog.
+    /// With a service manager: seconds for which the detector, the screen or a camera loop may be broken before the
+    /// node stops feeding the watchdog.
     pub stuck_after_s: f64,
 }
 

@@ -1,5 +1,5 @@
-//! The edge node: frames in; decisions of the policy, detections and clip reports out. As a library, with its HTTP
-//! routes; [`run`] is the service.
+//! The edge node: receives frames, decides by a policy when the detector runs, and publishes detections and clip
+//! reports. [`run`] is the service with its HTTP interface.
 
 pub mod api;
 pub mod camera;

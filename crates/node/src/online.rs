@@ -82,7 +82,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let median = took.get(PICTURES / 2).copied().unwrap_or_default();
     let provider = network.provider();
     let mut text = format!(
-        "runs on {}, {:.1} ms a picture (median of {PICTURES}), loaded in {:.1} s",
+        "runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s",
         provider.as_str(),
         milliseconds(median),
         loaded.as_secs_f64(),
@@ -98,18 +98,18 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Passes on that the first picture arrived, or why not.
+/// Passes on the first picture, or the reason none arrived.
 struct FirstPicture(Sender<Result<String, Failure>>);
 
 impl SourceSink for FirstPicture {
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _reopened: bool) {
         let found = match picture {
             Ok(picture) => Ok(format!(
-                "a picture came, {} kB as {}",
+                "a picture arrived, {} kB as {}",
                 picture.bytes.len().div_ceil(1000),
                 picture.format.as_str()
             )),
-            Err(fault) => Err(format!("a picture came that cannot be used: {fault}").into()),
+            Err(fault) => Err(format!("a picture arrived that cannot be used: {fault}").into()),
         };
         // Only the first result is awaited.
         let _ = self.0.try_send(found);
@@ -131,7 +131,7 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
         stop.cancel();
         match first {
             Ok(Some(found)) => found,
-            Ok(None) => Err("its reader ended".into()),
+            Ok(None) => Err("the reader of the source ended".into()),
             Err(_) => Err(format!("no picture in {} s", patience.as_secs()).into()),
         }
     };
@@ -164,9 +164,9 @@ async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
     let found = hub_behind(&session, key.clone()).await;
     close(session).await;
     match found {
-        Ok(true) => Ok("the router answers, and a hub takes reports".to_owned()),
+        Ok(true) => Ok("the router answers, and a hub accepts reports".to_owned()),
         Ok(false) => Err(format!(
-            "the router answers, but no hub takes reports: is the hub running, with hub.prefix as node.prefix, and does \
+            "the router answers, but no hub accepts reports: is the hub running, with hub.prefix as node.prefix, and does \
              the router's access control let this node's certificate use `{key}`?"
         )
         .into()),

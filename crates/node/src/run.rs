@@ -33,7 +33,7 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
     let interface = Interface::start(config, listener)?;
-    // On a blocking thread: opening and checking the state file takes a while on a slow card.
+    // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
     let opening = config.clone();
     let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
     let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
@@ -140,7 +140,7 @@ impl Interface {
             ended
         };
         let (http, node) = tokio::join!(http, node);
-        // The service manager learns of the end, even by an error, before the process is gone.
+        // Notifies the service manager of the end, even after an error, before the process exits.
         stopping.cancel();
         let _ = notifier.await;
         node.and(http)
@@ -160,7 +160,7 @@ fn early_routes(node: &str) -> Router {
         .fallback(opening)
 }
 
-/// Logs the main facts for a reader of the log, in one line.
+/// Logs the main facts in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
     let from: Vec<_> = (board.cameras.iter())
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))

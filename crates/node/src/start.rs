@@ -238,8 +238,8 @@ impl PreparedNode {
 }
 
 impl Node {
-    /// The addresses on which the node's Zenoh session listens. Only now are the ports of endpoints known that were
-    /// configured with port 0.
+    /// The addresses on which the node's Zenoh session listens, with the actual ports of endpoints configured with port
+    /// 0.
     pub async fn endpoints(&self) -> Vec<String> {
         let locators = self.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
@@ -251,8 +251,8 @@ impl Node {
     }
 
     /// Runs until the shutdown token is cancelled or an essential task fails. Then it completes the current frames and
-    /// open clips, and closes. That takes at most 5 s, whatever hangs: after a quarter of the time it no longer waits
-    /// for the detector, and it logs and abandons whatever has not ended in time.
+    /// open clips, and closes. That takes at most 5 s, even if something hangs: after a quarter of the time it no
+    /// longer waits for the detector, and it logs and abandons tasks that have not ended in time.
     ///
     /// # Errors
     /// [`NodeError`] if a task failed.
@@ -284,7 +284,7 @@ impl Node {
         if ending.is_err() {
             tracing::error!(
                 tasks = ?self.tasks.still_running(),
-                "not everything ended in time: it is given up"
+                "abandoned tasks that did not end in time"
             );
         }
         // The sampler stops after the tasks: the clips' energy comes from it.
@@ -306,7 +306,9 @@ impl Node {
             }
         };
         if tokio::time::timeout_at(until, closing).await.is_err() {
-            tracing::error!("the detector or the Zenoh session did not end in time: given up");
+            tracing::error!(
+                "abandoned the detector or the Zenoh session, which did not end in time"
+            );
         }
         tracing::info!(
             seconds = albireo_service::clock::seconds(start.elapsed()),

@@ -1,7 +1,7 @@
 //! The energy account of a node: takes samples and returns the energy used between two instants.
 //!
 //! A measurement holds two copies of the running totals: at its start, and at its provisional end. Each is copied when
-//! the first sample after that instant arrives, so a measurement uses constant memory whatever its length.
+//! the first sample after that instant arrives, so a measurement of any length uses constant memory.
 
 use crate::attribution::Attribution;
 use crate::condition::{Condition, ConditionSum};

@@ -99,7 +99,7 @@ impl LineChild {
         }
         self.last_sign = Instant::now();
         let reason = self.trouble.as_deref();
-        tracing::warn!(reason, "the power meter's child process is started again");
+        tracing::warn!(reason, "restarting the power meter's child process");
         match spawn(&mut self.command) {
             Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
             Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
@@ -120,13 +120,13 @@ impl LineChild {
                 Ok(None) if std::time::Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));
                 }
-                Ok(None) => break Some("it does not end; it will at its next line".to_owned()),
+                Ok(None) => break Some("it has not ended; it will at its next line".to_owned()),
                 Err(error) => break Some(format!("it cannot be waited for: {error}")),
             }
         };
     }
 
-    /// Why the child last ended, if it ever did.
+    /// The reason the child last ended, if it ever did.
     pub(crate) fn trouble(&self) -> Option<&str> {
         self.trouble.as_deref()
     }
@@ -168,7 +168,7 @@ fn read(output: ChildStdout, lines: &SyncSender<Line>) {
         if !matches!(read, Ok(1..)) {
             return;
         }
-        // A line without a newline was cut off when the child died; its last number may be incomplete.
+        // A line without a newline was cut off when the child exited; its last number may be incomplete.
         if line.pop() == Some(b'\n') {
             let text = String::from_utf8_lossy(&line).into_owned();
             if let Err(TrySendError::Disconnected(_)) = lines.try_send((at, text)) {

@@ -56,8 +56,8 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
                 return meter;
             }
             // Warn only about a meter that exists but cannot be read.
-            Err(why @ MeterError::Missing(_)) => tracing::debug!(%why, "passed over"),
-            Err(why) => tracing::warn!(%why, "passed over"),
+            Err(why @ MeterError::Missing(_)) => tracing::debug!(%why, "power source skipped"),
+            Err(why) => tracing::warn!(%why, "power source skipped"),
         }
     }
     tracing::warn!("no power meter and no estimate: no energy figures");

@@ -2,7 +2,7 @@
 //!
 //! Time is cut into pieces of at least two seconds, each from the end of one detector run to the end of another, so the
 //! detector time of a piece is exact. The power and the detector share of a piece are taken as deviations from their
-//! means over the last 20 seconds, which removes whatever else changes slowly on the machine. Their regression over the
+//! means over the last 20 seconds, which removes all slower changes of the machine's power. Their regression over the
 //! last hour is the answer, once its standard error is small.
 
 use crate::totals::{History, Sum};
@@ -47,7 +47,7 @@ pub(crate) struct DetectorWatts {
 }
 
 impl DetectorWatts {
-    /// For samples taken every `interval`.
+    /// Creates a learner for samples taken every `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             shortest: PIECE.max(interval * 5),

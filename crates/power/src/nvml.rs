@@ -46,7 +46,7 @@ impl Card {
     /// Joules counted so far, with the counter now at `raw`.
     fn count(&mut self, now: Instant, raw: u64) -> f64 {
         if !self.energy.update(now, raw) {
-            tracing::warn!(card = %self.name, "its energy counter was reset; counting on from it");
+            tracing::warn!(card = %self.name, "the card's energy counter was reset; counting continues from its new value");
         }
         self.energy.joules()
     }
@@ -89,7 +89,7 @@ impl Nvml {
         }
         if cards.is_empty() {
             return Err(missing(if count == 0 {
-                "the driver is there, but no card".to_owned()
+                "there is a driver, but no card".to_owned()
             } else {
                 "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
                     .to_owned()
@@ -130,7 +130,7 @@ impl Meter for Nvml {
                 false => (self.driver.power_mw(card.index))
                     .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)),
             };
-            let lost = || "it no longer reads its power".to_owned();
+            let lost = || "it no longer reports its power".to_owned();
             let read = read.and_then(|read| read.ok_or_else(lost));
             let read = read.map_err(|reason| unreadable(card.index, reason))?;
             sum += read;

@@ -87,7 +87,7 @@ impl Zone {
     fn read(&mut self, now: Instant) -> Result<(), MeterError> {
         let raw = sysfs::number(SOURCE, &self.energy)?;
         if !self.counter.update(now, raw) {
-            tracing::warn!(zone = %self.name, raw, "an energy counter was reset; counting on from it");
+            tracing::warn!(zone = %self.name, raw, "an energy counter was reset; counting continues from its new value");
         }
         Ok(())
     }
@@ -125,7 +125,7 @@ impl Rapl {
             platform = includes_its_parts(&zones);
             if !platform {
                 tracing::warn!(
-                    "the psys counter counts less than the packages in it; it is left out"
+                    "the psys counter shows less energy than its packages; it is ignored"
                 );
             }
         }

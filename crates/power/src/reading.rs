@@ -91,7 +91,7 @@ pub struct Reading {
     pub at: Option<Instant>,
     /// The values by domain.
     pub values: Values,
-    /// The origin of the total: `input_rail`, `sum_of_rails`, or a formula in words.
+    /// The origin of the total: `input_rail`, `sum_of_rails`, or a formula.
     pub total_from: Cow<'static, str>,
     /// The rails, for human-readable output.
     pub rails: Vec<Rail>,

@@ -1,4 +1,4 @@
-//! Tries every source and reports if it can be used here or why not, its rails, and its present watts.
+//! Tries every source and reports whether it can be used here, its rails, and its present watts.
 
 use crate::choose;
 use crate::config::{PowerConfig, PowerSource};
@@ -34,7 +34,7 @@ pub struct SourceSurvey {
     pub source: &'static str,
     /// True if `source = "auto"` would choose it.
     pub automatic: bool,
-    /// Why it cannot be used here; `None` if it can.
+    /// The reason it cannot be used here; `None` if it can.
     pub why_not: Option<String>,
     /// Measured or estimated.
     pub quality: EnergyQuality,
@@ -91,7 +91,7 @@ impl SourceSurvey {
         }
         let cpu = cpu + meter.other_cpu();
         self.quality = meter.quality();
-        // The cost per interval, whatever the length of this survey.
+        // The cost per interval does not depend on the length of this survey.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
         if let (Some(first), Some(last)) = (read.first(), read.last()) {
             self.fill(first, last);

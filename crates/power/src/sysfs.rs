@@ -48,7 +48,7 @@ pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> Mete
         io::ErrorKind::PermissionDenied => {
             let remedy = format!(
                 "let this user read it with `sudo chmod a+r {0}` (until the next boot; for every boot put \
-                 `z {0} 0444` into /etc/tmpfiles.d/albireo.conf), or run as a user who may",
+                 `z {0} 0444` into /etc/tmpfiles.d/albireo.conf), or run as a user with permission",
                 path.display()
             );
             MeterError::forbidden(source_name, path, remedy)

@@ -70,7 +70,7 @@ impl Tegrastats {
         };
         self.newest = at;
         let Some(rails) = tegrastats_rails(&line) else {
-            return Err(self.unreadable("it does not print lines of tegrastats"));
+            return Err(self.unreadable("its output is not that of tegrastats"));
         };
         if rails.is_empty() {
             let remedy = "it prints no power rails for this user; run as root, or let power.tegrastats name a script \

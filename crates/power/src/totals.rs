@@ -88,7 +88,7 @@ pub(crate) struct History {
 }
 
 impl History {
-    /// For samples taken every `interval`.
+    /// Creates an empty history for samples taken every `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             gap_s: longest_gap(interval).as_secs_f64(),

@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 pub struct ServiceState {
     /// True if the service does its work.
     pub ready: bool,
-    /// Why it does not work or what is missing; empty if every part works.
+    /// The faults of its parts; empty if every part works.
     pub reasons: String,
     /// A fault that only a restart can repair: the watchdog is not fed while it lasts.
     pub stuck: Option<String>,
@@ -79,7 +79,7 @@ async fn watch_state(
             messages.push(NotifyState::Watchdog);
         }
         if let (Some(reason), false) = (&state.stuck, starving) {
-            tracing::error!(reason, "the watchdog is not fed any more");
+            tracing::error!(reason, "no longer feeding the watchdog");
         }
         starving = state.stuck.is_some();
         send(&messages);

@@ -40,10 +40,14 @@ fn read() -> ProcResult<Vec<ProcessFigure>> {
             "Files and sockets the process has open",
             process.fd_count()? as f64,
         ),
-        ("process_max_fds", "How many it may have open", most),
+        (
+            "process_max_fds",
+            "Maximum number of files and sockets the process may have open",
+            most,
+        ),
         (
             "process_start_time_seconds",
-            "When the process started, seconds since the Unix epoch",
+            "Start time of the process, seconds since the Unix epoch",
             boot_time_secs()? as f64 + stat.starttime as f64 / ticks,
         ),
     ])

@@ -56,7 +56,7 @@ pub struct PartFault {
     /// The fault.
     #[serde(flatten)]
     pub fault: Fault,
-    /// Seconds that the part has been faulty, for whatever reasons.
+    /// Seconds for which the part has been faulty, for any reason.
     #[serde(rename = "since_s", serialize_with = "in_seconds")]
     #[schema(value_type = f64)]
     pub lasted: Duration,

@@ -29,7 +29,7 @@ fn malformed(section: &str, reason: &str) -> SessionError {
 /// Inserts settings by Zenoh's names, such as `("transport/link/tx/lease", 60000)`, into a Zenoh configuration.
 ///
 /// # Errors
-/// The setting that Zenoh rejects, in words.
+/// The setting that Zenoh rejects, and why.
 pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Result<(), String> {
     for (key, value) in settings {
         config
@@ -60,8 +60,8 @@ pub async fn open(
     .await
 }
 
-/// Opens a session with `settings` added to the section, and retries until it is open, whatever its mode: a router that
-/// is not running yet is no reason to fail. Drop the future to give up. `failed` receives each failure.
+/// Opens a session with `settings` added to the section, and retries until it is open, in any mode: a router that is
+/// not running yet is no reason to fail. Drop the future to give up. `failed` receives each failure.
 ///
 /// # Errors
 /// [`SessionError`] if Zenoh rejects the configuration: retrying does not help.
@@ -96,7 +96,7 @@ async fn attempts(
         if !again {
             return Err(error);
         }
-        tracing::warn!("{error}; tried again");
+        tracing::warn!("{error}; retrying");
         failed(&error);
         tokio::time::sleep(jittered(pause)).await;
         pause = (pause * 2).min(RETRY.1);

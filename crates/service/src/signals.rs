@@ -7,7 +7,7 @@ use std::{io, process, thread};
 use tokio_util::sync::CancellationToken;
 
 /// The error context if the signal handlers cannot be installed.
-pub const CONTEXT: &str = "signals cannot be listened to";
+pub const CONTEXT: &str = "the signal handlers cannot be installed";
 
 /// Signals this soon after the first are the same request: `timeout` signals its child, then the whole group.
 const ONE_REQUEST: Duration = Duration::from_secs(1);
@@ -60,7 +60,7 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
                         }
                     }
                     Some(at) if at.elapsed() >= ONE_REQUEST => {
-                        tracing::warn!("{name} again: ended at once");
+                        tracing::warn!("{name} again: exiting at once");
                         process::exit(TWICE);
                     }
                     Some(_) => {}
@@ -73,7 +73,7 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
 fn end_after(limit: Duration) {
     thread::spawn(move || {
         thread::sleep(limit);
-        tracing::error!("not stopped within {limit:?}: ended");
+        tracing::error!("not stopped within {limit:?}: exiting");
         process::exit(TOO_LONG);
     });
 }

@@ -54,7 +54,7 @@ impl<E: Display> From<Result<(), E>> for TaskEnd {
 
 /// An essential task failed and is not restarted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the task `{task}` {reason}; the program ends, for a service manager to start it again")]
+#[error("the task `{task}` {reason}; the program exits so that a service manager can restart it")]
 pub struct TaskFailed {
     /// Its name.
     pub task: String,
@@ -144,7 +144,7 @@ impl Supervisor {
                 let reason = end.reason();
                 tally.add(&name, 1, 0);
                 tracing::error!(task = name, "the task {reason}");
-                let reason = format!("{reason}; it is restarted");
+                let reason = format!("{reason}; it will be restarted");
                 part.fault(Fault { effect, reason });
                 let waited = shutdown.run_until_cancelled(sleep(pause)).await;
                 if waited.is_none() {
@@ -152,8 +152,10 @@ impl Supervisor {
                 }
                 pause = (pause * 2).min(LONGEST_PAUSE);
                 tally.add(&name, 0, 1);
-                tracing::info!("the task runs again");
-                part.degraded("failed and was restarted; well again when it has run for a minute");
+                tracing::info!("the task was restarted");
+                part.degraded(
+                    "failed and was restarted; counts as working once it has run for a minute",
+                );
             }
         });
     }

@@ -28,15 +28,13 @@ pub use head_name::HeadName;
 pub use metadata::Metadata;
 pub use network::{DetectorNetwork, Found};
 pub use onnxruntime::find_library;
-pub use preparation::Preparation;
-pub use preparation::PreparedPicture;
 pub(crate) use preparation::prepare_off_thread;
+pub use preparation::{Preparation, PreparedPicture};
 pub use reader::HeadCounts;
 pub use session::OnnxSession;
 pub use sessions::end_all_sessions;
-pub use signature::PictureInput;
 pub(crate) use signature::shape_text;
-pub use signature::{ElementType, Signature, TensorSpec};
+pub use signature::{ElementType, PictureInput, Signature, TensorSpec};
 pub use status::DetectorStatus;
 
 /// A camera that shares a detector with others, by its place in the configuration.

@@ -19,8 +19,9 @@ pub use fault::FrameFault;
 pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_file};
 pub use format::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};
-pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, ValueRange};
-pub use letterbox::{InputMapping, LetterboxError};
+pub use letterbox::{
+    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, TensorLayout, ValueRange,
+};
 pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
 pub use stream::{CutError, read_part, read_png, read_ppm};
 

@@ -15,7 +15,7 @@ use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The result that a caller needs of a picture.
+/// The result that a caller needs from a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Grey at half its size.
@@ -149,7 +149,8 @@ struct State {
 }
 
 impl PixelWork {
-    /// The pixel work of a detector that runs on `batch_size` pictures at once, with inputs made by `preparation`.
+    /// Creates the pixel work of a detector that runs on `batch_size` pictures at once, with inputs made by
+    /// `preparation`.
     ///
     /// At most 2 × `batch_size` + ⌈processors / 2⌉ pictures are decoded at once: those of the current run, those of the
     /// next, and those being prepared. The others wait encoded.

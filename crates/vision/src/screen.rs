@@ -10,6 +10,5 @@ pub use crate::picture::ColorOrder;
 pub use camera::{CameraScreen, decoding_target};
 pub use config::ScreenConfig;
 pub use empty_run::EmptyRun;
-pub use handle::ScreenHandle;
-pub use handle::ScreenVerdict;
+pub use handle::{ScreenHandle, ScreenVerdict};
 pub use network::Logits;

@@ -67,11 +67,11 @@ pub(crate) trait Model: 'static {
 pub(crate) struct WorkerSettings {
     /// Its name in logs; also the name of its thread.
     pub(crate) name: &'static str,
-    /// The longest that a run may take.
+    /// The longest time that a run may take.
     pub(crate) timeout: Duration,
     /// The maximum number of pictures in a run, each from another camera.
     pub(crate) batch_size: usize,
-    /// The longest that a picture waits for pictures of other cameras to share its run, from its request.
+    /// The longest time that a picture waits for pictures of other cameras to share its run, from its request.
     pub(crate) batch_wait: Duration,
 }
 
@@ -203,7 +203,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     /// Runs the model on `picture` when no camera waits. May be cancelled at any time.
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Same as [`run`](Self::run).
     pub(crate) async fn run_spare(&self, picture: I) -> Result<Answer<T>, InferenceError> {
         self.ask(None, picture).await
     }
@@ -489,7 +489,7 @@ impl<M: Model> Task<M> {
         }
         warn!(
             worker = self.settings.name,
-            reason, "the session will be built again"
+            reason, "the session will be rebuilt"
         );
         self.degraded(reason, false);
         true
@@ -505,13 +505,10 @@ impl<M: Model> Task<M> {
             }
             self.meter.update(|counts| counts.rebuilds += 1);
             let Err(reason) = self.build().await? else {
-                info!(
-                    worker = self.settings.name,
-                    "the session has been built again"
-                );
+                info!(worker = self.settings.name, "the session has been rebuilt");
                 return Ok(());
             };
-            error!(worker = self.settings.name, %reason, "the session could not be built again");
+            error!(worker = self.settings.name, %reason, "the session could not be rebuilt");
             self.meter.update(|counts| counts.rebuilds_failed += 1);
             let reason = reason.to_string();
             let lost = fault::device_is_lost(&reason);
@@ -604,8 +601,7 @@ impl<M: Model> Task<M> {
 
     fn stuck(&mut self, how: String) -> End {
         let name = self.settings.name;
-        let reason =
-            format!("the thread of the {name} {how}; only a new start of the program helps");
+        let reason = format!("the thread of the {name} {how}; only restarting the program helps");
         error!(worker = name, "{reason}");
         self.degraded(reason.clone(), false);
         End::Stuck(reason)

@@ -82,8 +82,7 @@ pub struct ClipEnergy {
     pub quality: EnergyQuality,
     /// Source of the figures: `rapl`, `estimate`, …
     pub source: String,
-    /// Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula in
-    /// words.
+    /// Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula.
     pub total_from: String,
     /// Number of samples inside the clip.
     pub samples: u64,

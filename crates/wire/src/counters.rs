@@ -1,7 +1,8 @@
 //! The counters of a camera, sent once per second.
 
-use crate::TargetReport;
-use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, Threshold};
+use crate::{
+    AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, TargetReport, Threshold,
+};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;

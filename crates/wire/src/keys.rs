@@ -31,7 +31,7 @@ fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> 
         .chars()
         .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.') || (slashes && c == '/'))
     {
-        "it has a character with a meaning of its own"
+        "it has a character that is not allowed"
     } else {
         return Ok(());
     };

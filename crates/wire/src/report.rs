@@ -2,7 +2,7 @@
 //!
 //! A report gets its id ([`ClipReport::id`]) when it is created. A node writes each report to disk before sending it,
 //! and sends [`ReportBatch`]es as queries with a payload. A hub stores each id once and answers with a [`ReportAnswer`]
-//! **after** the commit. Without a reply, after a [`ReportRefusal`] or after a time-out, the node sends the reports
+//! **after** the commit. Without a reply, after a [`ReportRefusal`] or after a timeout, the node sends the reports
 //! again, with growing pauses. So a report is delivered at least once, and its id makes that exactly once, even if
 //! disks are copied, restored or lost.
 

@@ -36,7 +36,7 @@ pub struct StatusMessage {
 /// about twenty bytes. On the wire it is the array `[v, run, seq, waiting]`, on the status key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// The run whose last status still holds.
+    /// The run whose last status still applies.
     pub run: u32,
     /// Number of this message within the run; statuses and heartbeats share one sequence.
     pub seq: u64,
@@ -177,7 +177,7 @@ pub struct OutboxStatus {
     pub waiting: u64,
     /// Reports lost because the outbox was full or its disk failed.
     pub lost: u64,
-    /// Reports that the hub refused permanently.
+    /// Reports that a hub refused permanently or that could not be read.
     #[serde(default)]
     pub undeliverable: u64,
     /// True if reports survive a power loss; false without a state directory or if its disk fails.

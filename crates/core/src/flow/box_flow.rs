@@ -46,7 +46,7 @@ impl Default for BoxFlowSettings {
 }
 
 impl BoxFlowSettings {
-    /// The default settings with this many points along each side of the grid and this many pyramid levels.
+    /// Returns the default settings with this many points along each side of the grid and this many pyramid levels.
     pub fn of(grid: u32, levels: u32) -> Self {
         let standard = Self::default();
         Self {

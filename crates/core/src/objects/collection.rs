@@ -1,8 +1,7 @@
 //! The states of all objects of one stream.
 
 use super::{Association, LifeCycle, Matcher, Missed, ObjectState, is_usable};
-use crate::detection::Detection;
-use crate::detection::ObjectId;
+use crate::detection::{Detection, ObjectId};
 use crate::geometry::PictureSize;
 use crate::kalman::{FilterModel, FilterParameters};
 
@@ -26,7 +25,7 @@ pub struct ObjectSettings {
 /// The result for one detection of the last [`ObjectStates::observe`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Sighting {
-    /// False for a refused detection, which must not be reported either.
+    /// False for a rejected detection, which must not be reported either.
     pub usable: bool,
     /// The object that it matched or created.
     pub object: Option<ObjectId>,
@@ -173,7 +172,7 @@ impl ObjectStates {
         &self.model
     }
 
-    /// Returns the number of detections refused so far because a filter could not use them.
+    /// Returns the number of detections rejected so far because a filter could not use them.
     pub(crate) fn rejected_detections(&self) -> u64 {
         self.rejected
     }
@@ -200,7 +199,7 @@ impl ObjectStates {
         self.rejected = *rejected;
     }
 
-    /// Forgets all objects; numbers restart from 0. Keeps the count of refused detections.
+    /// Forgets all objects; numbers restart from 0. Keeps the count of rejected detections.
     pub(crate) fn clear(&mut self) {
         self.states.clear();
         self.sightings.clear();

@@ -1,7 +1,6 @@
 //! The state of one object.
 
-use crate::detection::ObjectId;
-use crate::detection::{ClassId, Detection};
+use crate::detection::{ClassId, Detection, ObjectId};
 use crate::geometry::BoundingBox;
 use crate::kalman::{Filter, FilterModel};
 

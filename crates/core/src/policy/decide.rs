@@ -36,7 +36,7 @@ pub fn decide<S: EvidenceAtHand>(
     Ok(())
 }
 
-/// Precomputed evidence about a frame, for benches, tests and recordings without pictures. `None` stands for
+/// Precomputed evidence about a frame, for benches, tests and recordings without pictures. `None` means
 /// [`Evidence::Unavailable`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameEvidence<'a> {
@@ -49,7 +49,7 @@ pub struct FrameEvidence<'a> {
 }
 
 impl<'a> FrameEvidence<'a> {
-    /// A frame with `detections`, without a screen or a picture.
+    /// Creates the evidence of a frame with `detections`, without a screen or a picture.
     pub fn detections(detections: &'a [Detection]) -> Self {
         Self {
             detections: Some(detections),
@@ -57,7 +57,7 @@ impl<'a> FrameEvidence<'a> {
         }
     }
 
-    /// A frame with `detections` for which the screen reports "not empty".
+    /// Creates the evidence of a frame with `detections` for which the screen reports "not empty".
     pub fn in_view(detections: &'a [Detection]) -> Self {
         Self {
             empty: Some(false),

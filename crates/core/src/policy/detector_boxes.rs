@@ -44,12 +44,12 @@ impl DetectorBoxes {
         }));
     }
 
-    /// Forgets the boxes; keeps the count of refused detections.
+    /// Forgets the boxes; keeps the count of rejected detections.
     pub(crate) fn clear(&mut self) {
         self.boxes.clear();
     }
 
-    /// Returns the number of detections refused so far.
+    /// Returns the number of detections rejected so far.
     pub(crate) fn rejected(&self) -> u64 {
         self.rejected
     }

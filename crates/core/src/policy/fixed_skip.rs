@@ -84,7 +84,7 @@ impl FixedSkip {
     /// 1 − 1/N of all frames.
     pub const KNOB: Knob = Knob {
         name: "n",
-        meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
+        meaning: "The detector runs on one frame in this many: higher saves more energy, lower is more \
                   accurate",
         minimum: 1.0,
         maximum: 1000.0,

@@ -36,7 +36,7 @@ pub struct CannotRewind {
 
 /// The error for evidence about a frame that is not waiting for any.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("frame {frame} does not wait for evidence")]
+#[error("frame {frame} is not waiting for evidence")]
 pub struct NotPending {
     /// The frame.
     pub frame: u64,
@@ -134,8 +134,8 @@ impl LatePolicy {
     }
 
     /// Delivers evidence to the pending frame `frame`. Returns what it needs next; with [`Need::Nothing`], `outcome`
-    /// has its final state and boxes, and the next frame may ask again. [`Evidence::Unavailable`] stands for evidence
-    /// that failed or arrived too late: the frame is `degraded` if it needed the detector.
+    /// has its final state and boxes, and the next frame may ask again. [`Evidence::Unavailable`] means that the
+    /// evidence failed or arrived too late: the frame is `degraded` if it needed the detector.
     ///
     /// # Errors
     /// [`NotPending`] if another frame or none is pending; nothing changes then.
@@ -212,7 +212,7 @@ fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
     outcome.cause = None;
 }
 
-/// Restores a threshold that was in force before, which no policy refuses.
+/// Restores a threshold that was in force before, which no policy rejects.
 fn restore(policy: &mut dyn Policy, threshold: Option<f64>) {
     if let Some(value) = threshold {
         let _ = policy.set_knob(value);

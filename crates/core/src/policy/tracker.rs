@@ -23,21 +23,17 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// Creates a tracker without objects.
-    pub(crate) fn new(settings: &AlbireoSettings) -> Self {
+    /// Creates a tracker without objects. It has the settings of Albireo under the profile of `config`, so that policies
+    /// differ only in their named feature.
+    pub(crate) fn from_config(config: &PolicyConfig) -> Self {
+        let settings = AlbireoSettings::of(config.profile);
         Self {
             objects: ObjectStates::new(settings.objects()),
-            settings: *settings,
+            settings,
             tau_max: None,
             active: 0,
             boxes: Vec::new(),
         }
-    }
-
-    /// Creates a tracker with the settings of Albireo under the profile of `config`, so that policies differ only in
-    /// their named feature.
-    pub(crate) fn from_config(config: &PolicyConfig) -> Self {
-        Self::new(&AlbireoSettings::of(config.profile))
     }
 
     /// Advances the objects to `frame`.

@@ -387,7 +387,7 @@ fn the_range_is_what_costs_little_accuracy_unless_said_and_other_knobs_are_refus
     let refused = KnobRange::of("vanilla", None, None, None).unwrap_err();
     assert_eq!(
         refused.to_string(),
-        "a target moves `u` or `lambda`, and policy `vanilla` has nothing to turn"
+        "a target moves `u` or `lambda`, and policy `vanilla` has no threshold"
     );
 }
 

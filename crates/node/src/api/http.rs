@@ -108,13 +108,12 @@ fn bad_request(detail: String) -> Problem {
 #[openapi(
     info(
         title = "albireo node",
-        description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
-                       Where a token is set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
+        description = "Watch a node and set its uncertainty threshold. Errors are problem documents (RFC 9457). \
+                       If a token is set, every path requires it except `/` and what it loads, `/api/v1/caller`, `/healthz`, `/readyz`, `/openapi.json` and `/docs`.",
     ),
     components(schemas(
         Problem,
-        // Messages in events and on Zenoh: the document cannot describe a stream's contents, but it can describe
-        // these.
+        // Messages in events and on Zenoh: the document can describe them, but not the contents of a stream.
         CountersMessage,
         DetectionsMessage,
         SettledMessage,
@@ -167,7 +166,7 @@ pub fn openapi() -> OpenApi {
     described().split_for_parts().1
 }
 
-/// All routes of the node with this board and configuration, with their description and the page.
+/// The router of the node: all routes, their OpenAPI document and the page.
 pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToken) -> Router {
     let (router, openapi) = described().split_for_parts();
     #[cfg(feature = "swagger")]

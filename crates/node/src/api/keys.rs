@@ -91,8 +91,8 @@ impl NodeKeyValues {
         }
     }
 
-    /// Declares a key. Zenoh's threads only queue requests, because a change writes a file, which may take a moment on
-    /// a slow card.
+    /// Declares a key. Zenoh's threads only queue requests, because a change writes a file, which can take a while on
+    /// a slow SD card.
     ///
     /// # Errors
     /// An error if Zenoh rejects the declaration.
@@ -170,7 +170,7 @@ fn serve(request: Request, refused: &SharedLimit) {
         (None, Ok(_)) => return,
         (None, Err(reason)) => {
             return refused.log(|held_back| {
-                tracing::warn!(key, held_back, "put refused: {reason}");
+                tracing::warn!(key, held_back, "put rejected: {reason}");
             });
         }
         (Some(query), Ok(reply)) => query

@@ -13,18 +13,18 @@ use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
 /// The time for a claim to spread: a peer answers from the claims it has received itself.
-const GETTING_AROUND: Duration = Duration::from_secs(1);
+const CLAIM_SPREAD_TIME: Duration = Duration::from_secs(1);
 
-/// The time for others to report that they own the name.
-const ASKING: Duration = Duration::from_secs(2);
+/// The time limit for claims to be reported.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The interval at which a waiting node checks the name, times 0.5 to 1.5.
-const LOOK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 5000 });
+const CHECK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 5000 });
 
 /// The interval at which the owner checks the name: separate networks may join.
-const LOOK_AGAIN_EVERY: Duration = Duration::from_secs(60);
+const OWNER_CHECK_EVERY: Duration = Duration::from_secs(60);
 
-const TAKEN: &str = "another node of this name is on the network: both answer its frames";
+const CONFLICT: &str = "another node of this name is on the network: both answer its frames";
 
 /// The tokens of a name, once owned: they last until the session is closed or the last clone is dropped.
 #[derive(Clone, Default)]
@@ -34,13 +34,13 @@ impl NodeName {
     /// Declares the token `key` once no other node holds it, and keeps it. Until then, and if another node appears
     /// later, `part` reports that two nodes have the same name: both answer its frames.
     pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
-        while let Err(error) = self.hold_on(&session, &key, &part).await {
-            tracing::warn!(%error, key, "the liveliness token cannot be declared now");
-            tokio::time::sleep(LOOK_EVERY).await;
+        while let Err(error) = self.try_hold(&session, &key, &part).await {
+            tracing::warn!(%error, key, "cannot declare the liveliness token; will retry");
+            tokio::time::sleep(CHECK_EVERY).await;
         }
     }
 
-    async fn hold_on(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
+    async fn try_hold(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
         let own = format!("{key}/{}", session.zid());
         let mut warned = false;
         loop {
@@ -51,19 +51,19 @@ impl NodeName {
                 part.works();
                 warned = false;
             } else {
-                part.degraded(TAKEN);
+                part.degraded(CONFLICT);
                 if !std::mem::replace(&mut warned, true) {
                     tracing::warn!(
                         key,
                         "another node of this name is on the network, or an earlier run of this one was killed a moment \
-                         ago: give each node a name of its own (node.name)"
+                         ago: give each node a unique name (node.name)"
                     );
                 }
             }
             let pause = if is_held {
-                LOOK_AGAIN_EVERY
+                OWNER_CHECK_EVERY
             } else {
-                LOOK_EVERY
+                CHECK_EVERY
             };
             tokio::time::sleep(jittered(pause)).await;
         }
@@ -72,7 +72,7 @@ impl NodeName {
     /// Claims the name, and returns true unless a node with a lower id claims it at the same time.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
         let claim = session.liveliness().declare_token(own).await?;
-        tokio::time::sleep(GETTING_AROUND).await;
+        tokio::time::sleep(CLAIM_SPREAD_TIME).await;
         let others = other_claims(session, key, own).await?;
         if others.iter().any(|other| other.as_str() < own) {
             claim.undeclare().await?;
@@ -93,7 +93,7 @@ async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<
     let replies = session
         .liveliness()
         .get(format!("{key}/*"))
-        .timeout(ASKING)
+        .timeout(QUERY_TIMEOUT)
         .await?;
     let mut others = Vec::new();
     while let Ok(reply) = replies.recv_async().await {

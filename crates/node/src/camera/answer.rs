@@ -9,7 +9,6 @@ use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
 /// The message for a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to
 /// significant digits: corners to a hundredth of a pixel, confidence to four digits, τ to six. Boxes are clipped to
 /// the picture; boxes entirely outside are left out.
-/// the picture are left out.
 pub fn detections_message(
     outcome: &Outcome,
     frame: &Frame,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnswerTime {
-    /// When the detector has answered, if it is needed: frames that arrive meanwhile wait or are dropped.
+    /// When the detector has answered, if it is needed: frames that arrive until then wait or are dropped.
     #[default]
     WhenKnown,
     /// When the frame arrives, by prediction; the detector's results are published later.

@@ -136,11 +136,12 @@ impl Decider {
         None
     }
 
-    /// Handles a broken picture of the pending frame: it gets no answer, unless its first answer stands.
+    /// Handles a broken picture of the pending frame: if it was answered at once, its prediction becomes final;
+    /// otherwise it gets no answer.
     fn broken(&mut self, fault: FrameFault, outcome: &mut Outcome) -> Option<Decided> {
         if self.answers_at_once() {
             BROKEN.log(|held_back| {
-                tracing::warn!(held_back, %fault, "a frame that was answered at once stays as predicted");
+                tracing::warn!(held_back, %fault, "broken picture: the frame keeps its predicted answer");
             });
             return self.give(Evidence::Unavailable, outcome).map(Ok);
         }

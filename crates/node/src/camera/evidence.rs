@@ -60,13 +60,13 @@ struct Current {
     /// The detected boxes.
     detected: Option<Detected>,
     times: Times,
-    /// The wait for a decoding place: all cameras share as many places as keep the detector busy.
+    /// The time spent waiting for a decoding place: all cameras share just enough places to keep the detector busy.
     place: Duration,
 }
 
 impl LiveEvidence {
-    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`. Once
-    /// `give_up` is cancelled, no answer is awaited: the node is stopping and must not wait for a frame.
+    /// Creates the evidence of the camera with this `slot` in the detector's queue. All cameras of a detector share
+    /// `pixels`. Once `give_up` is cancelled, no answer is awaited: the node is stopping and must not wait for a frame.
     pub fn new(
         detector: DetectorHandle,
         screen: CameraScreen,
@@ -169,7 +169,7 @@ impl LiveEvidence {
     /// # Errors
     /// [`FrameFault`] if the picture cannot be decoded.
     async fn detect(&mut self, encoded: &EncodedPicture) -> Result<Option<Detected>, FrameFault> {
-        // Does not decode a picture that nothing would use.
+        // Does not decode a picture that nobody would use.
         if self.detector.accepts().is_err() {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
 //! Publishes a camera's messages.
 //!
-//! A put may wait for room in Zenoh's queues: for a live camera one millisecond, after which Zenoh drops the message;
-//! for a camera that loses none, as long as its subscriber takes. Each kind of message has its own priority, because
+//! A put may wait for room in Zenoh's queues: for a live camera 1 ms, after which Zenoh drops the message; for a camera
+//! that must not lose any, until its subscriber makes room. Each kind of message has its own priority, because
 //! Zenoh has a queue and a lock per priority: a report that waits for a slow subscriber never delays a detection.
 
 use crate::error::NodeError;
@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 
 /// Priority of a live camera's detections.
 pub(crate) const LIVE: Priority = Priority::InteractiveHigh;
-/// Priority of the detections of a camera that loses none: such a put may wait for its subscriber.
+/// Priority of the detections of a camera that must not lose any: a put may wait for the subscriber.
 pub(crate) const EVERY: Priority = Priority::InteractiveLow;
 /// Priority of clip reports for subscribers.
 pub(crate) const CLIPS: Priority = Priority::DataLow;

@@ -11,12 +11,12 @@ use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
 const WRITTEN: &str = "is what this node writes or answers itself; frames need a key of their own";
-const NO_SOURCE: &str = "is of a camera with a source, and this one has none";
+const NO_SOURCE: &str = "applies only to a camera with a source, and this one has none";
 const FOR_FFMPEG: &str =
     "is for ffmpeg; in a GStreamer pipeline name the decoder as one of its elements";
-const BESIDE_SOURCE: &str = "is there beside source: frames come from the one or the other";
+const BESIDE_SOURCE: &str = "is set together with source: frames come from one or the other";
 const NEVER_WAITS: &str =
-    "`every` needs a sender that waits, and a source does not: use `albireo replay --every`";
+    "`every` needs a sender that waits, which a source does not: use `albireo replay --every`";
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
@@ -33,12 +33,12 @@ outbox.gather_reports: 12 reports go together; outbox.gather_s = 0 sends each at
 outbox.answer_timeout_ms: a hub may take 10 s to answer a batch
 outbox.retry_min_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
 outbox.retry_max_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
-outbox.status_s: a heartbeat goes every 30 s
-uplink.retry_max_ms: the router is tried again after at most 30 s
+outbox.status_s: a heartbeat is sent every 30 s
+uplink.retry_max_ms: the connection to the router is retried after at most 30 s
 uplink.verify_name: the router's certificate is always compared with its name: `albireo certificate` takes \
     several names and addresses
-uplink.user: a node shows its certificate: uplink.certificate, which `albireo certificate` makes
-uplink.password_file: a node shows its certificate: uplink.certificate, which `albireo certificate` makes
+uplink.user: a node identifies itself by uplink.certificate, which `albireo certificate` creates
+uplink.password_file: a node identifies itself by uplink.certificate, which `albireo certificate` creates
 http.timeout_ms: a request may take 10 s
 http.idle_timeout_ms: a connection that is silent for 30 s is closed
 http.max_connections: 256 connections may be open at a time
@@ -68,14 +68,14 @@ uplink.reopen_s: after 300 s without an answer the uplink is opened again
 frame.max_width: a picture may have 7680x4320 pixels and 128 MiB when decoded
 frame.max_height: a picture may have 7680x4320 pixels and 128 MiB when decoded
 frame.max_decoded_bytes: a picture may have 7680x4320 pixels and 128 MiB when decoded
-power.source = battery: a battery renews its figures too seldom to measure clips by; `estimate` works on every \
+power.source = battery: a battery updates its figures too rarely to measure clips; `estimate` works on every \
     machine
 power.source = sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
 power.sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
 power.gpu_idle_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)
 power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
-    /// Does not check that files exist: that shows when they are opened.
+    /// Does not check that files exist: a missing file is reported when it is opened.
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         self.check_names(&mut findings);
@@ -172,8 +172,8 @@ impl NodeConfig {
             findings.add(
                 "settle.longest_ms",
                 format!(
-                    "is {longest}, and with answers at once a detector may take {deadline} ms \
-                     (detector.timeout_ms): raise the one or lower the other"
+                    "is {longest}, but with answers at once the detector may take {deadline} ms \
+                     (detector.timeout_ms): raise one or lower the other"
                 ),
             );
         }
@@ -213,7 +213,7 @@ impl NodeConfig {
         self.check_keys(findings);
     }
 
-    /// Checks keys: cameras must not share one, and a camera on a key that the node writes would hear itself.
+    /// Checks keys: cameras must not share one, and none may be a key that the node itself writes.
     fn check_keys(&self, findings: &mut Findings) {
         let Ok(node) = self.keys() else { return };
         let mut written = vec![node.target()];
@@ -273,7 +273,7 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if is_right && camera.name.bytes().all(|byte| byte == b'.') {
         findings.add(
             key("name"),
-            "dots alone mean something else in an HTTP path",
+            "must not be only dots, which mean something else in an HTTP path",
         );
     }
     if let Some(frames) = &camera.key {
@@ -285,7 +285,10 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
                 ),
             ),
             Ok(_) => {}
-            Err(error) => findings.add(key("key"), format!("`{frames}` is no Zenoh key: {error}")),
+            Err(error) => findings.add(
+                key("key"),
+                format!("`{frames}` is not a valid Zenoh key: {error}"),
+            ),
         }
     }
     check_source(camera, key, findings);

@@ -31,7 +31,7 @@ use waiting::Waiting;
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OutboxCounts {
     /// The counts in the status: reports that no hub has, that were lost for lack of room, and that a hub refused
-    /// permanently or that could not be read; and if reports survive a power loss now.
+    /// permanently or that could not be read; and whether reports survive a power loss now.
     pub status: OutboxStatus,
     /// Reports that a hub lost and that are sent again.
     pub again: u64,
@@ -43,7 +43,7 @@ pub struct OutboxCounts {
     pub acknowledged: u64,
     /// The number of disk failures.
     pub disk_failures: u64,
-    /// Why nothing can be kept on disk now.
+    /// The reason why nothing can be stored on disk now.
     pub failing: Option<String>,
 }
 
@@ -74,7 +74,7 @@ impl Outbox {
         let opened = match directory {
             None => {
                 tracing::warn!(
-                    "no node.state_dir: clip reports wait in memory and are gone when the node stops"
+                    "no node.state_dir: clip reports wait in memory and are lost when the node stops"
                 );
                 Waiting::new(None, 0).map(Self::of)
             }

@@ -1,7 +1,7 @@
 //! The node's connection to the hub: sends reports and the status, receives the desired setting.
 //!
 //! Reports are queries that the hub answers after its commit; only such an answer acknowledges them. After no reply, an
-//! error, a refusal or a time-out, the node keeps the reports and tries again after a pause.
+//! error, a refusal or a timeout, the node keeps the reports and retries after a pause.
 
 mod backoff;
 mod desired;
@@ -60,7 +60,7 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 pub(crate) struct UplinkSetup {
     /// The state to report, and the reports to deliver.
     pub board: Arc<Board>,
-    /// The settings for delivering reports, and for what the hub learns and sees.
+    /// The settings for delivering reports, and for what the hub may see.
     pub config: NodeConfig,
     /// The keys toward the hub.
     pub keys: NodeKeys,
@@ -92,7 +92,7 @@ impl Uplink {
         (Self { stop, ended }, waiting)
     }
 
-    /// Makes the task try once more, and waits until it has ended.
+    /// Makes the task try to deliver once more, and waits until it has ended.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         self.ended.cancelled().await;
@@ -169,13 +169,15 @@ impl Worker {
                     match served {
                         Ok(Served::Stopped) => return,
                         Ok(Served::Stale) => {
-                            tracing::warn!("the uplink has had no answer for long: opened again");
+                            tracing::warn!(
+                                "the uplink has had no answer for too long: reopening it"
+                            );
                             false
                         }
                         Err(error) => {
                             let error = session::plain(&error);
-                            tracing::error!(error, "the hub cannot be spoken to");
-                            part.degraded("the hub cannot be spoken to");
+                            tracing::error!(error, "cannot communicate with the hub");
+                            part.degraded("cannot communicate with the hub");
                             true
                         }
                     }

@@ -29,7 +29,7 @@ pub(super) fn read_attachment(
 fn read_json(bytes: &[u8]) -> Result<FrameAttachment, FrameFault> {
     if bytes.len() > MAX_ATTACHMENT_BYTES {
         return Err(FrameFault::unknown_format(format!(
-            "the attachment has {} bytes, {MAX_ATTACHMENT_BYTES} are read",
+            "the attachment has {} bytes; at most {MAX_ATTACHMENT_BYTES} are accepted",
             bytes.len()
         )));
     }

@@ -210,7 +210,7 @@ const ENCODINGS: &str =
 
 fn unknown_encoding(encoding: &str) -> FrameFault {
     let start: String = encoding.chars().take(64).collect();
-    FrameFault::unknown_format(format!("encoding {start:?} is not known; {ENCODINGS}"))
+    FrameFault::unknown_format(format!("unknown encoding {start:?}; {ENCODINGS}"))
 }
 
 /// The rows of a ROS image, packed: the payload itself if its rows have no padding, else a copy that is no
@@ -228,7 +228,7 @@ fn without_padding(payload: &Bytes, image: &ros2::Image) -> Result<Bytes, FrameF
     let longest = row.max(chroma_row);
     if image.step < longest {
         return Err(FrameFault::undecodable(format!(
-            "a row of the {} image has {longest} bytes, its step says {}",
+            "a row of the {} image has {longest} bytes, but its step is {}",
             image.size, image.step
         )));
     }

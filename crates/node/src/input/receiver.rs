@@ -258,11 +258,13 @@ impl FrameReceiver {
                     query: None,
                 });
             }
-            Some(Arrival::Duplicate) => (|dropped| &mut dropped.duplicate, "came before"),
-            Some(Arrival::Late) | None => (|dropped| &mut dropped.late, "came after a later one"),
+            Some(Arrival::Duplicate) => (|dropped| &mut dropped.duplicate, "has already arrived"),
+            Some(Arrival::Late) | None => {
+                (|dropped| &mut dropped.late, "arrived after a later one")
+            }
             Some(Arrival::Stray) => (
                 |dropped| &mut dropped.stray,
-                "belongs to another stream than the camera's present one",
+                "belongs to a stream other than the camera's current one",
             ),
         };
         Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
@@ -305,19 +307,19 @@ impl FrameReceiver {
         let (mut frame, kind, reason): (_, DropKind, _) = match pushed {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced(_) => {
-                let reason = "a newer frame came before its turn (camera.delivery)";
+                let reason = "a newer frame arrived before its turn (camera.delivery)";
                 self.count_dropped(|dropped| &mut dropped.overrun, 1, &reason);
                 return Ok(());
             }
             Pushed::Full(frame) => (
                 frame,
                 |dropped| &mut dropped.overrun,
-                "too many frames wait that were put: send them as queries to be held back (camera.delivery)",
+                "too many frames are waiting: send them as queries, not as puts, to be held back (camera.delivery)",
             ),
             Pushed::Closed(frame) => (
                 frame,
                 |dropped| &mut dropped.stopped,
-                "the camera's loop does not run: it has failed, or the node stops",
+                "the camera's loop is not running: it has failed, or the node is stopping",
             ),
         };
         frame.answer(Some(reason));

@@ -66,7 +66,7 @@ pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
         other => {
             let start: String = other.chars().take(32).collect();
             return Err(FrameFault::unknown_format(format!(
-                "ROS image encoding {start:?} is not read; rgb8, bgr8, rgba8, bgra8, mono8 and nv12 are"
+                "ROS image encoding {start:?} is not supported; rgb8, bgr8, rgba8, bgra8, mono8 and nv12 are"
             )));
         }
     };

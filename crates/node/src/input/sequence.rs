@@ -11,7 +11,7 @@
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The number of past numbers of which the tracker remembers if they arrived.
+/// The number of past sequence numbers for which the tracker remembers whether they arrived.
 const WINDOW: u64 = 64;
 /// The largest step ahead that is accepted at once.
 const NEAR: u64 = 8;
@@ -67,7 +67,7 @@ struct Stream {
     came: u64,
     /// The distance above the highest number of the last number that was too far ahead.
     ahead: Option<u64>,
-    /// Unusable samples since the highest number: as many of the missing numbers are not lost.
+    /// Unusable samples since the highest number: that many of the missing numbers do not count as lost.
     unusable: u64,
     newest: Instant,
     /// The mean time between its frames, once there are two.

@@ -182,7 +182,7 @@ impl Cameras {
         settings: SourceSettings,
         tasks: &mut Supervisor,
     ) -> Result<(), NodeError> {
-        // On a blocking thread: it asks the programs for their versions.
+        // On a blocking thread, because it runs the programs to read their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
         let readiness = &self.board.readiness;

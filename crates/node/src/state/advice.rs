@@ -44,7 +44,7 @@ impl std::fmt::Display for Advice {
     }
 }
 
-/// Counts frames until it is clear if a policy skips any.
+/// Counts frames until it is clear whether a policy skips any.
 #[derive(Clone, Debug, Default)]
 pub struct SkipWatch {
     threshold: Option<Threshold>,

@@ -59,7 +59,7 @@ pub struct Board {
     pub(crate) providers: Vec<ExecutionProvider>,
     /// All cameras, in the order of the configuration.
     pub cameras: Vec<Arc<CameraBoard>>,
-    /// Reports if the node works, part by part.
+    /// Reports whether the node works, part by part.
     pub readiness: Readiness,
     /// Counts the failures of the node's tasks.
     pub tasks: TaskTally,
@@ -73,7 +73,7 @@ pub struct Board {
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
-    /// Read the counts of the detector and the screen, once these have started.
+    /// The meters of the detector and the screen, once these have started.
     pub(crate) meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,

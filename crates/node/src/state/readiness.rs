@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `detector` | it is starting, its session is being rebuilt, or its GPU is lost | |
 //! | `screen` | | its session is being rebuilt: the detector is called instead |
-//! | `cameras` | they are not subscribed yet | no frame has come from one for a while, or its source has failed |
+//! | `cameras` | they are not subscribed yet | no frame has arrived from one for a while, or its source has failed |
 //! | `power` | | the meter cannot be read, or returns no samples |
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
@@ -55,7 +55,8 @@ pub(crate) const PARTS: [&str; 9] = [
 ];
 
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
-/// `stuck_after` is left to a restart; the loss of this process's GPU is so at once.
+/// `stuck_after` counts as stuck, so that the service manager restarts the node; the loss of this process's GPU does so
+/// at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
@@ -137,7 +138,7 @@ pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
                 Some(age) => (age > silence)
                     .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
                 None => (start.elapsed() > silence)
-                    .then(|| Fault::degraded("no frame has come since the start")),
+                    .then(|| Fault::degraded("no frame has arrived since the start")),
             }
         });
     }
@@ -152,7 +153,7 @@ pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
         let silent = now.meter_quality != EnergyQuality::Unavailable
             && begun.elapsed() > FIRST_SAMPLE
             && now.quality == EnergyQuality::Unavailable;
-        silent.then(|| Fault::degraded(format!("{} gives no samples", now.source)))
+        silent.then(|| Fault::degraded(format!("{} returns no samples", now.source)))
     });
 }
 

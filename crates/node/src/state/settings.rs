@@ -87,7 +87,7 @@ impl Settings {
             let set_since = std::mem::take(&mut state.values);
             if state.read(directory).is_ok() {
                 tracing::warn!(
-                    "kept settings can be read only now: they are in force from the next start on"
+                    "the kept settings could be read only now: they apply from the next start"
                 );
             }
             state.values.extend(set_since);
@@ -111,7 +111,7 @@ impl Shared {
         };
         match write(directory, &state.values) {
             Ok(()) => state.unwritten = false,
-            Err(error) => tracing::error!(%error, "settings are not kept"),
+            Err(error) => tracing::error!(%error, "settings cannot be written"),
         }
         !state.unwritten
     }

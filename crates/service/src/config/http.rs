@@ -25,7 +25,7 @@ impl Token {
         &self.0
     }
 
-    /// Returns why it cannot be sent as a bearer token (RFC 6750, section 2.1), if it cannot.
+    /// Returns the reason it cannot be used as a bearer token (RFC 6750, section 2.1); `None` if it can.
     pub(crate) fn fault(&self) -> Option<&'static str> {
         if self.0.is_empty() {
             Some("is empty; leave it out for no authentication")
@@ -98,7 +98,10 @@ impl HttpConfig {
         }
         findings.path("http.token_file", self.token_file.as_deref());
         if self.token.is_some() && self.token_file.is_some() {
-            findings.add("http.token_file", "and http.token are both set; keep one");
+            findings.add(
+                "http.token_file",
+                "is set together with http.token; keep one",
+            );
         }
         if !self.listen.ip().is_loopback()
             && self.token.is_none()
@@ -122,7 +125,7 @@ impl HttpConfig {
             if host.is_none_or(|host| host.is_empty() || host.contains('/')) {
                 findings.add(
                     "http.cors_origins",
-                    format!("`{origin}` is no origin such as `https://fleet.example`"),
+                    format!("`{origin}` is not an origin such as `https://fleet.example`"),
                 );
             }
         }

@@ -202,7 +202,7 @@ fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     }
 }
 
-/// The expected value in words, if `expected` is the name of a type.
+/// A readable description of the expected value, if `expected` is the name of a type.
 fn in_words(expected: &str) -> &str {
     match expected {
         "f32" | "f64" => "a number",

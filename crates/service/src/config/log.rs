@@ -52,7 +52,7 @@ pub(crate) fn check_level(level: &str) -> Result<(), String> {
     for word in level.split(',').filter(|part| !part.contains(['=', '['])) {
         word.trim()
             .parse::<tracing::level_filters::LevelFilter>()
-            .map_err(|_| fault(&format!("`{word}` is no level")))?;
+            .map_err(|_| fault(&format!("`{word}` is not a level")))?;
     }
     tracing_subscriber::EnvFilter::builder()
         .parse(level)

@@ -42,7 +42,7 @@ impl NamedToken {
                 .take(index)
                 .any(|other| other.name == token.name)
             {
-                findings.add(key("name"), format!("`{}` is there twice", token.name));
+                findings.add(key("name"), format!("`{}` is used twice", token.name));
             }
             if let Some(fault) = token.token.as_ref().and_then(Token::fault) {
                 findings.add(key("token"), fault);

@@ -68,7 +68,7 @@ impl UplinkConfig {
     /// Converts to Zenoh's configuration; `first_retry` is drawn again for each session.
     ///
     /// # Errors
-    /// The setting that Zenoh rejects, in words.
+    /// The setting that Zenoh rejects, and why.
     pub(crate) fn to_zenoh(&self, first_retry: Duration) -> Result<::zenoh::Config, String> {
         let mut config = ::zenoh::Config::default();
         let first = u64::try_from(first_retry.as_millis()).unwrap_or(1000);
@@ -113,7 +113,7 @@ impl UplinkConfig {
         if self.certificate.is_some() != self.private_key.is_some() {
             findings.add(
                 "uplink.private_key",
-                "and certificate belong together: name both, or neither",
+                "and uplink.certificate must be set together",
             );
         }
     }

@@ -48,7 +48,7 @@ impl ZenohConfig {
     /// Zenoh's own limit is 1 GiB.
     ///
     /// # Errors
-    /// The setting that Zenoh rejects, in words.
+    /// The setting that Zenoh rejects, and why.
     pub(crate) fn to_zenoh(&self, max_payload_bytes: usize) -> Result<::zenoh::Config, String> {
         if let Some(file) = &self.config_file {
             return ::zenoh::Config::from_file(file)
@@ -108,7 +108,7 @@ pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Fi
     let mut are_right = true;
     for endpoint in endpoints {
         let fault = match endpoint.parse::<EndPoint>() {
-            Err(error) => format!("is no endpoint such as `tcp/127.0.0.1:7447`: {error}"),
+            Err(error) => format!("is not an endpoint such as `tcp/127.0.0.1:7447`: {error}"),
             Ok(parsed) if TRANSPORTS.contains(&parsed.protocol().as_str()) => continue,
             Ok(parsed) => format!(
                 "has the transport `{}`, which is not built in; there are {}",

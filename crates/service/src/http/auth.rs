@@ -26,7 +26,7 @@ const OPEN: [&str; 6] = [
     "/readyz",
     "/openapi.json",
     "/docs",
-    // Reports only if the token sent with the request is valid.
+    // Reports only whether the token sent with the request is valid.
     "/api/v1/caller",
 ];
 
@@ -118,12 +118,15 @@ impl Guard {
                     fault = None;
                     if *tokens.read() != found {
                         *tokens.write() = found;
-                        tracing::info!("a token was exchanged");
+                        tracing::info!("a token was replaced");
                     }
                 }
                 Ok(Err(error)) => {
                     if fault.as_ref() != Some(&error) {
-                        tracing::error!(error, "the tokens that were good stay in force");
+                        tracing::error!(
+                            error,
+                            "the token files cannot be used; the previous tokens stay in force"
+                        );
                         fault = Some(error);
                     }
                 }
@@ -150,7 +153,7 @@ impl Guard {
                     }
                     Some((caller, _)) => {
                         let detail = format!(
-                            "the token `{}` may look and not change: this needs one with the role `tune`",
+                            "the token `{}` may only read: this needs a token with the role `tune`",
                             caller.name
                         );
                         return Err(Problem::new(StatusCode::FORBIDDEN, detail));
@@ -218,7 +221,7 @@ fn is_json(headers: &HeaderMap) -> bool {
 
 fn log_wrong_token() {
     static LOG: SharedLimit = SharedLimit::new();
-    LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
+    LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was rejected"));
 }
 
 fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, String> {
@@ -239,7 +242,7 @@ fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller,
     Ok(tokens)
 }
 
-/// Returns why no token can be read from a file, if none can.
+/// Returns the reason no token can be read from a file; `None` if one can.
 pub fn token_file_fault(file: &Path) -> Option<String> {
     read(file).err()
 }

@@ -30,7 +30,7 @@ const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-
     (Debian: <code>apt-get install nodejs npm</code>; others: nodejs.org). Then:</p>\n\
     <pre>make web\ncargo build</pre>\n\
     <p>Everything else works: <a href=\"/openapi.json\">/openapi.json</a> describes the interface, \
-    <a href=\"/readyz\">/readyz</a> says how the service is.</p>\n</html>\n";
+    <a href=\"/readyz\">/readyz</a> reports the state of the service.</p>\n</html>\n";
 
 #[derive(Embed)]
 #[folder = "../../web/dist"]
@@ -77,7 +77,7 @@ impl Page {
 async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = format!("assets/{name}");
     file(&name, &headers, "public, max-age=31536000, immutable").ok_or_else(|| {
-        let detail = "this version has no such part of a page; reload the page";
+        let detail = "this version has no such page file; reload the page";
         Problem::new(StatusCode::NOT_FOUND, detail)
     })
 }

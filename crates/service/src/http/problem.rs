@@ -20,7 +20,7 @@ pub struct Problem {
     /// Always `about:blank`: the title is the text of the status.
     #[serde(rename = "type")]
     kind: &'static str,
-    /// The status in words.
+    /// The text of the status.
     title: &'static str,
     /// The HTTP status.
     status: u16,
@@ -111,7 +111,7 @@ pub(super) async fn translate(
             .map(str::trim)
             .collect();
         let detail = format!(
-            "{method} is not possible here; possible: {}",
+            "{method} is not allowed here; allowed: {}",
             allowed.join(", ")
         );
         Problem::new(status, detail).allowing(allowed)
@@ -122,7 +122,7 @@ pub(super) async fn translate(
                 format!("the request did not end within {limit:?}")
             }
             ("", StatusCode::NOT_FOUND) => {
-                format!("there is nothing at {path}; /openapi.json lists what is")
+                format!("there is nothing at {path}; /openapi.json lists all paths")
             }
             ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
             (text, _) => text.to_owned(),

@@ -121,7 +121,7 @@ async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: Canc
         }
     };
     if let Err(error) = ended {
-        tracing::debug!(%error, "HTTP connection given up");
+        tracing::debug!(%error, "HTTP connection failed");
     }
 }
 

@@ -28,7 +28,7 @@ static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
 pub struct LogLine {
     /// Its number, from 1 at the start.
     pub number: u64,
-    /// When, milliseconds since the Unix epoch.
+    /// Its time, milliseconds since the Unix epoch.
     pub at_ms: i64,
     /// `ERROR`, `WARN`, `INFO`, `DEBUG` or `TRACE`.
     #[schema(value_type = String)]

@@ -59,7 +59,7 @@ pub(super) fn read(
         return own_list(head, classes).ok_or_else(|| {
             let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
             wrong(format!(
-                "the model does not name its {classes}classes; give a file with one name a line, or a list"
+                "the model does not name its {classes}classes; give a file with one name per line, or a list"
             ))
         });
     };
@@ -93,7 +93,7 @@ fn lines(text: &str) -> Result<Vec<String>, String> {
         .map(|line| line.trim().to_owned())
         .collect();
     match names.iter().position(String::is_empty) {
-        _ if names.is_empty() => Err("it is empty; one name a line is needed".to_owned()),
+        _ if names.is_empty() => Err("it is empty; one name per line is needed".to_owned()),
         Some(line) => Err(format!("line {} is empty", line + 1)),
         None => Ok(names),
     }

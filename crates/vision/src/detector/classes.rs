@@ -46,7 +46,6 @@ impl Classes {
             Some(wanted) => {
                 let wanted: Vec<&str> = wanted.iter().map(String::as_str).collect();
                 let classes = Self::only(&renamed, &wanted);
-                let number = |place: usize| ClassId(place as u16);
                 let unknown = (0..wanted.len())
                     .find(|&place| !classes.by_model.contains(&Some(number(place))));
                 match unknown {

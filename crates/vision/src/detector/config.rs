@@ -81,7 +81,7 @@ pub struct DetectorConfig {
     /// The maximum number of frames in a run, each from another camera; more than 1 only for a model with an open
     /// batch.
     pub batch_size: usize,
-    /// The longest that a frame waits for frames of other cameras, from its request. Not a node setting.
+    /// The longest time that a frame waits for frames of other cameras, from its request. Not a node setting.
     #[serde(skip)]
     pub batch_wait_ms: u64,
     /// The ONNX Runtime library; if empty, it is searched for in `ORT_DYLIB_PATH`, beside the program, in
@@ -155,7 +155,7 @@ impl DetectorConfig {
         check("providers", !self.providers.is_empty(), reason);
         for (place, provider) in self.providers.iter().enumerate() {
             let is_new = !self.providers[..place].contains(provider);
-            let reason = format!("`{}` is there twice", provider.as_str());
+            let reason = format!("`{}` is listed twice", provider.as_str());
             check("providers", is_new, reason);
         }
         problems

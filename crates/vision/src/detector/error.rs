@@ -51,8 +51,8 @@ pub enum StartError {
     },
     /// The model is sound, but none of the heads is known to read it.
     #[error(
-        "the model {} is not recognised: {reason}. The model has {model}. Looked for {}. If you know how it is to \
-         be read, name the head in detector.head",
+        "the model {} is not recognised: {reason}. The model has {model}. Looked for {}. If you know how to read \
+         it, set detector.head",
         path.display(),
         looked_for.join("; ")
     )]
@@ -87,8 +87,8 @@ pub enum StartError {
     },
     /// The file was replaced by a model with other classes or another input while the program was running.
     #[error(
-        "the model of the {task} has other classes or another input than when the program started; start the program \
-         again to use the new file"
+        "the model of the {task} has other classes or another input than when the program started; restart the program \
+         to use the new file"
     )]
     ModelChanged {
         /// The name of the task.
@@ -134,7 +134,7 @@ pub enum InferenceError {
     #[error("the run panicked: {0}")]
     Panicked(String),
     /// No session can accept pictures now: it is being rebuilt after a failure, or a run takes too long.
-    #[error("no session can take pictures now: {0}")]
+    #[error("no session can accept pictures now: {0}")]
     Unavailable(String),
     /// The worker has been stopped.
     #[error("the worker has been stopped")]

@@ -74,13 +74,13 @@ pub(crate) fn in_words(message: &str) -> String {
         |numbers: &[u32]| (cuda_failures(message).iter()).any(|it| numbers.contains(it));
     if is_one_of(&CONTEXT_IS_LOST) {
         format!(
-            "the GPU is lost to this process; if the device itself works (nvidia-smi), a new start of the program \
+            "the GPU is lost to this process; if the device itself works (nvidia-smi), restarting the program \
              brings it back: {message}"
         )
     } else if is_one_of(&NO_DEVICE) {
         format!(
-            "there is no such GPU that this process can use (nvidia-smi shows those there are, CUDA_VISIBLE_DEVICES \
-             names one): {message}"
+            "there is no such GPU that this process can use (nvidia-smi lists the GPUs, CUDA_VISIBLE_DEVICES \
+             selects one): {message}"
         )
     } else if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
         format!(

@@ -9,8 +9,7 @@ mod suppression;
 mod yolo;
 mod yolox;
 
-pub use recognise::Unrecognised;
-pub use recognise::recognise;
+pub use recognise::{Unrecognised, recognise};
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, PictureInput, Signature};
@@ -42,7 +41,7 @@ pub struct Candidate {
 /// The reason why a model does not fit a head.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Misfit {
-    /// The model that the head expects, in words.
+    /// The model that the head expects.
     pub expected: String,
     /// The first difference.
     pub reason: String,
@@ -67,7 +66,7 @@ impl Head {
     /// the number of rows rejected because a number in them is not finite or not possible.
     ///
     /// # Errors
-    /// If the outputs do not have the shape that the model announced; in words.
+    /// If the outputs do not have the shape that the model announced.
     pub fn read(
         &self,
         outputs: &[TensorView<'_>],

@@ -11,7 +11,7 @@ const LONGEST: usize = 4 << 20;
 pub struct Metadata(BTreeMap<String, String>);
 
 impl Metadata {
-    /// Metadata with these entries, without values of more than 4 MiB.
+    /// Creates metadata from these entries, without values of more than 4 MiB.
     pub fn new(entries: impl IntoIterator<Item = (String, String)>) -> Self {
         Self(
             entries
@@ -61,7 +61,7 @@ impl Metadata {
     /// The class names in `names`: a dictionary from number to name in Python or JSON syntax, or a list.
     ///
     /// # Errors
-    /// If the entry exists but cannot be read; in words.
+    /// If the entry exists but cannot be read.
     pub fn class_names(&self) -> Result<Option<Vec<String>>, String> {
         let Some(text) = self.get("names") else {
             return Ok(None);
@@ -75,7 +75,7 @@ impl Metadata {
             listed.push(name);
         }
         if listed.is_empty() {
-            return Err("there is no name in it".to_owned());
+            return Err("it has no names".to_owned());
         }
         Ok(Some(listed))
     }
@@ -107,7 +107,7 @@ impl Literal<'_> {
             };
             let name = self.quoted()?;
             if names.insert(number, name).is_some() {
-                return Err(format!("class {number} is there twice"));
+                return Err(format!("class {number} is listed twice"));
             }
             if !self.take(',') {
                 if self.take(close) {
@@ -145,7 +145,7 @@ impl Literal<'_> {
             let digits = self.quoted()?;
             return digits
                 .parse()
-                .map_err(|_| format!("`{digits}` is no class number"));
+                .map_err(|_| format!("`{digits}` is not a class number"));
         }
         let end = self
             .0

@@ -107,7 +107,7 @@ impl DetectorNetwork {
     /// If the run failed.
     pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, InferenceError> {
         let found = self.run(std::slice::from_ref(picture))?.pop();
-        found.ok_or_else(|| InferenceError::Failed("the model gave no answer".to_owned()))
+        found.ok_or_else(|| InferenceError::Failed("the model returned no answer".to_owned()))
     }
 
     /// Makes the model's input from pictures.
@@ -244,8 +244,8 @@ impl Model for DetectorNetwork {
         if self.impossible_runs >= IMPOSSIBLE_RUNS {
             return Err(InferenceError::Implausible(format!(
                 "everything that the model finds is impossible (numbers that are not finite, boxes without an area or \
-                 outside of the picture), {IMPOSSIBLE_RUNS} runs in a row or more: export it again, and where it \
-                 computes in half precision, without"
+                 outside of the picture), {IMPOSSIBLE_RUNS} runs in a row or more: export it again, without half \
+                 precision if it has that"
             )));
         }
         Ok(found)

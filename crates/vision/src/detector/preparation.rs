@@ -27,7 +27,7 @@ pub struct PreparedPicture {
 }
 
 impl Preparation {
-    /// A preparation for a model with this input.
+    /// Creates a preparation for a model with this input.
     pub fn new(format: InputFormat) -> Self {
         Self(Arc::new(PreparationState {
             format,

@@ -5,7 +5,7 @@ use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
 use tracing::warn;
 
 /// The providers that ONNX Runtime registers for `provider`; none for the CPU, which is always there. TensorRT leaves
-/// to CUDA what it cannot run, if CUDA is among the `configured`. By default, ONNX Runtime would go on without a
+/// to CUDA what it cannot run, if CUDA is among the `configured`. By default, ONNX Runtime would continue without a
 /// provider that it cannot register.
 pub(super) fn registrations(
     provider: ExecutionProvider,
@@ -71,14 +71,16 @@ pub(super) fn first_that_works<T>(
             Ok(_) => {
                 if index > 0 {
                     warn!(
-                        providers = providers[0].as_str(),
+                        first = providers[0].as_str(),
                         used = provider.as_str(),
                         "fell back to another execution provider of detector.providers"
                     );
                 }
                 return outcome;
             }
-            Err(error) => warn!(provider = provider.as_str(), %error, "not usable"),
+            Err(error) => {
+                warn!(provider = provider.as_str(), %error, "execution provider not usable")
+            }
         }
     }
     outcome

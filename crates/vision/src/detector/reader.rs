@@ -44,7 +44,7 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// A reader for a model with this head and these classes. Has its own counters until it is given others.
+    /// Creates a reader for a model with this head and these classes. It has its own counters until it is given others.
     pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
         Self {
             head,
@@ -148,7 +148,7 @@ impl Parts {
                 Ok([&[1], rest].concat())
             }
             shape => Err(InferenceError::Failed(format!(
-                "the model gave an output of {} for {pictures} pictures",
+                "the model returned an output of {} for {pictures} pictures",
                 shape_text(shape)
             ))),
         };

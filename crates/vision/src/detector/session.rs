@@ -50,7 +50,7 @@ impl OnnxSession {
         {
             std::fs::create_dir_all(folder).map_err(|error| StartError::Configuration {
                 key: "detector.gpu.engine_cache".to_owned(),
-                reason: format!("{} cannot be made: {error}", folder.display()),
+                reason: format!("{} cannot be created: {error}", folder.display()),
             })?;
         }
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
@@ -193,7 +193,7 @@ fn metadata(session: &Session) -> Metadata {
 
 fn terminate(options: &RunOptions) {
     if let Err(error) = options.terminate() {
-        warn!(%error, "a run could not be asked to end");
+        warn!(%error, "a run could not be interrupted");
     }
 }
 
@@ -221,7 +221,7 @@ fn build(
         let options = options.clone();
         Arc::new(move || {
             if let Err(error) = canceler.cancel() {
-                warn!(%error, "a model could not be asked to load no further");
+                warn!(%error, "the loading of a model could not be interrupted");
             }
             terminate(&options);
         })

@@ -45,7 +45,7 @@ impl Sessions {
         }
     }
 
-    /// Keeps `interrupter` for as long as the returned entry lives; calls it at once if all sessions must end.
+    /// Keeps `interrupter` for as long as the returned entry exists; calls it at once if all sessions must end.
     pub(super) fn enter(&self, interrupter: Interrupter) -> Entry<'_> {
         let mut kept = self.kept.lock();
         let number = kept.next;

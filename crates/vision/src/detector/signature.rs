@@ -17,7 +17,7 @@ pub enum ElementType {
     Float16,
     /// Bytes: unchanged pixel values.
     Uint8,
-    /// Any other type, in words.
+    /// Any other type, by its name.
     Other(String),
 }
 
@@ -60,7 +60,7 @@ impl Signature {
     /// metadata.
     ///
     /// # Errors
-    /// The problem with the inputs or with `wanted`, in words.
+    /// The problem with the inputs or with `wanted`.
     pub fn picture_input(&self, wanted: Option<PictureSize>) -> Result<PictureInput, String> {
         let [input] = self.inputs.as_slice() else {
             return Err(format!(
@@ -109,7 +109,7 @@ impl Signature {
     /// Returns the model's only output, which must be float32 or float16.
     ///
     /// # Errors
-    /// The problem with the outputs, in words.
+    /// The problem with the outputs.
     pub(crate) fn only_output(&self) -> Result<&TensorSpec, String> {
         let [output] = self.outputs.as_slice() else {
             return Err(format!(
@@ -123,7 +123,7 @@ impl Signature {
     /// Returns the output `name`, which must be float32 or float16, and its index.
     ///
     /// # Errors
-    /// If there is none, or it has other elements; in words.
+    /// If there is none, or it has other elements.
     pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
         let found = self
             .outputs

@@ -14,23 +14,23 @@ pub enum DetectorStatus {
     },
     /// The model runs, but its results are impossible, run after run.
     Implausible {
-        /// The fault, in words.
+        /// The fault.
         reason: String,
         /// The provider that actually runs it.
         provider: ExecutionProvider,
     },
     /// The last run failed and the session is being rebuilt, or a run takes too long; frames are answered from
-    /// prediction meanwhile.
+    /// prediction until then.
     Degraded {
-        /// The failure, in words.
+        /// The failure.
         reason: String,
         /// The provider that ran it before.
         provider: ExecutionProvider,
     },
-    /// The GPU is gone, and a new session in this process did not bring it back; a new start of the program can.
+    /// The GPU is gone, and a new session in this process did not bring it back; restarting the program can.
     /// Rebuilding is still tried.
     Lost {
-        /// The failure, in words.
+        /// The failure.
         reason: String,
         /// The provider that ran it before.
         provider: ExecutionProvider,
@@ -38,7 +38,7 @@ pub enum DetectorStatus {
 }
 
 impl DetectorStatus {
-    /// The fault in words, if there is one.
+    /// The fault, if there is one.
     pub fn fault(&self) -> Option<&str> {
         match self {
             Self::Starting | Self::Ready { .. } => None,
@@ -52,7 +52,7 @@ impl DetectorStatus {
     pub(crate) fn refusal(&self) -> Option<InferenceError> {
         match self {
             Self::Ready { .. } | Self::Implausible { .. } => None,
-            Self::Starting => Some(InferenceError::Unavailable("it starts".to_owned())),
+            Self::Starting => Some(InferenceError::Unavailable("it is starting".to_owned())),
             Self::Degraded { reason, .. } | Self::Lost { reason, .. } => {
                 Some(InferenceError::Unavailable(reason.clone()))
             }

@@ -66,7 +66,7 @@ pub fn decode(
 /// A buffer is kept if it is at most this many times too large; otherwise its memory is released.
 const KEPT_TIMES: usize = 4;
 
-/// A buffer of at most this many bytes is kept whatever it is needed for.
+/// A buffer of at most this many bytes is always kept.
 const KEPT_BYTES: usize = 16 << 20;
 
 /// Makes `buffer` as long as a picture needs it. After one huge picture the memory is released; if there is none for
@@ -93,7 +93,7 @@ fn contain<T>(
 ) -> Result<T, FrameFault> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|_| {
         Err(FrameFault::undecodable(format!(
-            "the {decoder} decoder gave up on the picture in an unforeseen way"
+            "the {decoder} decoder panicked on the picture"
         )))
     })
 }
@@ -102,7 +102,7 @@ fn contain<T>(
 /// An odd last row or column is dropped.
 ///
 /// # Errors
-/// As for [`decode`], and for a picture with a side of one pixel, which has no half.
+/// Same as [`decode`], and for a picture with a side of one pixel, which has no half.
 pub fn decode_grey_half(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -117,7 +117,7 @@ pub fn decode_grey_half(
 /// program was built with the feature `turbojpeg`.
 ///
 /// # Errors
-/// As for [`decode`].
+/// Same as [`decode`].
 pub fn decode_small_grey(
     picture: &EncodedPicture,
     limits: &FrameLimits,
@@ -161,7 +161,7 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
 /// Returns the picture as a JPEG file: unchanged if it is one, else encoded with quality 85.
 ///
 /// # Errors
-/// As for [`decode`].
+/// Same as [`decode`].
 pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, FrameFault> {
     if picture.format == PictureFormat::Jpeg {
         return Ok(picture.bytes.clone());
@@ -171,7 +171,7 @@ pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, 
         u16::try_from(picture.size.height),
     ) else {
         return Err(FrameFault::oversized(format!(
-            "the picture is {}, a JPEG file holds at most 65535x65535",
+            "the picture is {}; a JPEG file holds at most 65535x65535",
             picture.size
         )));
     };
@@ -185,7 +185,9 @@ pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, 
     let mut file = Vec::new();
     jpeg_encoder::Encoder::new(&mut file, JPEG_QUALITY)
         .encode(&decoded.pixels, width, height, color)
-        .map_err(|error| FrameFault::undecodable(format!("it cannot become a JPEG: {error}")))?;
+        .map_err(|error| {
+            FrameFault::undecodable(format!("it cannot be encoded as JPEG: {error}"))
+        })?;
     Ok(Bytes::from(file))
 }
 

@@ -14,7 +14,7 @@ pub(super) fn decode(
     pixels: &mut [u8],
 ) -> Result<(), FrameFault> {
     check_jpeg_is_whole(&picture.bytes)?;
-    let mut decoder = decoder(picture, ColorSpace::RGB);
+    let mut decoder = decoder(picture);
     decoder.decode_headers().map_err(undecodable)?;
     match (layout, decoder.input_colorspace()) {
         (PixelLayout::Rgb8, _) => {}
@@ -33,14 +33,14 @@ pub(super) fn decode(
     decode_headed(decoder, picture, pixels)
 }
 
-fn decoder(picture: &EncodedPicture, colors: ColorSpace) -> JpegDecoder<ZCursor<&[u8]>> {
+fn decoder(picture: &EncodedPicture) -> JpegDecoder<ZCursor<&[u8]>> {
     let options = DecoderOptions::default()
         // Otherwise data that cannot be decoded is filled with grey and reported as a success.
         .set_strict_mode(true)
         .set_max_width(picture.size.width as usize)
         .set_max_height(picture.size.height as usize)
         .jpeg_set_max_scans(MAX_SCANS as usize)
-        .jpeg_set_out_colorspace(colors);
+        .jpeg_set_out_colorspace(ColorSpace::RGB);
     JpegDecoder::new_with_options(ZCursor::new(picture.bytes.as_ref()), options)
 }
 

@@ -65,7 +65,7 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
                         Ok(PictureSize::new(u32::from(width), u32::from(height)))
                     }
                     (Some(precision), Some(_), Some(_)) => Err(FrameFault::undecodable(format!(
-                        "the JPEG file has {precision} bits per sample, 8 are read"
+                        "the JPEG file has {precision} bits per sample; only 8 are supported"
                     ))),
                     _ => Err(FrameFault::undecodable(
                         "the JPEG file's frame header is cut short",
@@ -74,8 +74,8 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
             }
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
                 return Err(FrameFault::undecodable(format!(
-                    "the JPEG file uses coding process SOF{}; baseline and progressive Huffman \
-                     coding are read",
+                    "the JPEG file uses coding process SOF{}; only baseline and progressive \
+                     Huffman coding are supported",
                     marker - 0xC0
                 )));
             }

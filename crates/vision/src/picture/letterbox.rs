@@ -145,7 +145,7 @@ pub enum LetterboxError {
         /// The number of bytes it has.
         actual: usize,
     },
-    /// The resizer refused.
+    /// The resizer failed.
     #[error("the picture could not be resized: {0}")]
     Resize(String),
 }
@@ -170,7 +170,7 @@ pub struct Letterbox {
 }
 
 impl Letterbox {
-    /// A letterbox for a network with this input.
+    /// Creates a letterbox for a network with this input.
     pub fn new(format: InputFormat) -> Self {
         let plane = format.size.width as usize * format.size.height as usize;
         Self {

@@ -42,7 +42,7 @@ pub fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), FrameFaul
     }
     if bytes > limits.max_payload_bytes {
         return Err(FrameFault::oversized(format!(
-            "the payload has {bytes} bytes, frame.max_payload_bytes allows {}",
+            "the payload has {bytes} bytes; frame.max_payload_bytes allows {}",
             limits.max_payload_bytes
         )));
     }
@@ -61,7 +61,7 @@ pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), Fram
     }
     if size.width > limits.max_width || size.height > limits.max_height {
         return Err(FrameFault::oversized(format!(
-            "the picture is {size}, at most {}x{} are taken",
+            "the picture is {size}; at most {}x{} is accepted",
             limits.max_width, limits.max_height
         )));
     }
@@ -80,7 +80,7 @@ pub(super) fn decoded_bytes(
         .filter(|bytes| *bytes <= limits.max_decoded_bytes)
         .ok_or_else(|| {
             FrameFault::oversized(format!(
-                "the picture is {size}, decoded it would exceed the limit of {} bytes",
+                "the picture is {size}; decoded, it would exceed the limit of {} bytes",
                 limits.max_decoded_bytes
             ))
         })
@@ -98,11 +98,11 @@ pub fn check_raw_length(
     match format.raw_bytes(size) {
         Some(expected) if expected == bytes as u64 => Ok(()),
         Some(expected) => Err(FrameFault::undecodable(format!(
-            "a raw {} picture of {size} has {expected} bytes, {bytes} came",
+            "a raw {} picture of {size} must have {expected} bytes, not {bytes}",
             format.as_str()
         ))),
         None => Err(FrameFault::oversized(format!(
-            "a picture of {size} cannot be held"
+            "a picture of {size} is too large"
         ))),
     }
 }

@@ -15,7 +15,7 @@ pub enum CutError {
     #[error("{0}")]
     Malformed(String),
     /// A picture is larger than the maximum.
-    #[error("a picture of {bytes} bytes is more than the {most} that are taken")]
+    #[error("a picture has {bytes} bytes; at most {most} are accepted")]
     TooLarge {
         /// Its length in bytes.
         bytes: u64,
@@ -47,10 +47,9 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>
             let value = value.trim();
             if name.eq_ignore_ascii_case("content-length") {
                 let bytes = value.parse::<u64>();
-                length =
-                    Some(bytes.map_err(|_| {
-                        CutError::Malformed(format!("`{value}` is no Content-length"))
-                    })?);
+                length = Some(bytes.map_err(|_| {
+                    CutError::Malformed(format!("`{value}` is not a Content-length"))
+                })?);
             }
             if name.eq_ignore_ascii_case("content-type") && value != "image/jpeg" {
                 return Err(CutError::Malformed(format!(
@@ -106,7 +105,9 @@ pub fn read_ppm(
     let mut numbers = [0_u32; 3];
     let magic = read_exactly(stream, 3, 3)?;
     if magic != b"P6\n" {
-        return Err(CutError::Malformed("a picture is no PPM file".to_owned()));
+        return Err(CutError::Malformed(
+            "a picture is not a PPM file".to_owned(),
+        ));
     }
     for number in &mut numbers {
         *number = read_number(stream)?;
@@ -114,7 +115,7 @@ pub fn read_ppm(
     let [width, height, 255] = numbers else {
         let most = numbers[2];
         return Err(CutError::Malformed(format!(
-            "a PPM file has {most} levels a colour and not 255"
+            "a PPM file has {most} levels per colour, not 255"
         )));
     };
     let size = PictureSize::new(width, height);

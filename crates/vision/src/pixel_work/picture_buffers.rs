@@ -5,7 +5,7 @@ use parking_lot::Mutex;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// A buffer of at most this many bytes is kept whatever the size of the recent ones.
+/// A buffer of at most this many bytes is always kept.
 const ALWAYS_KEPT: usize = 2 << 20;
 
 /// A larger buffer is kept if it is at most this many times as large as the largest recent one.
@@ -34,7 +34,7 @@ pub struct PooledPicture {
 }
 
 impl PictureBuffers {
-    /// A pool that keeps at most `most` idle buffers.
+    /// Creates a pool that keeps at most `most` idle buffers.
     pub(super) fn new(most: usize) -> Self {
         Self(Arc::new(Mutex::new(Buffers {
             idle: Vec::new(),

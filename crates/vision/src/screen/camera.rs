@@ -29,7 +29,7 @@ pub struct CameraScreen {
 }
 
 impl CameraScreen {
-    /// The screen of a new camera; `model` is the one shared by all cameras, if there is one.
+    /// Creates the screen of a new camera; `model` is the one shared by all cameras, if there is one.
     pub fn new(config: &ScreenConfig, model: Option<ScreenHandle>) -> Self {
         Self {
             model,

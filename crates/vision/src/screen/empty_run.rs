@@ -1,7 +1,7 @@
 //! Limits the number of empty verdicts in a row.
 
-/// Counts a camera's consecutive empty verdicts; after the longest such run the detector runs whatever the screen
-/// reports. The paper has no such limit, but a screen that misjudges a scene does so for as long as the scene lasts.
+/// Counts a camera's consecutive empty verdicts; after the longest such run the detector runs regardless of the
+/// screen. The paper has no such limit, but a screen that misjudges a scene does so for as long as the scene lasts.
 #[derive(Clone, Copy, Debug)]
 pub struct EmptyRun {
     /// The longest run; 0 for no limit.
@@ -33,7 +33,7 @@ impl EmptyRun {
         empty
     }
 
-    /// Ends the run, because the detector ran for whatever reason.
+    /// Ends the run, because the detector ran for any reason.
     pub fn detector_ran(&mut self) {
         self.run = 0;
     }

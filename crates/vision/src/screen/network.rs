@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// The two outputs of the network, before any normalisation.
 pub type Logits = [f32; 2];
 
-/// The model that the network expects, in words.
+/// A description of the expected model.
 const EXPECTED: &str =
     "one picture input [1, 3, rows, columns] or [1, rows, columns, 3] and one output [1, 2]";
 
@@ -75,7 +75,7 @@ impl ScreenNetwork {
                     Ok([first, second])
                 }
                 _ => Err(InferenceError::Failed(format!(
-                    "the screen gave {} instead of two finite numbers",
+                    "the screen returned {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
             }

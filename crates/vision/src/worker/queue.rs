@@ -24,7 +24,7 @@ pub(super) struct Queue<I, T> {
     last_served: Option<CameraSlot>,
     /// The maximum number of pictures in a run.
     batch_size: usize,
-    /// The longest that a picture waits for pictures of other cameras, from its request.
+    /// The longest time that a picture waits for pictures of other cameras, from its request.
     batch_wait: Duration,
 }
 

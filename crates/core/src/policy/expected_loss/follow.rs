@@ -160,11 +160,11 @@ impl Follower {
         let filtered = object.filter.position();
         let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
         let margin = BORDER / scale[1];
-        for (border_shift, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
+        for (axis, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
             .into_iter()
             .enumerate()
         {
-            object.border_shift[border_shift] += hold(&then, &mut end, sides, length, margin);
+            object.border_shift[axis] += hold(&then, &mut end, sides, length, margin);
         }
         object.offset = Some(std::array::from_fn(|axis| {
             // Limits how far a wrong flow can carry a box away.

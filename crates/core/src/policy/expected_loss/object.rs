@@ -206,8 +206,8 @@ impl Object {
         let [width, height] = self.filter.sides();
         let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
         let inside = |center: f64, side: f64, end: f64| {
-            let detected_box = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
-            detected_box.max(0.0) / side
+            let visible = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
+            visible.max(0.0) / side
         };
         inside(x, width, aspect) * inside(y, height, 1.0)
     }

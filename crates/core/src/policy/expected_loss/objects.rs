@@ -91,7 +91,7 @@ impl Objects {
         self.aspect
     }
 
-    /// Returns the number of detections refused so far.
+    /// Returns the number of detections rejected so far.
     pub(crate) fn rejected_detections(&self) -> u64 {
         self.rejected
     }

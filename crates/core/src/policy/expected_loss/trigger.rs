@@ -37,7 +37,7 @@ impl Trigger {
 
     const N: Knob = Knob {
         name: "n",
-        meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
+        meaning: "The detector runs on one frame in this many: higher saves more energy, lower is more \
                   accurate",
         minimum: 1.0,
         maximum: 20.0,

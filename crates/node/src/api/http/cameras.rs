@@ -26,7 +26,7 @@ pub(super) struct CameraEntry {
     /// Address of the source that the node opens for it, without credentials.
     #[serde(skip_serializing_if = "Option::is_none")]
     source: Option<String>,
-    /// Why no frames arrive, if none do.
+    /// Reason why no frames arrive; absent while they do.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
     /// Frames processed since the node started.
@@ -155,7 +155,7 @@ pub(super) async fn one(
 
 /// The detections of a camera's newest frame
 ///
-/// The message that was published on Zenoh.
+/// The message as published on Zenoh.
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
 #[utoipa::path(
     get, path = "/api/v1/cameras/{camera}/detections", tag = "frames",
@@ -163,7 +163,7 @@ pub(super) async fn one(
     responses(
         (status = 200, body = DetectionsMessage),
         (status = 404, body = Problem, content_type = "application/problem+json",
-         description = "There is no such camera, or no frame has come from it yet."),
+         description = "There is no such camera, or no frame has arrived from it yet."),
     )
 )]
 pub(super) async fn detections(

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::fmt::Display;
 
-/// Reads the message in a request. `expected` describes it in words.
+/// Reads the message in a request. `expected` describes it for the error text.
 pub(super) fn message<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
@@ -22,12 +22,12 @@ pub(super) fn message<T: DeserializeOwned>(
         .and_then(|name| name.split(';').next())
         .unwrap_or_default()
         .trim();
-    // No content type and curl's default one are also accepted: no page of another origin can send a PUT without a
-    // preflight, whatever its content type.
-    let taken = ["", "application/json", "application/x-www-form-urlencoded"];
-    if !taken
+    // No content type and curl's default one are also accepted: a page of another origin cannot send a PUT without a
+    // preflight, regardless of its content type.
+    let accepted = ["", "application/json", "application/x-www-form-urlencoded"];
+    if !accepted
         .iter()
-        .any(|taken| media_type.eq_ignore_ascii_case(taken))
+        .any(|accepted| media_type.eq_ignore_ascii_case(accepted))
     {
         let sent = name.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
         return Err(Problem::new(
@@ -55,12 +55,12 @@ pub(super) fn message<T: DeserializeOwned>(
     let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
     // Serde would also accept a list of the fields' values.
     if !body.trim_ascii_start().starts_with(b"{") {
-        return Err(not_this(&"it is no JSON object"));
+        return Err(not_this(&"it is not a JSON object"));
     }
     serde_json::from_slice(&body).map_err(|error| not_this(&error))
 }
 
-/// Runs a change on a blocking thread: it writes a file, which may take a moment on a slow card.
+/// Runs a change on a blocking thread, because it writes a file, which can take a while on a slow SD card.
 pub(super) async fn off_the_runtime<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {

@@ -17,15 +17,15 @@ use uuid::Uuid;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Only of this camera.
+    /// Only reports of this camera.
     camera: Option<String>,
     /// Maximum number; 50 by default.
     #[param(minimum = 1, maximum = 256)]
     limit: Option<usize>,
-    /// Only reports older than the one with this identity: the `next` of an answer, for earlier clips.
+    /// Only reports older than the one with this id: for earlier clips, the `next` of the previous answer.
     #[param(value_type = Option<String>, format = "uuid")]
     before: Option<Uuid>,
-    /// Only reports newer than the one with this identity: the newest known one, for later clips.
+    /// Only reports newer than the one with this id: for later clips, the id of the newest known report.
     #[param(value_type = Option<String>, format = "uuid")]
     after: Option<Uuid>,
 }
@@ -44,7 +44,7 @@ pub(super) struct Clips {
 
 /// Recent clip reports, newest first
 ///
-/// The node keeps the newest 256 in memory. `before` and `after` take the identities of reports (`id`).
+/// The node keeps the newest 256 in memory. `before` and `after` take the `id` of a report.
 /// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
 #[utoipa::path(
     get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
@@ -63,7 +63,7 @@ pub(super) async fn list(
         shared.camera(camera)?;
     }
     let Selection { before, after, .. } = selection;
-    // One more than requested shows if there are more.
+    // One more than requested shows whether there are more.
     let board = &shared.board;
     let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;

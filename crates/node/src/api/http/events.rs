@@ -104,7 +104,7 @@ fn wanted(
         None => Ok((selection.camera, types)),
         Some(name) => {
             let detail = format!(
-                "there are no events `{name}`; there are: {}",
+                "there is no event type `{name}`; there are: {}",
                 known.join(", ")
             );
             Err(bad_request(detail).allowing(known))
@@ -115,7 +115,7 @@ fn wanted(
 /// The node's events, as server-sent events
 ///
 /// First the present state (counters, thresholds, detector), then each change. A reader that is too slow
-/// loses events; the event `lagged` has their number.
+/// loses events; the event `lagged` reports how many.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),

@@ -72,7 +72,7 @@ pub(super) fn readiness(board: &Board) -> Readiness {
     }
 }
 
-/// Whether the process answers
+/// Liveness: the process answers
 ///
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
 #[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
@@ -90,10 +90,10 @@ pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Health> {
     })
 }
 
-/// Whether frames are processed, and by which execution provider
+/// Readiness: frames are answered, and by which execution provider
 ///
-/// 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
-/// fails. `curl http://127.0.0.1:8080/readyz`
+/// 503 while starting and when an essential part fails; 200 with reasons when another part fails.
+/// `curl http://127.0.0.1:8080/readyz`
 #[utoipa::path(
     get, operation_id = "readyz", path = "/readyz", tag = "health", security(()),
     responses(

@@ -32,7 +32,7 @@ pub(super) struct PastFrames {
     age_ms: Vec<u64>,
     /// Frame state.
     state: Vec<FrameState>,
-    /// Why the detector was called; null if it was not.
+    /// Cause of the detector call; null if there was none.
     cause: Vec<Option<CallCause>>,
     /// True if the detector was needed but not available.
     degraded: Vec<bool>,
@@ -184,7 +184,7 @@ fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
     responses(
         (status = 200, body = SkipEstimates),
         (status = 409, body = Problem, content_type = "application/problem+json",
-         description = "The policy is not turned by u, or has no record to estimate from yet."),
+         description = "The policy's threshold is not `u`, or nothing is recorded to estimate from yet."),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
     )
 )]
@@ -200,8 +200,7 @@ pub(super) async fn skip_estimate(
         return Err(cannot("the policy has no threshold to estimate with"));
     };
     if threshold.name.as_str() != "u" {
-        let why =
-            "only the threshold `u` is compared with what is recorded; this policy is turned by ";
+        let why = "only the threshold `u` can be estimated; the threshold of this policy is ";
         return Err(cannot(&format!("{why}`{}`", threshold.name)));
     }
     let values = match values.values.as_deref() {
@@ -210,7 +209,7 @@ pub(super) async fn skip_estimate(
             .map(|step| about.default * 10_f64.powf((f64::from(step) - 20.0) / 10.0))
             .collect(),
     };
-    // Computes for some milliseconds: not on a thread that frames wait for.
+    // Takes some milliseconds, so it must not run on a thread that frames wait for.
     let (name, camera) = (camera.name().to_owned(), std::sync::Arc::clone(camera));
     let computed = tokio::task::spawn_blocking(move || camera.skip_estimate(&values));
     let Ok(Some(estimate)) = computed.await else {

@@ -17,7 +17,7 @@ const MOST: usize = 1000;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Only lines after that number.
+    /// Only lines after the one with this number.
     #[serde(default)]
     after: u64,
     /// Maximum number of lines, the newest ones, 1 to 1000; 200 by default.
@@ -33,8 +33,8 @@ pub(super) struct Log {
 
 /// The last lines of the log
 ///
-/// The node keeps the newest 1000 in memory, from level `info` on, whatever the level of standard error. Configured secrets
-/// are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+/// The node keeps the newest 1000 lines of level `info` and above in memory, regardless of the level on standard error.
+/// Configured secrets are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
 #[utoipa::path(
     get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
     responses(

@@ -28,7 +28,7 @@ pub(super) fn page(shared: &RouteState) -> MetricsPage {
     page.process();
     page.counter(
         "albireo_shown_pictures_decoded_total",
-        "Pictures decoded because somebody looked at them",
+        "Pictures decoded for display",
         shared.decoded.get() as f64,
     );
     node(&mut page, board);
@@ -68,7 +68,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
     let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
     page.gauge(
         "albireo_detector_fallback",
-        "Whether another execution provider runs the detector than the first that is configured",
+        "Whether the detector runs on another execution provider than the first configured one",
         flag(fell_back),
     );
     let labels = [
@@ -78,7 +78,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
     ];
     page.gauges(
         "albireo_detector_info",
-        "The detector's model and the execution provider that really runs it, always 1",
+        "The detector's model and the execution provider that actually runs it, always 1",
         [(labels, 1.0)],
     );
     page.gauges(
@@ -108,7 +108,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
     let (worker, head) = (&counts.worker, &counts.head);
     page.counter(
         "albireo_detector_batches_total",
-        "Runs of the model that ended well: fewer than completed pictures where cameras share a run",
+        "Completed runs of the model: fewer than completed pictures where cameras share a run",
         worker.batches as f64,
     );
     page.gauge(
@@ -150,18 +150,18 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         ];
         page.counters(
             &format!("albireo_{prefix}_runs_total"),
-            &format!("Pictures given to the {what}, by what became of them"),
+            &format!("Pictures given to the {what}, by outcome"),
             runs.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
         );
         page.counters(
             &format!("albireo_{prefix}_rebuilds_total"),
-            &format!("Sessions of the {what} built again after a failure, by outcome"),
+            &format!("Sessions of the {what} rebuilt after a failure, by outcome"),
             rebuilds.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
         );
     }
 }
 
-/// The target, its measured value, and if it is met; nothing without a target.
+/// The target, its measured value and its status; nothing without a target.
 fn target(page: &mut MetricsPage, board: &Board) {
     let report = board.target.report();
     let target = report.target;
@@ -169,17 +169,17 @@ fn target(page: &mut MetricsPage, board: &Board) {
     let label = || target.iter().map(|target| [("target", target.name())]);
     page.gauges(
         "albireo_target",
-        "What is held instead of a fixed threshold, in its own unit; absent while nothing is",
+        "The target held instead of a fixed threshold, in its own unit; absent without a target",
         label().zip(target.map(|target| target.value())),
     );
     page.gauges(
         "albireo_target_actual",
-        "What is measured of the target; for recall the lower end of its interval. Absent before anything is",
+        "The measured value of the target; for recall, the lower end of its interval. Absent before the first measurement",
         label().zip(state.and_then(|state| state.actual)),
     );
     page.gauges(
         "albireo_target_status",
-        "Whether the target is met, and if not why: 1 for the status that holds, 0 for the others",
+        "Whether the target is met, and if not, why: 1 for the current status, 0 for the others",
         state.iter().flat_map(|state| {
             TargetStatus::ALL
                 .map(|status| ([("status", status.name())], flag(status == state.status)))
@@ -187,12 +187,12 @@ fn target(page: &mut MetricsPage, board: &Board) {
     );
     page.counters(
         "albireo_target_unmet_total",
-        "How often it began that the target could not be met inside the knob's range, since it was set",
+        "Times since the target was set that it became impossible to meet within the knob's range",
         state.map(|state| ([], state.unmet as f64)),
     );
     page.counters(
         "albireo_target_unmet_seconds_total",
-        "Time in which the target could not be met inside the knob's range, since it was set",
+        "Time since the target was set during which it could not be met within the knob's range",
         state.map(|state| ([], state.unmet_s)),
     );
 }
@@ -207,7 +207,7 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     );
     page.gauge(
         "albireo_outbox_in_memory",
-        "Of these, reports that are not on disk",
+        "Waiting clip reports that are not on disk",
         if counts.status.durable {
             0.0
         } else {
@@ -226,7 +226,7 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     );
     page.counter(
         "albireo_outbox_kept_total",
-        "Clip reports taken in",
+        "Clip reports added to the outbox",
         counts.kept as f64,
     );
     page.counter(
@@ -236,12 +236,12 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
     );
     page.counter(
         "albireo_outbox_lost_total",
-        "Clip reports lost: the outbox was full or its disk broken",
+        "Clip reports lost because the outbox was full or its disk was broken",
         counts.status.lost as f64,
     );
     page.counter(
         "albireo_outbox_undeliverable_total",
-        "Clip reports that a hub refused for good, or that could not be read",
+        "Clip reports that a hub rejected permanently or that could not be read",
         counts.status.undeliverable as f64,
     );
     page.counter(

@@ -8,7 +8,7 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 
-/// The frame's sequence number, as in its detections.
+/// The header with the frame's sequence number, as in its detections.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
 /// The latest picture received from a camera
@@ -29,10 +29,10 @@ pub(super) async fn jpeg(
     Path(camera): Path<String>,
 ) -> Result<Response, Problem> {
     let board = shared.camera(&camera)?;
-    // Decodes one picture at a time, even if nobody waits for it any more: the next request can use it.
+    // Decodes one picture at a time, and finishes even if the request is gone: the next request can use the picture.
     let turn = Arc::clone(&shared.decoding).lock_owned().await;
     let frame = board.latest_frame().ok_or_else(|| {
-        let detail = format!("no picture came from camera `{camera}` yet");
+        let detail = format!("no picture has arrived from camera `{camera}` yet");
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;
     let (picture, decoded, limits) = (Arc::clone(&frame), shared.decoded.clone(), shared.limits);

@@ -59,14 +59,13 @@ struct FullClip {
 impl ClipTracker {
     /// Creates a tracker without a clip. `energy` is the camera's energy, `share` the share that an audit draws.
     pub(crate) fn new(config: ClipConfig, energy: CameraEnergy, share: Option<f64>) -> Self {
-        let seconds =
-            |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
+        let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.001)).unwrap_or(Duration::MAX);
         Self {
             energy,
             audit: share,
-            window: seconds(config.window_s, 0.001),
-            longest: seconds(config.longest_s, 0.001),
-            silence: seconds(config.silence_s, 0.001),
+            window: seconds(config.window_s),
+            longest: seconds(config.longest_s),
+            silence: seconds(config.silence_s),
             windows: 0,
             open: None,
             ended: None,

@@ -62,7 +62,7 @@ impl Disk for StateFile {
             db.pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get(0))?;
         if !mode.eq_ignore_ascii_case("wal") {
             return Err(TableError::Unusable(
-                "its file system cannot do write-ahead logging: choose a node.state_dir on a local disk"
+                "its file system does not support write-ahead logging: choose a node.state_dir on a local disk"
                     .to_owned(),
             ));
         }

@@ -315,7 +315,7 @@ fn take_database(
     let known: i64 =
         transaction.query_row("SELECT count(*) FROM hub_database", [], |row| row.get(0))?;
     if known > 1 {
-        tracing::warn!(%database, "a hub with another database: it is sent again what is still here");
+        tracing::warn!(%database, "the hub has another database: sending it all reports that are still kept");
         let again = "UPDATE report SET state = ? WHERE state = ?";
         transaction.execute(again, [AGAIN, ACKNOWLEDGED])?;
         let mut there = transaction.prepare("UPDATE report SET state = ? WHERE id = ?")?;

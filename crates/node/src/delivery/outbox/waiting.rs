@@ -44,7 +44,7 @@ impl Waiting {
     /// [`TableError`] if there is no memory for a table.
     pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
         let counters = Counters {
-            // Without a disk, this run is all there is to count.
+            // Without a disk, there is no earlier count to continue.
             made: disk.is_none().then_some(0),
             ..Counters::default()
         };
@@ -79,7 +79,7 @@ impl Waiting {
             self.damaged = false;
             tracing::error!(
                 aside = %aside.display(),
-                "the file of clip reports is damaged and was set aside; those in it are not delivered"
+                "the file of clip reports is damaged and was set aside; the reports in it will not be delivered"
             );
         }
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
@@ -208,7 +208,7 @@ impl Waiting {
         let refused: BTreeSet<Uuid> = (answer.refused.iter())
             .filter(|refused| sent.contains(&refused.id))
             .map(|refused| {
-                tracing::error!(id = %refused.id, refused.reason, "the hub refuses a clip report");
+                tracing::error!(id = %refused.id, refused.reason, "the hub rejected a clip report");
                 refused.id
             })
             .collect();
@@ -269,7 +269,7 @@ fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
 fn readable(report: &StoredReport, node: &str) -> Result<ClipReport, String> {
     if report.json.len() > LARGEST_REPORT_BYTES {
         let size = report.json.len();
-        return Err(format!("{size} bytes are more than a hub takes"));
+        return Err(format!("{size} bytes are more than a hub accepts"));
     }
     let mut read: ClipReport =
         serde_json::from_slice(&report.json).map_err(|error| error.to_string())?;

@@ -16,7 +16,7 @@ pub(in crate::delivery) struct Kept {
     pub revision: u64,
     /// The highest revision that came into force; 0 for none.
     pub in_force: u64,
-    /// The refused desired value.
+    /// The refused desired setting.
     pub refused: Option<RefusedDesired>,
 }
 
@@ -47,7 +47,7 @@ impl DesiredKeeper {
             tracing::warn!(
                 revision,
                 known,
-                "an older desired value than the one known: not taken"
+                "ignored a desired setting older than the known one"
             );
         }
         if revision <= kept.revision {
@@ -70,7 +70,7 @@ impl DesiredKeeper {
                 kept.refused = None;
             }
             Err(reason) => {
-                tracing::warn!(revision, reason, "a desired value was refused");
+                tracing::warn!(revision, reason, "rejected a desired setting");
                 kept.refused = Some(RefusedDesired { revision, reason });
             }
         }

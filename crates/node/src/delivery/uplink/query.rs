@@ -6,13 +6,13 @@ use serde::de::DeserializeOwned;
 use std::time::Duration;
 use zenoh::query::Querier;
 
-/// Queries the hub and waits for the first answer, at most until the querier's time-out.
+/// Queries the hub and waits for the first answer, at most until the querier's timeout.
 pub(super) async fn ask<T: DeserializeOwned>(
     querier: &Querier<'_>,
     payload: Vec<u8>,
 ) -> Result<T, Failure> {
     let replies = querier.get().payload(payload).await.map_err(|error| {
-        tracing::debug!(%error, "the hub cannot be asked");
+        tracing::debug!(%error, "the hub cannot be queried");
         Failure::Unanswered
     })?;
     while let Ok(reply) = replies.recv_async().await {
@@ -32,7 +32,7 @@ pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Re
     let refusal = match reply {
         Ok(answer) => {
             return read(answer).map_err(|error| {
-                tracing::debug!(%error, "an answer of the hub cannot be read");
+                tracing::debug!(%error, "an answer from the hub cannot be read");
                 Failure::Unanswered
             });
         }
@@ -40,10 +40,10 @@ pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Re
     };
     let Ok(refusal) = read::<ReportRefusal>(refusal) else {
         let reply = String::from_utf8_lossy(refusal);
-        tracing::debug!(%reply, "the hub does not answer");
+        tracing::debug!(%reply, "the hub replied with an unknown error");
         return Err(Failure::Unanswered);
     };
-    tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refuses");
+    tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refused a query");
     Err(Failure::Refused(
         refusal.retry_after_ms.map(Duration::from_millis),
     ))

@@ -60,7 +60,7 @@ impl Attempts {
 #[derive(Debug)]
 pub(crate) struct Schedule {
     gather: Duration,
-    /// When the waiting reports are due. `None` while none wait.
+    /// The time at which the waiting reports are due; `None` while none wait.
     due_at: Option<Instant>,
     reports: Attempts,
     pulls: Attempts,
@@ -177,7 +177,7 @@ impl Schedule {
         now.saturating_duration_since(self.answered_at) > after
     }
 
-    /// The time of the next check, at the latest `latest`. The end of a pause before that is an earlier one.
+    /// The time of the next check: `latest`, or the end of a pause if that is earlier.
     pub(crate) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
         let times = [
             self.reports.not_before,

@@ -15,7 +15,7 @@ const STALE: Duration = Duration::from_secs(10);
 /// The time between two heartbeats to the hub.
 const EVERY: Duration = Duration::from_secs(30);
 
-/// The shortest time between two full statuses, whatever changes.
+/// The shortest time between two messages, even if more changes in between.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
 /// Decides when which status is due.

@@ -25,7 +25,7 @@ const REFUSED: &str = "the node sends no pictures: its configuration has uplink.
 /// A query for the picture of a camera.
 pub(super) type PictureQuery = (Arc<CameraBoard>, Query);
 
-/// Tracks if somebody watches, and then sends counters and pictures.
+/// Tracks whether somebody watches, and sends counters and pictures while they do.
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
@@ -120,7 +120,7 @@ impl Watched {
 pub(super) fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
     let answered = match camera.latest_frame() {
         _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
-        None => query.reply_err("no frame has come yet").wait(),
+        None => query.reply_err("no frame has arrived yet").wait(),
         Some(frame) => match frame.jpeg(&setup.config.frame) {
             Ok(file) => query
                 .reply(query.key_expr().clone(), file.to_vec())

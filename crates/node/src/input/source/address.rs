@@ -22,7 +22,7 @@ const SCHEMES: [&str; 12] = [
 /// Shown instead of a secret.
 const MASK: &str = "***";
 
-const CONTROL: &str = "has a control character in it";
+const CONTROL: &str = "contains a control character";
 
 fn no_control(text: &str) -> Result<(), String> {
     match text.contains(char::is_control) {

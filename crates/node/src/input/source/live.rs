@@ -41,7 +41,8 @@ const INSTALL_GSTREAMER: &str =
 
 /// Receives the pictures. It is called on the reading thread, so the source waits while it works.
 pub trait SourceSink: Send + 'static {
-    /// Called with a picture, or the fault of an unusable one. `reopened`: the first since the source was opened.
+    /// Called with a picture, or the fault of an unusable one. `reopened` is true for the first since the source was
+    /// opened.
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
 
     /// Called when pictures arrive.
@@ -70,7 +71,7 @@ enum End {
     Failed(String),
     /// It failed for this reason before the first picture.
     Nothing(String),
-    /// It must be read in the other way.
+    /// It must be read the other way.
     Switch,
 }
 
@@ -121,7 +122,7 @@ impl LiveSource {
             tracing::warn!(
                 source = name,
                 program = program.program,
-                "this program takes credentials on its command line only, where every user of this machine can read \
+                "this program accepts credentials only on its command line, where every user of this machine can read \
                  them"
             );
         }
@@ -172,7 +173,7 @@ impl LiveSource {
                     unreachable = self.unreachable() => Some(unreachable.unwrap_or(reason)),
                 },
                 End::Switch => (pause > FIRST_PAUSE)
-                    .then(|| "it sends now motion JPEG, now something else".to_owned()),
+                    .then(|| "it alternates between motion JPEG and another codec".to_owned()),
             };
             if let Some(reason) = reason {
                 sink.fails(&reason, pause);
@@ -185,7 +186,7 @@ impl LiveSource {
         }
     }
 
-    /// Returns why a network camera cannot be connected to, in clearer words than a program's.
+    /// Returns the reason a network camera cannot be reached, which is clearer than the program's own message.
     async fn unreachable(&self) -> Option<String> {
         let resolved = self.settings.address.resolved().ok()?;
         let SourceKind::Network(scheme) = &resolved.kind else {
@@ -283,7 +284,7 @@ impl LiveSource {
                     return Ok(Some(self.switch()));
                 }
             }
-            // The first picture of each time slot: on average exactly the limit, whatever the camera's rate.
+            // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
             let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;

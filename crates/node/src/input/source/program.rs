@@ -1,4 +1,4 @@
-//! Opens a source by a program that writes pictures to its output. The program gets a clean environment and limited
+//! Opens a source with a program that writes pictures to its output. The program gets a clean environment and limited
 //! memory, its output is read with a deadline, and it is killed with everything it started.
 
 use super::SourceError;
@@ -144,10 +144,10 @@ impl RunningProgram {
         self.process
     }
 
-    /// Ends it, and returns why it failed, in its own words if it ended by itself.
+    /// Ends it.
     ///
     /// # Errors
-    /// The reason for its failure.
+    /// The reason it failed, if it ended by itself: its last error message, or its exit status.
     pub(super) fn end(&mut self) -> Result<(), String> {
         let by_itself = self.wait();
         let reason = self.abort();
@@ -188,7 +188,7 @@ impl RunningProgram {
         let _ = kill_process_group(self.process, Signal::KILL);
         if self.wait().is_none() {
             let process = self.process.as_raw_pid();
-            tracing::warn!(process, "a source's program does not end: it is left");
+            tracing::warn!(process, "abandoned a source's program that does not end");
         }
         self.errors.pipe = None;
     }
@@ -275,7 +275,7 @@ impl ErrorOutput {
         self.at_output |= text.contains("Output #") || text.contains("Stream mapping");
         if let Some(complaint) = complaint(text) {
             let complaint = self.secrets.redact(&complaint);
-            tracing::debug!(complaint, "said by the source's program");
+            tracing::debug!(complaint, "message from the source's program");
             if !self.complaints.contains(&complaint) {
                 self.complaints.push_back(complaint);
             }

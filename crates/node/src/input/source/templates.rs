@@ -181,8 +181,8 @@ pub(super) fn ffmpeg(
     let input = if scripted {
         if !takes_options && !settings.options.is_empty() {
             return Err(SourceError(format!(
-                "{}: before version 5 ffmpeg takes no options for an address with a password: install a newer one, or leave \
-             source_options out",
+                "{}: ffmpeg before version 5 accepts no options for an address with a password: install a newer version, or \
+                 remove source_options",
                 settings.address
             )));
         }
@@ -199,13 +199,13 @@ pub(super) fn ffmpeg(
         for (name, value) in &camera {
             arguments.add(&[&format!("-{name}"), value]);
         }
-        // Keeps a file's name a file name, whatever it begins with.
+        // Otherwise a file name that begins with `-` would be an option.
         let sign = if address.starts_with('-') { "./" } else { "" };
         arguments.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
         None
     };
     arguments.add(&["-map", "0:v:0"]);
-    // Cameras send frames with equal times, which encoders refuse.
+    // Cameras send frames with equal timestamps, which encoders reject.
     let fps_mode = if version >= FPS_MODE {
         "-fps_mode"
     } else {
@@ -258,8 +258,8 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
     // GStreamer accepts an address only on its command line.
     if *kind != SourceKind::Pipeline && !secrets.is_empty() {
         return Err(SourceError(format!(
-            "{}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give a GStreamer \
-             pipeline of your own",
+            "{}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give your own \
+             GStreamer pipeline",
             settings.address
         )));
     }

@@ -73,7 +73,7 @@ pub struct CameraSnapshot {
     pub calls: DetectorCalls,
     /// Unprocessed frames, by kind.
     pub dropped: DroppedFrames,
-    /// Frames of which a small grey picture was examined, to follow boxes by optical flow.
+    /// Frames for which a small grey picture was examined, to follow boxes by optical flow.
     pub looks: u64,
     /// The audit's results, and its joules in the ended clips; `None` without an audit.
     pub audit: Option<AuditReport>,

@@ -83,13 +83,13 @@ pub struct FrameEvent {
     /// Camera.
     #[schema(value_type = String)]
     pub camera: Arc<str>,
-    /// The message that was published.
+    /// The message as published.
     #[serde(flatten)]
     #[schema(value_type = DetectionsMessage)]
     pub detections: Arc<DetectionsMessage>,
 }
 
-/// A threshold changed; it holds from the camera's next frame.
+/// A threshold changed; it applies from the camera's next frame.
 #[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct ThresholdEvent {
     /// Camera.

@@ -34,7 +34,7 @@ pub(crate) struct PastFrame {
     pub at_ms: u64,
     /// Its state.
     pub state: FrameState,
-    /// Why the detector was called.
+    /// The cause of the detector call.
     pub cause: Option<CallCause>,
     /// True if the detector was needed but not available.
     pub degraded: bool,
@@ -150,15 +150,15 @@ impl<T: Clone> Hour<T> {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
 #[schema(as = CameraSlot)]
 pub(crate) struct CameraPiece {
-    /// When it began, milliseconds since the Unix epoch.
+    /// Its start, milliseconds since the Unix epoch.
     pub at_ms: i64,
     /// Frames processed.
     pub frames: u32,
-    /// Of these, without the detector: state E or P and not degraded.
+    /// Frames that skipped the detector: state E or P and not degraded.
     pub skipped: u32,
-    /// Of these, answered from prediction because the detector was not available.
+    /// Frames answered from prediction because the detector was not available.
     pub degraded: u32,
-    /// Frames that the detector was called for.
+    /// Frames for which the detector was called.
     pub calls: u32,
     /// Median time of the detector, milliseconds; absent where it did not run.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -249,9 +249,9 @@ impl History {
 /// Power of a piece of the last hour.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct PowerPiece {
-    /// When it began, milliseconds since the Unix epoch.
+    /// Its start, milliseconds since the Unix epoch.
     pub at_ms: i64,
-    /// How far to trust it: the worst during the piece.
+    /// Its quality: the worst during the piece.
     pub quality: EnergyQuality,
     /// Mean power over the time that samples cover, watts, by domain.
     pub watts: BTreeMap<String, f32>,

@@ -43,7 +43,7 @@ fn setting(camera: &str) -> String {
 pub(super) fn configured(camera: &str, knob: &Knob, wanted: Option<f64>) -> f64 {
     let checked = knob.check(wanted.unwrap_or(knob.default));
     checked.unwrap_or_else(|error| {
-        tracing::error!(camera, %error, "configured threshold not used");
+        tracing::error!(camera, %error, "the configured threshold is not used");
         knob.default
     })
 }
@@ -62,12 +62,7 @@ pub(super) fn kept(
     }
     let value = knob.check(kept.value).ok()?;
     let knob = knob.name;
-    tracing::info!(
-        camera,
-        knob,
-        value,
-        "threshold taken over from the last run"
-    );
+    tracing::info!(camera, knob, value, "threshold restored from the last run");
     Some((value, kept.source))
 }
 

@@ -80,7 +80,7 @@ impl ReadOutputs for Detr {
         let (Some(boxes), Some(logits)) = (outputs.get(self.boxes), outputs.get(self.logits))
         else {
             return Err(format!(
-                "the model gave {} outputs instead of boxes and logits",
+                "the model returned {} outputs instead of boxes and logits",
                 outputs.len()
             ));
         };

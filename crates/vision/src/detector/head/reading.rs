@@ -61,7 +61,7 @@ pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&
     match outputs {
         [output] => elements(output, expected),
         _ => Err(format!(
-            "the model gave {} outputs instead of one",
+            "the model returned {} outputs instead of one",
             outputs.len()
         )),
     }
@@ -82,7 +82,7 @@ pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<
     if !fits || length.and_then(|length| usize::try_from(length).ok()) != Some(output.values.len())
     {
         return Err(format!(
-            "the model gave an output of {} instead of {}",
+            "the model returned an output of {} instead of {}",
             shape_text(output.shape),
             shape_text(expected)
         ));

@@ -14,7 +14,7 @@ const MOST_BOXES: i64 = 1000;
 /// The reason why no head was recognised.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unrecognised {
-    /// The reason, in words.
+    /// The reason.
     pub reason: String,
     /// Each head that was tried, the outputs it needs, and why the model does not fit.
     pub looked_for: Vec<String>,
@@ -59,7 +59,7 @@ pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName,
         several => {
             let names: Vec<_> = several.iter().map(|head| head.as_str()).collect();
             Err(refused(format!(
-                "it looks like each of {}, and its metadata do not tell which",
+                "it looks like each of {}, and its metadata do not say which",
                 names.join(", ")
             )))
         }

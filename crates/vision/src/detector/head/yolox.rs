@@ -23,7 +23,7 @@ pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, M
     let misfit = misfit(HeadName::Yolox);
     let size = input.size;
     if !size.width.is_multiple_of(32) || !size.height.is_multiple_of(32) {
-        let reason = format!("its input of {size} has a side that is no multiple of 32");
+        let reason = format!("its input of {size} has a side that is not a multiple of 32");
         return Err(misfit(reason));
     }
     let cells = cells(size, &STRIDES);

@@ -66,7 +66,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
         let parts = [
             "scripted.onnx",
             "CUDA failure 719",
-            "a new start of the program",
+            "restarting the program",
         ];
         assert!(parts.iter().all(|part| reason.contains(part)), "{reason}");
         let refused = stage.ask(1).await.unwrap().unwrap_err();

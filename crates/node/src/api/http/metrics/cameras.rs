@@ -26,7 +26,7 @@ type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 const COUNTERS: [CameraCounter; 8] = [
     (
         "albireo_screen_overruled_total",
-        "Frames that the detector ran on although the empty-scene screen said empty, too often in a row",
+        "Frames on which the detector ran because the empty-scene screen had reported \"empty\" too often in a row",
         |camera| camera.calls.get(CallCause::EmptyLimit) as f64,
     ),
     (
@@ -44,18 +44,18 @@ const COUNTERS: [CameraCounter; 8] = [
     }),
     (
         "albireo_camera_shared_memory_frames_total",
-        "Frames that came in memory which their sender on this machine shares, and were read in place",
+        "Frames read in place from memory shared by their sender on this machine",
         |camera| camera.shared_frames as f64,
     ),
     (
         "albireo_messages_unpublished_total",
-        "Messages about a camera (answers, counters, clip reports) that were not published, as Zenoh took them too slowly \
-         or not at all",
+        "Messages about a camera (answers, counters, clip reports) that were not published because Zenoh accepted \
+         them too slowly or not at all",
         |camera| camera.unpublished as f64,
     ),
     (
         "albireo_looks_total",
-        "Frames of which a small grey picture was decoded, to follow boxes by optical flow in it",
+        "Frames for which a small grey picture was decoded to follow boxes by optical flow",
         |camera| camera.looks as f64,
     ),
     (
@@ -80,9 +80,9 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     );
     page.counters(
         "albireo_detector_calls_total",
-        "Frames that the detector was called for, by cause, whether or not it was available",
+        "Frames for which the detector was called, by cause, whether or not it was available",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
-            // Causes that the policy does not have would be rows of zeros forever.
+            // A cause that the policy never has would stay a row of zeros.
             let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
             some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
         }),
@@ -146,7 +146,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
     );
     page.counters(
         "albireo_boxes_total",
-        "Boxes reported, by class and by how each is known (detected, predicted, followed, rescued)",
+        "Boxes reported, by class and source (detected, predicted, followed, rescued)",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
             snapshot.boxes.iter().map(|((class, source), count)| {
                 let labels = [*camera, ("class", &**class), ("source", *source)];
@@ -178,7 +178,7 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     };
     page.counters(
         "albireo_audit_frames_total",
-        "Skipped frames that were drawn, by what became of them: compared, or missed because the detector had no time",
+        "Skipped frames drawn for the audit, by result: compared, or missed because the detector had no time",
         audited().flat_map(|(camera, audit)| {
             [("compared", audit.sums.frames), ("missed", audit.sums.missed)]
                 .map(|(result, count)| ([camera, ("result", result)], count as f64))
@@ -186,8 +186,8 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     );
     page.counters(
         "albireo_audit_boxes_total",
-        "Boxes of audited frames by side (detected: the detector's; shown: what had been published) and by result: paired \
-         with one of the other side, or unpaired. Against the detector, not the truth",
+        "Boxes of audited frames by side (detected: the detector's; shown: the published ones) and by result: paired \
+         with one of the other side, or unpaired. Compared with the detector, not with ground truth",
         audited().flat_map(|(camera, AuditReport { sums, .. })| {
             let results = [
                 ("detected", "paired", sums.paired),
@@ -225,8 +225,8 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
     );
     page.counters(
         "albireo_audit_energy_joules_total",
-        "Estimate of what the audit added in the clips that ended: its detector time times the watts that a running \
-         detector adds; a part of camera_energy_joules",
+        "Estimate of the energy that the audit added to the clips that ended: its detector time multiplied by the watts \
+         that a running detector adds; a part of camera_energy_joules",
         audited().map(|(camera, audit)| ([camera], audit.joules.unwrap_or_default())),
     );
 }

@@ -29,7 +29,7 @@ pub(crate) struct SkipEstimate {
     frames: usize,
     /// Time they took, seconds.
     duration_s: f64,
-    /// Frames that were in fact answered without the detector.
+    /// Frames that were actually answered without the detector.
     pub skipped: usize,
     /// Their share of the frames.
     skip_rate: f64,
