@@ -26,11 +26,11 @@ demo: onnxruntime web ## run camera, node and hub in one process, with nothing t
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
 # Downloads wait for the network and builds for the processor, so both run in parallel.
-test: onnxruntime debian web ## fetch what the tests need and run them all
-	@$(MAKE) --no-print-directory -j3 python wheel-tests build-tests
+test: onnxruntime web ## fetch what the tests need and run them all
+	@$(MAKE) --no-print-directory -j4 debian python wheel-tests build-tests
 	@bash tests/run.sh
 
-build-tests:
+build-tests: debian
 	cargo test --locked $$(bash tests/features.sh) --no-run
 
 lint: ## check formatting, and run clippy for every shipped combination of features, as in CI

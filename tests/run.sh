@@ -43,8 +43,8 @@ left_out=0
 
 cargo test "${options[@]}" --no-run || { echo "0 passed, 1 failed, 0 skipped"; exit 1; }
 
-log=$(mktemp)
-trap 'rm -f "$log" "$log.marked"' EXIT
+logs=$(mktemp -d)
+trap 'rm -rf "$logs"' EXIT
 # Runs the given tests, writes their output to the file $1 and shows it. A process that a failed test left behind holds
 # only that file open, so that the run ends when the tests end.
 run() {
@@ -56,22 +56,40 @@ run() {
     tail -n +1 -f --pid="$tests" "$output"
     wait "$tests"
 }
+# Runs the tests of the given targets, first the unmarked ones, then the marked ones whose needs are met.
+run_targets() {
+    local log=$logs/$1 status=0 skip=() what name
+    shift
+    ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere run "$log" "$@" || status=1
+    for what in ${missing[@]+"${missing[@]}"}; do
+        local mark="s|^test (.*) \.\.\. ignored, needs (.* and )?$what( and .*)?\$|\1|p"
+        while read -r name; do skip+=(--skip "$name"); done < <(sed -nE "$mark" "$log")
+    done
+    run "$log.marked" "$@" -- --ignored --exact ${skip[@]+"${skip[@]}"} || status=1
+    return "$status"
+}
+
+for what in ${missing[@]+"${missing[@]}"}; do echo "no $what: the tests that need it are skipped"; done
+# Unit tests compute, the others mostly wait: side by side. The output of the unit tests follows when they have ended.
+run_targets unit --lib > "$logs/shown" 2>&1 &
+unit=$!
 status=0
-ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere run "$log" || status=1
+run_targets integration --test '*' || status=1
+run "$logs/documentation" --doc || status=1
+wait "$unit" || status=1
+cat "$logs/shown"
 
-skip=()
-for what in ${missing[@]+"${missing[@]}"}; do
-    echo "no $what: the tests that need it are skipped"
-    mark="s|^test (.*) \.\.\. ignored, needs (.* and )?$what( and .*)?\$|\1|p"
-    while read -r name; do skip+=(--skip "$name"); done < <(sed -nE "$mark" "$log")
-done
-run "$log.marked" --tests -- --ignored --exact ${skip[@]+"${skip[@]}"} || status=1
-
-# How many of the log $2 $1.
-count() { awk -v what="$1" '/^test result:/ { for (i = 1; i < NF; i++) if ($(i + 1) ~ "^" what) n += $i } END { print n + 0 }' "$2"; }
-passed=$(($(count passed "$log") + $(count passed "$log.marked")))
-failed=$(($(count failed "$log") + $(count failed "$log.marked")))
-skipped=$((left_out + $(count ignored "$log") - $(count passed "$log.marked") - $(count failed "$log.marked")))
+# How many tests of the given logs $1.
+count() {
+    local what=$1
+    shift
+    awk -v what="$what" '/^test result:/ { for (i = 1; i < NF; i++) if ($(i + 1) ~ "^" what) n += $i } END { print n + 0 }' "$@"
+}
+marked=("$logs/unit.marked" "$logs/integration.marked")
+all=("$logs/unit" "$logs/integration" "$logs/documentation")
+passed=$(count passed "${all[@]}" "${marked[@]}")
+failed=$(count failed "${all[@]}" "${marked[@]}")
+skipped=$((left_out + $(count ignored "${all[@]}") - $(count passed "${marked[@]}") - $(count failed "${marked[@]}")))
 [ "$status" -ne 0 ] && [ "$failed" -eq 0 ] && failed=1
 echo "$passed passed, $failed failed, $skipped skipped"
 exit "$status"
