@@ -1,4 +1,5 @@
-//! Parses a batch: each report with its figures, or why it is not stored. No database, network or clock.
+//! Parses a batch into reports with their figures, or with the reason that they are not stored. It uses no database,
+//! network or clock.
 
 use super::clip::{ClipRecord, record};
 use super::plan::{Present, key};
@@ -8,7 +9,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-/// Most bytes that are kept of an invalid report.
+/// Most bytes of an invalid report that are kept.
 const KEPT: usize = 2 << 10;
 
 /// A parsed batch.
@@ -38,16 +39,16 @@ pub(crate) struct Taken {
     pub(crate) record: Box<ClipRecord>,
 }
 
-/// Why a report is not stored.
+/// The reason that a report is not stored.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum NotTaken {
     /// It is older than the identities that the hub keeps.
     TooOld(String),
-    /// It is invalid; with the beginning of its text.
+    /// It is invalid. `body` is the beginning of its text.
     Senseless { cause: String, body: String },
 }
 
-/// A batch with unparsed reports: one that is invalid does not make its batch invalid.
+/// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
 #[derive(Deserialize)]
 struct RawBatch<'a> {
     node: String,
@@ -59,20 +60,20 @@ struct RawBatch<'a> {
 /// Parses the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
 ///
 /// # Errors
-/// Why the whole batch is refused. An invalid report in it does not make the batch invalid.
+/// The reason that the whole batch is refused. An invalid report in it is no reason.
 pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
     let json = decompress_batch(payload).map_err(|error| error.to_string())?;
     let batch: RawBatch<'_> = albireo_wire::read(&json).map_err(|error| error.to_string())?;
     if batch.node != node {
         let of = batch.node;
         return Err(format!(
-            "it came on the key of node `{node}` and says that it is of node `{of}`"
+            "the batch was sent on the key of node `{node}` but names node `{of}`"
         ));
     }
     match batch.reports.len() {
-        0 => return Err("no reports".to_owned()),
+        0 => return Err("the batch has no reports".to_owned()),
         1..=MOST_REPORTS => {}
-        many => return Err(format!("{many} reports, above {MOST_REPORTS}")),
+        many => return Err(format!("{many} reports, more than {MOST_REPORTS}")),
     }
     let present = Present {
         hub_ms,
@@ -87,7 +88,7 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
     })
 }
 
-/// Parses one report; of an invalid one at least its identity and count, if it has them.
+/// Parses one report. If it is invalid, at least its identity and count are read, where it has them.
 fn take(node: &str, raw: &str, present: Present) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]
@@ -123,12 +124,12 @@ fn take(node: &str, raw: &str, present: Present) -> Received {
 
 fn check(node: &str, report: &ClipReport) -> Result<(), String> {
     if report.v != VERSION {
-        return Err(format!("version {} is not known here", report.v));
+        return Err(format!("version {} is not known, only {VERSION}", report.v));
     }
     if report.node != node {
         let other = &report.node;
         return Err(format!(
-            "it is of node `{other}`, in a batch of node `{node}`"
+            "the report names node `{other}`, in a batch of node `{node}`"
         ));
     }
     check_segment("camera name", &report.camera).map_err(|error| error.to_string())

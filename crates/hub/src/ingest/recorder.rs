@@ -1,4 +1,4 @@
-//! Writes groups of batches, each in one transaction, and builds their answers. No thread, network or clock.
+//! Writes groups of batches, each in one transaction, and builds their answers. It uses no thread, network or clock.
 
 use super::counters::IngestCounts;
 use super::decode::{Batch, NotTaken, Taken};
@@ -21,7 +21,7 @@ use uuid::Uuid;
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// The tables of sums, and the length of their spans, seconds; days are in UTC.
+/// The tables of sums, with the length of their spans in seconds; days are in UTC.
 const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
 
 const DAY_MS: i64 = 86_400_000;
@@ -48,14 +48,14 @@ pub struct Recorded {
     pub answers: Vec<ReportAnswer>,
     /// The number of cameras of each batch's node, in order.
     pub(crate) cameras: Vec<usize>,
-    /// What it adds to the counters.
+    /// The additions to the counters.
     pub(crate) counts: IngestCounts,
     /// The events that it wrote.
     pub(crate) events: Vec<EventRow>,
 }
 
 impl Recorder {
-    /// Connects at the first use.
+    /// Creates a recorder, which connects at its first use.
     pub fn new(store: &Store, history: &HistoryConfig, now: Now) -> Self {
         Self {
             store: store.clone(),
@@ -81,7 +81,7 @@ impl Recorder {
     /// Stores batches and `news` in one transaction. If `retention` is due, first deletes some old rows.
     ///
     /// # Errors
-    /// When the database refuses it: then nothing was stored.
+    /// When the database refuses the transaction: then nothing is stored.
     pub fn record(
         &mut self,
         batches: &[Batch],
@@ -91,7 +91,7 @@ impl Recorder {
     ) -> Result<Recorded, StoreError> {
         if retention {
             let more = self.retain(now).unwrap_or_else(|error| {
-                tracing::warn!(%error, "old rows were not deleted; the next try is in a minute");
+                tracing::warn!(%error, "old rows were not deleted; trying again in a minute");
                 false
             });
             let pause = if more { Duration::ZERO } else { RETENTION };
@@ -226,7 +226,7 @@ impl Recorder {
                     let reason = reason.clone();
                     let refused = report.id.map(|id| RefusedReport { id, reason });
                     answer.refused.extend(refused);
-                    // A report that is not stored counts as one that never came.
+                    // A report that is not stored counts as missing.
                     continue;
                 }
                 let seen = report.count.map(|count| node.counts.see(count, is_new));
@@ -274,7 +274,8 @@ fn lost(what: &str) -> StoreError {
     StoreError::Statement(format!("{what} has no id after it was written"))
 }
 
-/// The ids of the cameras of these nodes, by node and name. New cameras of `wanted` are added, up to the limit per node.
+/// Returns the ids of the cameras of these nodes, by node and name. Adds new cameras of `wanted`, up to the limit per
+/// node.
 fn cameras(
     database: &mut dyn Database,
     nodes: &[&str],
@@ -289,7 +290,7 @@ fn cameras(
     for (node, name) in wanted {
         let known = cameras.entry(node).or_default();
         if known.len() < MOST_CAMERAS && !known.contains_key(name) {
-            // The database gives the id below.
+            // A placeholder: the database assigns the id below.
             known.insert(name.to_owned(), 0);
             new.push((node, name));
         }
@@ -314,12 +315,12 @@ fn clip(taken: &Taken, camera: i64, setup: i64, now_ms: i64) -> Row {
     row
 }
 
-/// A number of a clip; null counts as 0.
+/// A column of a clip; null counts as 0.
 fn number(clip: &Row, column: &str) -> i64 {
     clip.get(column).and_then(Value::as_i64).unwrap_or(0)
 }
 
-/// What a stored clip adds to the counters.
+/// The additions to the counters for a stored clip.
 fn counted(clip: &Row) -> IngestCounts {
     let count = |column: &str| number(clip, column).unsigned_abs();
     IngestCounts {
