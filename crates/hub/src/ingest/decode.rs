@@ -29,23 +29,23 @@ pub(crate) struct Received {
     /// Its identity, if it has one.
     pub(crate) id: Option<Uuid>,
     pub(crate) count: Option<u64>,
-    pub(crate) content: Result<Taken, NotTaken>,
+    pub(crate) content: Result<Accepted, Rejected>,
 }
 
 /// A report to store, unless it is stored already.
 #[derive(Debug)]
-pub(crate) struct Taken {
+pub(crate) struct Accepted {
     pub(crate) key: ReportKey,
     pub(crate) record: Box<ClipRecord>,
 }
 
 /// The reason that a report is not stored.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum NotTaken {
+pub(crate) enum Rejected {
     /// It is older than the identities that the hub keeps.
     TooOld(String),
     /// It is invalid. `body` is the beginning of its text.
-    Senseless { cause: String, body: String },
+    Invalid { cause: String, body: String },
 }
 
 /// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
@@ -84,12 +84,12 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
         node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: reports.map(|raw| take(node, raw.get(), present)).collect(),
+        reports: reports.map(|raw| parse(node, raw.get(), present)).collect(),
     })
 }
 
 /// Parses one report. If it is invalid, at least its identity and count are read, where it has them.
-fn take(node: &str, raw: &str, present: Present) -> Received {
+fn parse(node: &str, raw: &str, present: Present) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]
     struct Known {
@@ -103,17 +103,17 @@ fn take(node: &str, raw: &str, present: Present) -> Received {
             return Received {
                 id: known.id,
                 count: known.count,
-                content: Err(senseless(error.to_string(), raw)),
+                content: Err(invalid(error.to_string(), raw)),
             };
         }
     };
     let content = check(node, &report)
         .and_then(|()| record(&report, present))
-        .map_err(|cause| senseless(cause, raw))
+        .map_err(|cause| invalid(cause, raw))
         .and_then(|record| {
-            let key = key(report.id, present).map_err(NotTaken::TooOld)?;
+            let key = key(report.id, present).map_err(Rejected::TooOld)?;
             let record = Box::new(record);
-            Ok(Taken { key, record })
+            Ok(Accepted { key, record })
         });
     Received {
         id: Some(report.id),
@@ -135,8 +135,8 @@ fn check(node: &str, report: &ClipReport) -> Result<(), String> {
     check_segment("camera name", &report.camera).map_err(|error| error.to_string())
 }
 
-fn senseless(cause: String, raw: &str) -> NotTaken {
+fn invalid(cause: String, raw: &str) -> Rejected {
     let body = raw[..raw.floor_char_boundary(KEPT)].to_owned();
     let cause = cause[..cause.floor_char_boundary(KEPT)].to_owned();
-    NotTaken::Senseless { cause, body }
+    Rejected::Invalid { cause, body }
 }
