@@ -28,19 +28,9 @@ macro_rules! counts {
         impl IngestCounts {
             /// Name, help and value of the counters that are metrics.
             pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> {
-                let all = [$((metric!($($metric)?), $help, self.$name),)+];
-                all.into_iter().filter(|(name, ..)| !name.is_empty())
+                [$($(($metric, $help, self.$name),)?)+].into_iter()
             }
         }
-    };
-}
-
-macro_rules! metric {
-    () => {
-        ""
-    };
-    ($name:literal) => {
-        $name
     };
 }
 
