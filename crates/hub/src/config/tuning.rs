@@ -14,13 +14,6 @@ pub enum LocalChange {
     SetBack,
 }
 
-impl LocalChange {
-    /// True if the hub sets its value again.
-    pub(crate) const fn is_set_back(self) -> bool {
-        matches!(self, Self::SetBack)
-    }
-}
-
 /// The time limit of orders, and the reaction to local changes: the `[tuning]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

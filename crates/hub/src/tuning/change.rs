@@ -156,9 +156,7 @@ impl Tuner {
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
     fn has_it(&self, node: &NodeSettings, setting: DesiredSetting) -> bool {
-        let desired = self
-            .desired_value(&node.name)
-            .map(|desired| desired.setting);
+        let desired = (self.desires.get(&node.name)).map(|desired| desired.setting);
         let wanted = match setting {
             DesiredSetting::Target(None) => {
                 !matches!(desired, Some(DesiredSetting::Target(Some(_))))

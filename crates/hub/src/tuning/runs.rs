@@ -216,7 +216,7 @@ impl Tuner {
             return Err(RunError::taken(&member.node));
         }
         kept.run.leave_out(|member| {
-            (self.desired_value(&member.node))
+            (self.desires.get(&member.node))
                 .is_some_and(|desired| desired.revision != member.ask.revision)
         });
         Ok(kept)

@@ -2,7 +2,7 @@
 
 use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
-use crate::config::TuningConfig;
+use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, Notifier};
 use crate::store::tables::EventRow;
@@ -98,7 +98,7 @@ pub struct Tuner {
     pub(super) store: Store,
     pub(super) fleet: Arc<Fleet>,
     /// The desired settings that answers to nodes contain.
-    desires: Arc<Desires>,
+    pub(super) desires: Arc<Desires>,
     notifier: Notifier,
     pub(super) config: TuningConfig,
     /// The name of this hub among several on one database.
@@ -197,11 +197,6 @@ impl Tuner {
             }
         }
         Ok(tuner)
-    }
-
-    /// The desired setting of a node.
-    pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
-        self.desires.get(node)
     }
 
     /// Why a node that reports `revision` can get no order; `None` if it can.
@@ -387,7 +382,7 @@ impl Tuner {
         }
         // Only after the event is stored: after an error it is found again.
         self.list_drift(&found);
-        if self.config.local_change.is_set_back() {
+        if self.config.local_change == LocalChange::SetBack {
             found.retain(|drift| drift.set_back < SET_BACK_TIMES);
             found.sort_by_cached_key(|drift| drift.desired.to_string());
             for alike in found.chunk_by_mut(|a, b| a.desired == b.desired) {
