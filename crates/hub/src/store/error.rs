@@ -1,16 +1,16 @@
-//! Errors of the database.
+//! Defines the errors of the database.
 
 /// An error of the database.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// It holds other data, or was written by a newer program.
+    /// It holds other data, or was written by another version of the program.
     #[error("{0}")]
     Refused(String),
     /// It cannot be reached or written now: it is absent, full, locked or read-only.
     #[error("{0}")]
     Unavailable(String),
-    /// It refuses a statement.
-    #[error("the database refuses a statement: {0}")]
+    /// It refused a statement.
+    #[error("the database refused a statement: {0}")]
     Statement(String),
 }
 
@@ -63,8 +63,7 @@ impl From<rusqlite::Error> for StoreError {
                 | Code::OperationInterrupted,
             ) => Self::Unavailable(format!("the database cannot be used now: {error}")),
             Some(Code::NotADatabase) => Self::Refused(
-                "the file is not an SQLite database and was left as it is: set another file in \
-                 database.url"
+                "the file is not an SQLite database and was not changed: set another file in database.url"
                     .to_owned(),
             ),
             _ => Self::Statement(error.to_string()),
