@@ -1,4 +1,4 @@
-//! The commands `ls`, `show`, `energy` and `watch`.
+//! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
 use super::table::{WIDTH, cut, table};
 use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
@@ -90,7 +90,7 @@ async fn nodes(
     while found.len() < limit.min(MAX_NODES) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
         query.push(("sort", sort.to_owned()));
-        // The worst, the last heard and the most waiting first.
+        // The worst state, the most recent status and the most waiting reports come first.
         query.push(("down", (sort != "name").to_string()));
         query.push(("offset", found.len().to_string()));
         query.extend(state.map(|state| ("state", state.to_owned())));
@@ -264,10 +264,10 @@ pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> any
     Ok(Ended::Well)
 }
 
-/// One line for each group and quality; the quality is never summed over.
+/// Formats one line for each group and quality; different qualities are never added.
 fn sums(energy: &Energy) -> String {
     if energy.groups.is_empty() {
-        return "no clips in that time\n".to_owned();
+        return "there are no clips in that time\n".to_owned();
     }
     let rows = energy.groups.iter().map(|group| {
         let joules = |value: f64| match group.quality {
