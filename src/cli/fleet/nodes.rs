@@ -1,10 +1,11 @@
 //! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
 use super::table::{WIDTH, cut, table};
-use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
+use super::units::{self, ago, figure, name_of, seconds, threshold};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use serde::Deserialize;
 use serde_json::json;
@@ -250,7 +251,7 @@ fn target_words(report: &NodeTarget) -> String {
 }
 
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
-    let from = now_ms() - (arguments.since * 1e3) as i64;
+    let from = unix_milliseconds() - (arguments.since * 1e3) as i64;
     // The hub keeps sums of whole days, which are enough for a long time.
     let from = match arguments.since >= WHOLE_DAYS_FROM {
         true => from.div_euclid(DAY_MS) * DAY_MS,

@@ -3,10 +3,10 @@
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
 use albireo_hub::tuning::member::Outcome;
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
@@ -29,17 +29,9 @@ pub(super) fn finite(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("`{text}` is not a number"))
 }
 
-/// Returns the milliseconds since the Unix epoch.
-pub(super) fn now_ms() -> i64 {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
-}
-
 /// Formats the age of a time, which is in milliseconds since the Unix epoch: `12 s`, `5 min`, `3 h`, `8 d`.
 pub(super) fn ago(at_ms: i64) -> String {
-    span((now_ms() - at_ms).max(0) / 1000)
+    span((unix_milliseconds() - at_ms).max(0) / 1000)
 }
 
 /// Formats a time in milliseconds since the Unix epoch: `12 s ago`.
