@@ -33,7 +33,7 @@ use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Extension, Router};
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
@@ -70,8 +70,6 @@ pub struct HubView {
     live: Arc<Semaphore>,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
-    /// A request that takes longer is answered with an error.
-    timeout: Duration,
     started: Instant,
 }
 
@@ -92,7 +90,6 @@ impl HubView {
             prefix: config.hub.prefix.as_str().into(),
             live: Arc::new(Semaphore::new(live::MOST_LIVE)),
             config: Arc::new(diag::without_secrets(config)),
-            timeout: Duration::from_millis(config.http.timeout_ms),
             started: Instant::now(),
         }
     }
@@ -103,14 +100,6 @@ impl HubView {
             send_full_status: self.fleet.needs_full_status(node),
             ..self.desires.of(node)
         }
-    }
-
-    /// The Zenoh session and the notifier.
-    ///
-    /// # Errors
-    /// A problem document while the session is not open yet.
-    fn reach(&self) -> Result<&Reach, Problem> {
-        attached(&self.reaches, "the Zenoh session is not open yet")
     }
 
     /// The number of Zenoh peers; `None` before the hub's own session is open.

@@ -27,10 +27,8 @@ use utoipa::{IntoParams, ToSchema};
 const MOST: i64 = 500;
 /// The media type of a stream of outcomes, one JSON object per line.
 const LINES: &str = "application/x-ndjson";
-/// Longest wait of a plain answer for the nodes, seconds: clients give up on answers that begin too late.
+/// Longest wait of a plain answer for the nodes, seconds: below the 10 s that a request may take.
 const LONGEST_WAIT_S: f64 = 8.0;
-/// The part of a request's time limit that is reserved for the order and the answer, seconds.
-const ANSWER_S: f64 = 1.0;
 /// Longest stream of outcomes, seconds.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
@@ -143,7 +141,7 @@ async fn carry_out(
     let streams = accepted.is_some_and(|accept| accept.contains(LINES));
     let most = match streams {
         true => LONGEST_STREAM_S,
-        false => (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S),
+        false => LONGEST_WAIT_S,
     };
     let wait = request.wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {

@@ -1,8 +1,8 @@
 //! Serves the live counters and pictures of one node. A node sends them only while somebody holds a lease. The lease
 //! expires by itself, so a closed page or a stopped hub costs the node nothing for long.
 
-use super::HubView;
 use super::nodes::unknown;
+use super::{HubView, attached};
 use crate::presence::Notifier;
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, NodeKeys};
@@ -45,7 +45,7 @@ pub(crate) struct Reach {
 impl HubView {
     /// The session and the keys to reach a known node.
     fn way_to(&self, node: &str) -> Result<(Reach, NodeKeys), Problem> {
-        let reach = self.reach()?.clone();
+        let reach = attached(&self.reaches, "the Zenoh session is not open yet")?.clone();
         self.fleet.view(node).ok_or_else(|| unknown(node))?;
         let keys = NodeKeys::new(&self.prefix, node).map_err(|_| unknown(node))?;
         Ok((reach, keys))
