@@ -1,4 +1,4 @@
-//! The command line: one file per subcommand, with its arguments and a `run` that returns how it ended.
+//! Parses the command line and runs a subcommand. Each subcommand has a file with its arguments and a `run`.
 
 #[cfg(feature = "hub")]
 mod acl;
@@ -43,7 +43,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long running threads may take after everything else has ended.
+/// Time limit for threads that still run after everything else has ended.
 const STRAGGLERS: Duration = Duration::from_millis(500);
 
 #[cfg(feature = "eval")]
@@ -227,8 +227,7 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
         .build()
         .context("the asynchronous runtime cannot be started")?;
     let ended = runtime.block_on(work);
-    // A thread that waits for a file that never answers (a power monitor whose bus hangs) must not keep the
-    // program alive.
+    // A thread that reads a file without an answer (a power monitor whose bus hangs) must not keep the program alive.
     runtime.shutdown_timeout(STRAGGLERS);
     // A thread that runs a model must end first: it would otherwise use ONNX Runtime after it is unloaded.
     if !end_all_sessions(STRAGGLERS) {

@@ -1,3 +1,3 @@
-//! The `albireo` program: its command line. What it does lives in the crates under `crates/`.
+//! Defines the command line of the `albireo` program. The crates under `crates/` do the work.
 
 pub mod cli;

@@ -1,4 +1,4 @@
-//! The `albireo` program: parse, load configuration, run, exit code.
+//! Starts the `albireo` program.
 
 #![forbid(unsafe_code)]
 

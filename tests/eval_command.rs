@@ -71,7 +71,10 @@ fn one_command_compares_sweeps_traces_and_reports() {
         "p: projected",
     ];
     assert_says(&table, &labels);
-    let lacks = ["unlabelled: no ground truth", "nothing: not one detection"];
+    let lacks = [
+        "unlabelled: no ground truth",
+        "nothing: the whole clip has no detections",
+    ];
     assert_says(&complaint, &lacks);
 
     let path = traces.join("albireo-u3e-4-erd-detections/drive.jsonl.gz");

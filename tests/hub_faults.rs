@@ -78,7 +78,7 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
     let ready = hub
         .until("/readyz", |answer| {
             let reason = answer["reasons"]["database"].as_str();
-            reason.is_some_and(|reason| reason.contains("readonly"))
+            reason.is_some_and(|why| why.contains("read-only") || why.contains("readonly"))
         })
         .await;
     assert_eq!(ready["ready"], false);

@@ -53,7 +53,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             // The file is replaced as a whole, because the router may start at any moment.
             write_public(file, &text).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
-            println!("{}: {subjects} certificates are let in", file.display());
+            println!("{}: {subjects} certificates have access", file.display());
         }
     }
     Ok(())

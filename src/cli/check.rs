@@ -1,4 +1,4 @@
-//! `albireo check`: lists what is wrong with the configuration file of a node or a hub.
+//! `albireo check`: lists the mistakes in the configuration file of a node or a hub.
 
 use super::block_on;
 use albireo_node::config::NodeConfig;
@@ -82,7 +82,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// True if a file has a section that only a hub's configuration has, and none that only a node's has.
+/// Returns true if a file has a section that only a hub's configuration has, and none that only a node's has.
 #[cfg(feature = "hub")]
 fn is_for_a_hub(file: &std::path::Path) -> bool {
     let text = std::fs::read_to_string(file).unwrap_or_default();

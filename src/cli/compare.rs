@@ -201,7 +201,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
         let model = &config.detector.model;
         ensure!(
             model.is_file(),
-            "{} is not there: run it in the project's folder, or name a detector with --detector or --config",
+            "{} does not exist: run it in the project's folder, or name a detector with --detector or --config",
             model.display()
         );
     }
@@ -212,7 +212,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
-        // The table shows dropped frames; it is intended that the node keeps no reports and is not ready at once.
+        // The table shows dropped frames; the node keeps no reports and is not ready immediately on purpose.
         config.log.level = "warn,albireo_node::input::intake=error,albireo_node::delivery::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
@@ -280,7 +280,7 @@ async fn play_all(
         bail!("stopped before the first round was complete: there is nothing to compare");
     }
     if complete < scheduled.len() {
-        eprintln!("Stopped: the results are of the complete rounds.");
+        eprintln!("Stopped: the results cover only the complete rounds.");
     }
     done.truncate(complete);
     Ok(done)
@@ -300,7 +300,7 @@ fn judge(
     let boxes: Vec<Boxes> = (done.iter())
         .map(|(_, played)| played.boxes(&mut classes))
         .collect();
-    // A detector finds the same in the same picture, so another round supplies a frame that one round dropped.
+    // A detector finds the same objects in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
     for ((run, _), boxes) in done.iter().zip(&boxes) {
         if run.variant == boxes_of {

@@ -37,7 +37,7 @@ While it runs, in another terminal:
 /// The camera of the demonstration.
 const CAMERA: &str = "dashcam";
 
-/// How long the camera waits for the node: its model is loaded and warmed up first.
+/// Longest wait of the camera for the node, whose model is loaded and warmed up first.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Arguments of `albireo demo`.
@@ -77,7 +77,7 @@ pub(super) struct Arguments {
 /// When a part cannot start.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        // The summary has dropped and failed frames; a warning, even of a library, would break the table.
+        // The summary counts dropped and failed frames; a warning, even from a library, would break the table.
         level: "error,tower_http=off,zenoh=off,zenoh_transport=off,zenoh_link=off,zenoh_ext=off,ort=off,hyper=off"
             .to_owned(),
         ..LogConfig::default()
@@ -147,7 +147,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     let mut config = NodeConfig::default();
     config.node.name = "demo".to_owned();
     config.zenoh.listen = vec![endpoint.to_owned()];
-    // In a demonstration each clip should arrive at once.
+    // In a demonstration each clip should arrive immediately.
     config.outbox.gather_s = 0;
     config.uplink.pictures = true;
     config.detector.model.clone_from(&arguments.detector);
@@ -158,7 +158,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.cameras = vec![CameraConfig::named(CAMERA)];
     if !config.detector.model.exists() {
         bail!(
-            "{} is missing: run the demo in the project's folder, or set a detector with --detector",
+            "{} does not exist: run the demo in the project's folder, or set a detector with --detector",
             config.detector.model.display()
         );
     }

@@ -122,7 +122,7 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
         suppression_overlap: arguments.overlap,
         most_detections: arguments.most,
         providers: match arguments.provider {
-            // CUDA runs what TensorRT cannot.
+            // CUDA runs the parts of a model that TensorRT cannot run.
             ExecutionProvider::TensorRt => {
                 vec![ExecutionProvider::TensorRt, ExecutionProvider::Cuda]
             }
@@ -274,7 +274,7 @@ fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
         i64::from(picture.size.width),
         i64::from(picture.size.height),
     );
-    // The outline has two pixels in a picture of 640 columns.
+    // The outline is two pixels wide in a picture of 640 columns.
     let thick = (width / 320).max(1);
     let [x1, y1, x2, y2] = corners.map(|place| place.round() as i64);
     for y in y1.max(0)..y2.min(height) {

@@ -1,11 +1,11 @@
-//! Constants of a node that tests change, in builds for tests alone (the feature `development`): the variable
-//! `ALBIREO_DEVELOPMENT` holds them as `name=value`, with white space between them.
+//! Changes constants of a node for tests, only in builds with the feature `development`. The variable
+//! `ALBIREO_DEVELOPMENT` contains them as `name=value`, separated by white space.
 
 use albireo_node::config::NodeConfig;
 use anyhow::{Context, bail};
 use std::time::Duration;
 
-/// Sets in `config` what the variable names.
+/// Sets the constants in the variable in `config`.
 pub(super) fn apply(config: &mut NodeConfig) -> anyhow::Result<()> {
     for pair in std::env::var("ALBIREO_DEVELOPMENT")
         .unwrap_or_default()
@@ -17,7 +17,7 @@ pub(super) fn apply(config: &mut NodeConfig) -> anyhow::Result<()> {
 }
 
 fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
-    let (name, value) = pair.split_once('=').context("is no name=value")?;
+    let (name, value) = pair.split_once('=').context("is not name=value")?;
     match name {
         "sysfs" => config.power.sysfs = value.into(),
         "nvpmodel" => config.power.nvpmodel = value.into(),
@@ -39,7 +39,7 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
             let seconds = value.parse()?;
             (config.cameras.iter_mut()).for_each(|camera| camera.source_timeout_s = seconds);
         }
-        _ => bail!("is no constant that tests change"),
+        _ => bail!("is not a constant that tests change"),
     }
     Ok(())
 }

@@ -97,7 +97,7 @@ const JUDGED: &str = "How it is judged";
 const WRITTEN: &str = "What is written";
 const LOOKED: &str = "What looks at the pictures";
 
-/// The names of the profiles.
+/// Parses the name of a profile.
 fn profile_parser() -> impl TypedValueParser<Value = Profile> {
     PossibleValuesParser::new(["reference", "paper"]).map(|name| match name.as_str() {
         "reference" => Profile::Reference,
@@ -267,8 +267,8 @@ fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<Policy
     Ok(resolve(asked, sweeps, &base, screen, pixels)?)
 }
 
-/// Returns the settings of the run. Creates the folders to write to, so that a folder that cannot be written is an
-/// error before the work and not after it.
+/// Returns the settings of the run. Creates the folders to write to, so that an error of a folder comes before the work
+/// and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     for folder in [&arguments.out, &arguments.traces].into_iter().flatten() {
         std::fs::create_dir_all(folder)

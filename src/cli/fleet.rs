@@ -103,7 +103,7 @@ enum Command {
     Diag(diag::Arguments),
 }
 
-/// How a command ended without an error.
+/// The end of a command without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ended {
     /// Everything was done.

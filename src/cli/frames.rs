@@ -1,4 +1,4 @@
-//! Sends frames to a node: the Zenoh session of a sender, and how each frame is sent.
+//! Sends frames to a node over a Zenoh session.
 
 mod sender;
 mod session;

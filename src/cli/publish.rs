@@ -37,7 +37,7 @@ configuration. Runs until stopped: camera and node may go away and come back.";
 /// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
 const QUALITY: u8 = 3;
 
-/// Pauses between two attempts to reach the node the first time; later Zenoh tries by itself.
+/// Pauses between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
@@ -130,7 +130,7 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     Ok(())
 }
 
-/// Waits for a session with the node; `None` if stopped before.
+/// Waits for a session with the node. Returns `None` if stopped first.
 async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option<Session> {
     let mut pause = FIRST_PAUSE;
     loop {
@@ -140,7 +140,7 @@ async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option
         };
         match opened {
             Ok(session) => return Some(session),
-            Err(error) => tracing::warn!(again_in_s = pause.as_secs_f64(), "{error:#}"),
+            Err(error) => tracing::warn!(retry_in_s = pause.as_secs_f64(), "{error:#}"),
         }
         tokio::select! {
             () = tokio::time::sleep(pause) => {}
@@ -150,11 +150,11 @@ async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option
     }
 }
 
-/// Logs whether a node takes the frames, now and at every change.
+/// Logs whether a node subscribes to the frames, now and at every change.
 async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String) {
     loop {
         if *receivers.borrow_and_update() == Some(true) {
-            tracing::info!(key, "a node takes the frames");
+            tracing::info!(key, "a node subscribes to the frames");
         } else {
             tracing::warn!(
                 key,

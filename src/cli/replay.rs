@@ -60,7 +60,7 @@ pub struct ReplayArguments {
     pub encoding: VideoEncoding,
 }
 
-/// How long it may take until a subscriber is known.
+/// Longest time until a subscriber is known.
 const LISTENERS: Duration = Duration::from_secs(2);
 
 /// Replays until the source ends or `shutdown`, then prints what was sent.
@@ -127,7 +127,7 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
     Ok((session, sender))
 }
 
-/// Returns a line on what was sent.
+/// Formats the totals as one line.
 fn summary(sent: &Sent, key: &str) -> String {
     let seconds = sent.elapsed.as_secs_f64();
     let mut line = format!(

@@ -2,8 +2,7 @@
 
 use albireo_core::geometry::PictureSize;
 
-/// The fewest frames per second: one in 17 minutes. A period is computed from the rate, and a rate that means a period of
-/// a billion years is a typing error.
+/// The fewest frames per second: one in 17 minutes. A lower rate is a typing error, and its period might overflow.
 pub(super) const MIN_RATE: f64 = 0.001;
 
 /// The most frames per second.

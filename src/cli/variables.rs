@@ -17,7 +17,8 @@ pub(super) const NO_TELEMETRY: Variable = ("ORT_DISABLE_TELEMETRY", "1");
 /// (benches/README.md).
 pub(super) const FEW_HEAPS: Variable = ("MALLOC_ARENA_MAX", "2");
 
-/// Replaces this process with one that has these variables; returns at once if all of them have a value already.
+/// Replaces this process with one that has these variables. Returns if all of them have a value already, or after an
+/// error.
 pub(super) fn start_with(wanted: &[Variable]) {
     let missing: Vec<_> = wanted
         .iter()

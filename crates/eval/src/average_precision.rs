@@ -52,8 +52,8 @@ impl ScoredBox {
     }
 }
 
-/// How the area under the precision-recall curve is computed. Precision is first made monotone: at each
-/// recall it is the best precision at this or a higher recall.
+/// The method that computes the area under the precision-recall curve. Precision is first made monotone: at each recall
+/// it is the best precision at this or a higher recall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
     /// The exact area (PASCAL VOC 2010 and later).
@@ -62,16 +62,16 @@ pub enum Interpolation {
     Coco101,
 }
 
-/// How classes are judged.
+/// The treatment of classes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Classes {
     /// All together: a prediction may match ground truth of another class.
     Pooled,
-    /// Each class by itself, then the unweighted mean over the classes that have ground truth.
+    /// Each class separately, then the unweighted mean over the classes that have ground truth.
     Separate,
 }
 
-/// How well predictions match the ground truth.
+/// The accuracy of predictions against the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Accuracy {
     /// Average precision at IoU 0.50, 0 to 1.
@@ -146,7 +146,7 @@ pub(crate) fn outside_ignored(
     judged
 }
 
-/// Computes the accuracy of every class that has ground truth, each judged by itself.
+/// Computes the accuracy of every class that has ground truth, each judged separately.
 pub(crate) fn accuracy_by_class(
     predictions: &[Vec<ScoredBox>],
     truth: &[Vec<ScoredBox>],

@@ -18,7 +18,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let mut sentences = Vec::new();
     if baseline.ap50.is_none() {
         sentences.push(
-            "There is no ground truth, so nothing can be said of accuracy: only of what was skipped."
+            "There is no ground truth, so nothing can be said about accuracy, only about skipped frames."
                 .to_owned(),
         );
     } else {

@@ -54,7 +54,7 @@ pub struct Clip {
 }
 
 impl Clip {
-    /// Makes a clip without detections, ground truth or pictures.
+    /// Creates a clip without detections, ground truth or pictures.
     pub const fn new(name: String, picture: PictureSize, frames: usize) -> Self {
         Self {
             name,
@@ -81,7 +81,7 @@ pub struct DataSet {
     pub report: LoadReport,
 }
 
-/// The reason why a row or a clip was left out.
+/// The reason that a row or a clip was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeftOut {
@@ -102,7 +102,7 @@ pub enum LeftOut {
 }
 
 impl LeftOut {
-    /// The reason in words.
+    /// The reason as text.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NotFinite => "coordinate or score not a finite number",
@@ -116,7 +116,7 @@ impl LeftOut {
     }
 }
 
-/// What a reader left out, and notes on the data.
+/// The rows and clips that a reader left out, and notes on the data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LoadReport {
     /// The number of rows left out for each reason, and where the first one is: `file:line` or `file, what`.
@@ -225,7 +225,7 @@ impl LoadReport {
 pub(crate) struct LabelledBox<'a> {
     /// In pixels.
     pub corners: Corners,
-    /// The class, or the reason why it is not evaluated.
+    /// The class, or the reason that it is not evaluated.
     pub class: Result<ClassId, LeftOut>,
     /// The file's name for the class.
     pub class_name: Cow<'a, str>,
@@ -236,8 +236,8 @@ pub(crate) struct LabelledBox<'a> {
 }
 
 impl DataSet {
-    /// Adds a clip and notes what it lacks; a clip without frames is only counted. The name is made unique and valid
-    /// as a file name.
+    /// Adds a clip, and notes if boxes are missing; a clip without frames is only counted. The name is made unique and
+    /// valid as a file name.
     pub(crate) fn push(&mut self, mut clip: Clip) {
         let plain = clip.name.replace(['/', '\\', ':'], "-");
         clip.name = plain.trim_start_matches('.').to_owned();
@@ -257,10 +257,9 @@ impl DataSet {
         if let Some(detections) = &clip.detections
             && detections.iter().all(Vec::is_empty)
         {
-            self.report.notes.push(format!(
-                "{}: not one detection in the whole clip",
-                clip.name
-            ));
+            self.report
+                .notes
+                .push(format!("{}: the whole clip has no detections", clip.name));
         }
         if clip.truth.is_none() {
             self.report.notes.push(format!(

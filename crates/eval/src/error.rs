@@ -1,41 +1,41 @@
-//! The error type of the evaluation.
+//! Defines the error type of the evaluation.
 
 use albireo_vision::picture::PictureFileError;
 use std::fmt::Display;
 use std::path::Path;
 
-/// An error message: what is wrong, where, and what to do about it.
+/// An error message that names the problem, its place and a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct EvalError(String);
 
 impl EvalError {
-    /// Makes an error with this text.
+    /// Creates an error with this text.
     pub fn new(text: impl Display) -> Self {
         Self(text.to_string())
     }
 
-    /// Makes the error for a file or folder that cannot be read; `help` says what to do.
+    /// Creates the error for a file or folder that cannot be read; `help` says what to do.
     pub(crate) fn read(path: &Path, error: impl Display, help: impl Display) -> Self {
         Self(format!("cannot read {}: {error}; {help}", path.display()))
     }
 
-    /// Makes the error for a file or folder that cannot be written.
+    /// Creates the error for a file or folder that cannot be written.
     pub(crate) fn write(path: &Path, error: impl Display) -> Self {
         Self(format!("cannot write {}: {error}", path.display()))
     }
 
-    /// Makes the error for an invalid line of a text file; lines count from 1.
+    /// Creates the error for an invalid line of a text file; lines count from 1.
     pub(crate) fn line(path: &Path, line: u64, what: impl Display) -> Self {
         Self(format!("{}:{line}: {what}", path.display()))
     }
 
-    /// Makes the error for invalid content that is not tied to a single line.
+    /// Creates the error for invalid content that is not tied to a single line.
     pub(crate) fn content(path: &Path, what: impl Display) -> Self {
         Self(format!("{}: {what}", path.display()))
     }
 
-    /// Makes the error for JSON that does not have the expected form.
+    /// Creates the error for JSON that does not have the expected form.
     pub(crate) fn json(path: &Path, error: &serde_json::Error) -> Self {
         Self::line(path, error.line() as u64, error)
     }

@@ -14,7 +14,7 @@ use albireo_core::policy::{
 };
 use std::time::{Duration, Instant};
 
-/// What happened on one frame.
+/// The record of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRecord {
     /// The frame's state.
@@ -31,7 +31,7 @@ pub(crate) struct FrameRecord {
     pub decision: Duration,
 }
 
-/// What a policy did with a clip.
+/// The replay of a clip by a policy.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Replay {
     /// One record per frame.
@@ -108,7 +108,7 @@ pub(crate) fn replay(
 pub(crate) struct DecidedFrame<'a> {
     /// The head that the policy received.
     pub head: FrameHead,
-    /// What happened on the frame.
+    /// The record of the frame.
     pub record: FrameRecord,
     /// The frame's state and boxes.
     pub outcome: &'a Outcome,
@@ -143,7 +143,8 @@ pub(crate) fn drive(
     Ok(())
 }
 
-/// The evidence of one frame of a clip. It records what the policy asked for, and measures the time of fetching it.
+/// The evidence of one frame of a clip. It records the requests of the policy, and measures the time of fetching
+/// evidence.
 pub(crate) struct ClipFrame<'a, 'c> {
     clip: &'a mut StoredEvidence<'c>,
     frame: usize,
@@ -184,7 +185,7 @@ impl EvidenceAtHand for ClipFrame<'_, '_> {
     }
 }
 
-/// Decides one frame; measures the time of the policy without that of the evidence.
+/// Decides one frame, and measures the time of the policy without the time of the evidence.
 fn decide_frame(
     policy: &mut dyn Policy,
     clip: &mut StoredEvidence<'_>,

@@ -17,11 +17,11 @@ use std::path::Path;
 /// The report of a finished run.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    /// The heading: what was evaluated.
+    /// The heading, which names the evaluated recordings.
     pub title: String,
     /// Names and values of the settings, in the order in which they are shown.
     pub settings: Vec<(String, String)>,
-    /// What the reader of the data left out.
+    /// The rows and clips that the reader of the data left out.
     pub data: LoadReport,
     /// One entry per policy.
     pub policies: Vec<PolicySummary>,

@@ -1,4 +1,4 @@
-//! The figures of one policy on one clip.
+//! Computes the figures of one policy on one clip.
 
 use crate::average_precision::Accuracy;
 use crate::replay::{FrameRecord, Replay};
@@ -10,7 +10,7 @@ use albireo_wire::FrameStates;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// How a time was obtained. The two are never mixed in one figure.
+/// The origin of a time. The two are never mixed in one figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Provenance {
@@ -63,7 +63,7 @@ pub struct FrameTime {
     /// The time in milliseconds.
     #[serde(flatten)]
     pub milliseconds: Spread,
-    /// How the time was obtained.
+    /// The origin of the time.
     pub provenance: Provenance,
 }
 
@@ -113,7 +113,7 @@ pub struct ClipResult {
     /// The number of frames in which the detector finds something, whether or not this policy ran it; 0 if only
     /// stored detections were evaluated.
     pub occupied_frames: usize,
-    /// The number of these frames with state E: those that the empty-scene screen misses.
+    /// The number of these frames with state E, which the empty-scene screen misses.
     pub false_empty_frames: usize,
     /// The number of frames that needed the detector and did not get it.
     pub degraded_frames: usize,

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 /// The settings of a run.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Whose definitions apply where the published code and the paper's text differ: which boxes count, and how.
+    /// The definitions that apply where the published code and the paper's text differ, such as the boxes that count.
     pub profile: Profile,
     /// Policies do not get detections below this confidence.
     pub confidence: f64,
@@ -31,9 +31,9 @@ pub struct Settings {
     pub screen: ScreenRule,
     /// Frames in a row that a real screen may call empty before the detector runs anyway; 0 for any number.
     pub longest_empty_run: u32,
-    /// How classes are judged.
+    /// The treatment of classes.
     pub classes: Classes,
-    /// How the area under the precision-recall curve is computed.
+    /// The method that computes the area under the precision-recall curve.
     pub interpolation: Interpolation,
     /// The folder to write traces to.
     pub traces: Option<PathBuf>,
@@ -135,7 +135,7 @@ pub(super) fn build(policy: &PolicySpec) -> Result<Box<dyn Policy>, EvalError> {
     (policy.config.build()).map_err(|error| EvalError::new(format!("policy {label}: {error}")))
 }
 
-/// Makes the error for a clip that lacks the evidence that a policy needs.
+/// Creates the error for a clip that lacks the evidence that a policy needs.
 pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: EvalError) -> EvalError {
     source.context(format!("policy {}, clip {}", policy.label, clip.name))
 }

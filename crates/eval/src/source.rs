@@ -1,4 +1,4 @@
-//! Gives a policy the evidence that it asks for about the frames of a clip.
+//! Gives a policy the evidence about the frames of a clip that it requests.
 
 use crate::average_precision::ScoredBox;
 use crate::data::Clip;

@@ -8,7 +8,7 @@ use albireo_core::policy::{
 };
 use std::collections::BTreeSet;
 
-/// Name and label of the policy that all others are compared with.
+/// Name and label of the policy with which all others are compared.
 pub const BASELINE: &str = "vanilla";
 
 /// The policies of `--policy all`: every policy with the settings that the paper reports, and our own. Those that look at
@@ -187,7 +187,7 @@ fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),
     };
-    // The screen is part of the label of policies that ask it.
+    // The screen is part of the label of policies that use it.
     let screened = !matches!(
         policy.name(),
         Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME

@@ -1,4 +1,4 @@
-//! Means over clips and their confidence intervals.
+//! Computes means over clips and their confidence intervals.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -20,7 +20,7 @@ pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
     Some(t.inverse_cdf(0.975) * standard_error)
 }
 
-/// Mean of `values`; `None` if there are none.
+/// The mean of `values`; `None` if there are none.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values
         .into_iter()

@@ -1,8 +1,8 @@
 //! Judges boxes as they are published: at arrival, with a detector that takes time, or settled some frames later.
 //!
-//! At arrival, a frame is judged by what has been published when it arrives. A policy that predicts answers each frame at
-//! once and takes detections late ([`LatePolicy`]). With any other policy, frames wait for the detector: it takes the
-//! newest frame when it is free, and every frame is judged by the boxes of the last frame that is finished.
+//! At arrival, a frame is judged by what has been published when it arrives. A policy that predicts answers each frame
+//! at once and receives detections late ([`LatePolicy`]). With any other policy, frames wait for the detector: when it
+//! is free it runs on the newest frame, and every frame is judged by the boxes of the last finished frame.
 
 mod run_times;
 
@@ -175,7 +175,7 @@ fn at_once(
     Ok(published)
 }
 
-/// Lets frames wait for the detector; of the frames that arrive meanwhile, only the newest is kept.
+/// Lets frames wait for the detector. Of the frames that arrive while it runs, only the newest is kept.
 fn when_known(
     policy: &mut dyn Policy,
     source: &mut StoredEvidence<'_>,

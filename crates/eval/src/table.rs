@@ -105,7 +105,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}", share * 100.0)
 }
 
-/// Returns notes on how to read the table.
+/// Returns notes that explain the table.
 pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
     let first = summaries.first();
     let clips = first.map_or(0, |summary| summary.clips);

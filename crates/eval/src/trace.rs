@@ -1,4 +1,4 @@
-//! Writes and reads traces: what a policy did and knew in each frame, as gzipped JSON Lines.
+//! Writes and reads traces: the decision and the state of a policy on each frame, as gzipped JSON Lines.
 //!
 //! One line per frame with the keys of [`TraceFrame`], one file per clip and policy:
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two

@@ -1,4 +1,4 @@
-//! Measures how well boxes keep the identity of their object over a clip: HOTA and IDF1, as in TrackEval.
+//! Measures whether boxes keep the identity of their object over a clip: HOTA and IDF1, as in TrackEval.
 //!
 //! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] are ignored: unlike average precision,
 //! neither figure ranks boxes by confidence.
@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, HashMap};
 /// HOTA is the mean over the IoU thresholds 0.05, 0.10, … 0.95.
 const THRESHOLDS: usize = 19;
 
-/// How well identities are kept.
+/// The figures of tracking.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Tracking {
     /// Higher Order Tracking Accuracy, 0 to 1.

@@ -17,34 +17,34 @@ use serde::de::{DeserializeOwned, Deserializer, Error as _};
 use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};
 
-/// Largest payload taken from the network, bytes: a batch of reports at most as large when it is decompressed.
+/// Largest payload accepted from the network, bytes.
 pub(crate) const MAX_PAYLOAD_BYTES: usize = 4 << 20;
 
 /// All settings of a hub.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HubConfig {
-    /// Which fleet it is.
+    /// The fleet.
     pub hub: HubSection,
-    /// How it reaches Zenoh.
+    /// The connection to Zenoh.
     #[serde(deserialize_with = "zenoh_section")]
     pub zenoh: ZenohConfig,
     /// The HTTP interface.
     #[serde(deserialize_with = "http_section")]
     pub http: HttpConfig,
-    /// Where the history is kept.
+    /// The database that holds the history.
     pub database: DatabaseConfig,
-    /// How reports are taken.
+    /// The commits and limits of incoming reports.
     pub ingest: IngestConfig,
-    /// When a node counts as silent or offline.
+    /// The times after which a node counts as silent or offline.
     pub presence: PresenceConfig,
-    /// How long history is kept.
+    /// The retention of the history.
     pub history: HistoryConfig,
-    /// How values are set.
+    /// The time limit of orders, and the reaction to local changes.
     pub tuning: TuningConfig,
     /// The log.
     pub log: LogConfig,
-    /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
+    /// Tokens of the HTTP interface in addition to `http.token`, one `[[token]]` each.
     #[serde(rename = "token")]
     pub tokens: Vec<NamedToken>,
 }
@@ -66,12 +66,12 @@ impl Default for HubConfig {
     }
 }
 
-/// The port differs from the node's default, so that a node and a hub can run on one machine.
+/// The port differs from a node's default, so that a node and a hub can run on one machine.
 fn default_zenoh() -> ZenohConfig {
     ZenohConfig {
         mode: ZenohMode::Router,
         listen: vec!["tcp/127.0.0.1:7448".to_owned()],
-        // Its nodes are on other machines.
+        // The nodes are on other machines.
         shared_memory: false,
         ..ZenohConfig::default()
     }
@@ -92,7 +92,7 @@ fn http_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<HttpConfig
     over(&default_http(), deserializer)
 }
 
-/// Reads a section in which absent keys get the hub's defaults instead of those of the section's type.
+/// Reads a section in which absent keys get the hub's `defaults` instead of the section type's.
 fn over<'de, T, D>(defaults: &T, deserializer: D) -> Result<T, D::Error>
 where
     T: Serialize + DeserializeOwned,
@@ -110,7 +110,7 @@ impl HubConfig {
     /// The keys of all nodes of the fleet.
     ///
     /// # Errors
-    /// When the prefix cannot be used, which the configuration's check rules out.
+    /// When the prefix is invalid, which the configuration's check rules out.
     pub(crate) fn keys(&self) -> Result<NodeKeys, albireo_wire::KeyError> {
         NodeKeys::all(&self.hub.prefix)
     }
@@ -126,10 +126,10 @@ impl Configuration for HubConfig {
 http.timeout_ms: a request may take 10 s
 http.idle_timeout_ms: a connection that is silent for 30 s is closed
 http.max_connections: 256 connections may be open at a time
-tuning.set_back_times: a node is set back three times
-database.readers: four connections read
+tuning.set_back_times: a node is set back at most three times
+database.readers: four connections are open for reading
 ingest.busy_after_ms: a batch that would wait longer than 3 s is answered \"busy\"
-ingest.busy_retry_ms: a node that is answered \"busy\" comes again after 2 s";
+ingest.busy_retry_ms: a node that is answered \"busy\" retries after 2 s";
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

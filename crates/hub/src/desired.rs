@@ -1,4 +1,4 @@
-//! The desired setting of each node, in memory, for answering pulls.
+//! Keeps the desired setting of each node in memory, for answering pulls.
 
 use crate::store::row::json_text;
 use albireo_wire::{Desired, DesiredSetting};
@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 /// The desired setting of a node: a threshold or a target.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct DesiredValue {
-    /// The revision of the setting: higher than that of any setting before it.
+    /// The revision of the setting, higher than every earlier one.
     pub revision: u64,
     /// The threshold or the target.
     #[serde(with = "json_text")]
     pub setting: DesiredSetting,
 }
 
-/// The desired setting of each node, as the database has it, and which nodes somebody watches.
+/// The desired setting of each node, as in the database, and the nodes that somebody watches.
 #[derive(Debug, Default)]
 pub struct Desires {
     values: RwLock<HashMap<String, DesiredValue>>,
@@ -25,7 +25,7 @@ pub struct Desires {
 }
 
 impl Desires {
-    /// Stores a setting, unless it has no higher revision than the present one. Returns true if it was stored.
+    /// Stores a setting if its revision is higher than the present one. Returns true if it was stored.
     pub(crate) fn set(&self, node: &str, value: DesiredValue) -> bool {
         let mut values = self.values.write();
         let newer = (values.get(node)).is_none_or(|present| present.revision < value.revision);
@@ -70,7 +70,7 @@ impl Desires {
         }
     }
 
-    /// Notes that somebody watches `node` for `time`: until then it sends counters once a second.
+    /// Marks `node` as watched for `time`, during which it sends counters once per second.
     pub fn watch(&self, node: &str, time: Duration) {
         let now = Instant::now();
         let mut watched = self.watched.write();

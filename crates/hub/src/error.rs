@@ -1,10 +1,10 @@
-//! The error of a hub that cannot start, or that ended.
+//! Defines the error of a hub that cannot start or that stopped.
 
 use albireo_service::session::SessionError;
 use albireo_service::supervise::TaskFailed;
 use albireo_wire::KeyError;
 
-/// Why a hub cannot start, or ended.
+/// The reason that a hub cannot start or that it stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
     /// The prefix cannot be part of a key.
@@ -13,16 +13,16 @@ pub enum HubError {
     /// The Zenoh session cannot be opened as configured.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// A task the hub cannot do without has ended by itself.
+    /// An essential task ended.
     #[error(transparent)]
     Task(#[from] TaskFailed),
-    /// Another error, in words: from the database, the HTTP interface, Zenoh or the operating system.
+    /// Another error, as text: from the database, the HTTP interface, Zenoh or the operating system.
     #[error("{0}")]
     Other(String),
 }
 
 impl HubError {
-    /// Names the part that an error came from.
+    /// Prefixes an error with the operation that failed.
     pub(crate) fn at<E: std::fmt::Display>(what: &str) -> impl Fn(E) -> Self {
         move |error| Self::Other(format!("{what}: {error}"))
     }

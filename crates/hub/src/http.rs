@@ -1,4 +1,4 @@
-//! The routes of a hub.
+//! Defines the routes of a hub.
 
 mod body;
 mod changes;
@@ -33,7 +33,7 @@ use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Extension, Router};
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
@@ -66,12 +66,10 @@ pub struct HubView {
     pub(crate) reaches: Arc<OnceLock<Reach>>,
     /// The prefix of all keys.
     prefix: Arc<str>,
-    /// Limits how many readers watch nodes at a time.
+    /// Limits the number of readers that watch nodes at a time.
     live: Arc<Semaphore>,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
-    /// A request that takes longer is answered with an error.
-    timeout: Duration,
     started: Instant,
 }
 
@@ -92,25 +90,16 @@ impl HubView {
             prefix: config.hub.prefix.as_str().into(),
             live: Arc::new(Semaphore::new(live::MOST_LIVE)),
             config: Arc::new(diag::without_secrets(config)),
-            timeout: Duration::from_millis(config.http.timeout_ms),
             started: Instant::now(),
         }
     }
 
-    /// The answer to a pull of `node`: its desired setting, and whether it should send its full status.
+    /// The answer to a pull of `node`: its desired setting, and true if it should send its full status.
     pub(crate) fn desired(&self, node: &str) -> Desired {
         Desired {
             send_full_status: self.fleet.needs_full_status(node),
             ..self.desires.of(node)
         }
-    }
-
-    /// The Zenoh session and the notifier.
-    ///
-    /// # Errors
-    /// A problem document while the session is not open yet.
-    fn reach(&self) -> Result<&Reach, Problem> {
-        attached(&self.reaches, "the Zenoh session is not open yet")
     }
 
     /// The number of Zenoh peers; `None` before the hub's own session is open.
@@ -158,9 +147,9 @@ impl From<StoreError> for Problem {
 #[openapi(
     info(
         title = "albireo hub",
-        description = "See, count and tune a fleet of nodes. Errors are problem documents (RFC 9457). Where tokens are \
-                       set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz` and `/readyz` needs one; what changes something needs one \
-                       with the role `tune`.",
+        description = "Monitors and tunes a fleet of nodes. Errors are problem documents (RFC 9457). If tokens are \
+                       configured, every route needs one, except `/` and what it loads, `/api/v1/caller`, `/healthz` and \
+                       `/readyz`. Routes that change something need one with the role `tune`.",
     ),
     // OpenAPI cannot describe the contents of an event stream, but it can describe the messages in it.
     components(schemas(
@@ -232,7 +221,7 @@ pub fn openapi() -> OpenApi {
     described().1
 }
 
-/// All routes, with their description.
+/// Returns all routes, with their description.
 pub(crate) fn router(view: HubView) -> Router {
     let (router, openapi) = described();
     let routes: Arc<[Route]> = http::routes(&openapi).into();

@@ -2,7 +2,7 @@
 //!
 //! Zenoh's thread only puts a query into a bounded queue, and answers "busy" when it is full or when the node has sent
 //! more than its share. One thread parses the batches, another commits them, at most every `ingest.commit_ms`, and the
-//! answer goes out after the commit: a slow or absent database delays acknowledgements, and never fills the memory.
+//! answer is sent after the commit: a slow or absent database delays acknowledgements but never fills the memory.
 
 mod clip;
 mod counters;
@@ -35,15 +35,15 @@ use zenoh::query::Query;
 /// Largest compressed batch, bytes: ten times as large as those that nodes send.
 const LARGEST_PAYLOAD: usize = 1 << 20;
 
-/// Most batches that may wait, and their compressed bytes; a further one is answered "busy" at once.
+/// Most batches that may wait, and most compressed bytes of them; a further batch is answered "busy" immediately.
 const MOST_BATCHES: usize = 4096;
 const MOST_BYTES: u64 = 32 << 20;
 
-/// A batch that arrives while the batches being written have waited longer than this is answered "busy". It is well below
-/// the time that nodes wait for an answer: a node would send again what is written later.
+/// A batch that arrives while the batches being written have waited longer than this is answered "busy". This is well
+/// below the time that nodes wait for an answer: a node sends a batch again that is answered later.
 const BUSY_AFTER: Duration = Duration::from_secs(3);
 
-/// Why a batch is refused when the queue is full.
+/// The reason for a refusal when the queue is full.
 const FULL: &str = "too many batches wait to be written";
 
 /// A batch that waits.
@@ -76,11 +76,11 @@ impl ReportQueue {
         let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
-            // The sender is no node, and gets no answer.
+            // The sender is not a node, and gets no answer.
             return self.counters.refuse(RefusalReason::Unreadable);
         };
         if payload.len() > LARGEST_PAYLOAD {
-            let detail = format!("a batch of more than {LARGEST_PAYLOAD} bytes");
+            let detail = format!("the batch has more than {LARGEST_PAYLOAD} bytes");
             return self.refuse(query, RefusalReason::Unreadable, &detail, None);
         }
         let place = match self.limits.admit(&node, now) {
@@ -88,12 +88,11 @@ impl ReportQueue {
             Err((wait, why)) => return self.refuse(query, RefusalReason::Busy, why, Some(wait)),
         };
         let full = |query| self.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
-        // A node sends again what was not answered in time.
         let bytes = self.counters.queued_bytes() + payload.len() as u64;
         if bytes > MOST_BYTES || self.counters.waited() > BUSY_AFTER {
             return full(query);
         }
-        // A copy, so that what waits holds no buffers of the network.
+        // A copy, so that a waiting batch holds no network buffers.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
         let waiting = Waiting {
             _places: (place, self.counters.queue(payload.len())),

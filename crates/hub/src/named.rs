@@ -1,4 +1,4 @@
-//! Declares enums whose values have names: the same in JSON, in texts, in tables and in messages.
+//! Declares enums whose variants have the same name in JSON, text, tables and messages.
 
 macro_rules! named {
     ($(#[$meta:meta])* pub enum $enum:ident { $($(#[$doc:meta])* $value:ident = $name:literal,)+ }) => {
@@ -13,7 +13,7 @@ macro_rules! named {
         }
 
         impl $enum {
-            /// All of them, in order.
+            /// All variants, in order.
             pub const ALL: [Self; [$($name),+].len()] = [$(Self::$value,)+];
 
             /// Its name.
@@ -23,7 +23,7 @@ macro_rules! named {
                 }
             }
 
-            /// The value with that name.
+            /// The variant with that name.
             pub fn named(name: &str) -> Option<Self> {
                 Self::ALL.into_iter().find(|one| one.name() == name)
             }
@@ -36,7 +36,8 @@ macro_rules! named {
         }
     };
 }
-/// Serialises a type that implements `FromStr` and `Display` as a string.
+
+/// Converts a type that implements `FromStr` and `Display` from and to a string, for `serde`.
 macro_rules! as_text {
     ($type:ty) => {
         impl TryFrom<String> for $type {

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The places of each node.
+/// The places of each node in the queue.
 #[derive(Debug)]
 pub(crate) struct PerNode {
     most: usize,
@@ -16,7 +16,7 @@ pub(crate) struct PerNode {
 pub(crate) type Place = OwnedSemaphorePermit;
 
 impl PerNode {
-    /// Each node may have at most `most` entries waiting.
+    /// Allows each node at most `most` waiting entries.
     pub(crate) fn new(most: usize) -> Self {
         Self {
             most,
@@ -24,13 +24,13 @@ impl PerNode {
         }
     }
 
-    /// A place for one more entry of `node`; `None` when too many wait.
+    /// Takes a place for one more entry of `node`; `None` if too many are waiting.
     pub(crate) fn place(&self, node: &str) -> Option<Place> {
         let mut all = self.places.lock();
         let places = match all.get(node) {
             Some(places) => Arc::clone(places),
             None => {
-                // A node that has nothing waiting is not remembered: a sender can invent names without end.
+                // Nodes with nothing waiting are removed, because a sender can invent any number of names.
                 all.retain(|_, places| places.available_permits() < self.most);
                 let places = Arc::new(Semaphore::new(self.most));
                 all.insert(node.to_owned(), Arc::clone(&places));

@@ -1,14 +1,14 @@
-//! The parts of the hub that do not work, and why.
+//! Keeps the parts of the hub that do not work, with the reasons.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 
-/// The parts that do not work; none of them when the hub is ready.
+/// The parts that do not work, with the reasons; empty when the hub is ready.
 #[derive(Debug, Default)]
 pub struct Readiness(Mutex<BTreeMap<&'static str, String>>);
 
 impl Readiness {
-    /// Notes that `part` does not work, and why.
+    /// Notes that `part` does not work, with the reason.
     pub(crate) fn hold(&self, part: &'static str, reason: &str) {
         self.0.lock().insert(part, reason.to_owned());
     }
@@ -18,7 +18,7 @@ impl Readiness {
         self.0.lock().remove(part);
     }
 
-    /// Why each broken part does not work.
+    /// The reason of each part that does not work.
     pub(crate) fn reasons(&self) -> BTreeMap<&'static str, String> {
         self.0.lock().clone()
     }

@@ -19,27 +19,28 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// Zenoh settings of a hub beside the configured ones. The lease is long, because many joining nodes can keep a router busy
-/// for half a minute, and a session that is lost then declares everything again and prolongs it. The limits leave room for
-/// nodes that connect to the hub itself: by default Zenoh silently refuses the thousand-and-first.
+/// The Zenoh settings of a hub, in addition to the configured ones. The lease is long because many joining nodes can
+/// keep a router busy for 30 s: a session that is lost then declares everything again, which keeps the router busy for
+/// longer. The limits leave room for nodes that connect to the hub itself: by default Zenoh silently refuses sessions
+/// beyond 1,000.
 const SESSION: &[(&str, &str)] = &[
     ("transport/link/tx/lease", "60000"),
     ("transport/unicast/max_sessions", "12000"),
     ("transport/unicast/accept_pending", "2000"),
-    // There are few hubs, so they may reconnect at once.
+    // There are few hubs, so they may reconnect immediately.
     (
         "connect/retry",
         r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
     ),
 ];
 
-/// The limit in [`SESSION`], for the metrics.
+/// The `max_sessions` of [`SESSION`], for the metrics.
 pub(crate) const MAX_SESSIONS: u64 = 12_000;
 
-/// The writer counts as stuck if for this time batches wait, none is answered and no transaction is tried.
+/// The writer counts as stuck if, for this long, batches wait while none is answered and no transaction is tried.
 const STUCK_AFTER: Duration = Duration::from_secs(120);
 
-/// How long stopping may take.
+/// Time limit for stopping.
 const STOP_LIMIT: Duration = Duration::from_millis(4500);
 /// Pause before the database is tried again.
 const DATABASE_RETRY: Duration = Duration::from_secs(1);
@@ -49,7 +50,7 @@ const DATABASE_RETRY: Duration = Duration::from_secs(1);
 /// HTTP starts first, so that a health check works while the database or the router is absent.
 ///
 /// # Errors
-/// When the configuration cannot be used, or the HTTP interface may not be offered as configured.
+/// When the configuration is invalid, or the HTTP interface must not be served as configured.
 pub async fn run(
     config: &HubConfig,
     listener: TcpListener,
@@ -63,7 +64,7 @@ pub async fn run(
     readiness.hold("zenoh", "the session is not open yet");
     readiness.hold("database", "it is not open yet");
     let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
-    // HTTP ends last, so that the state can be read until the end.
+    // HTTP stops last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run(
         &config.http,
@@ -88,20 +89,20 @@ pub async fn run(
     let (http, hub) = tokio::join!(
         async {
             let ended = http.await.map_err(HubError::at("[http]"));
-            // Without its interface a hub cannot be watched or stopped: it ends.
+            // Without its HTTP interface a hub cannot be monitored or controlled, so it stops.
             shutdown.cancel();
             ended
         },
         hub
     );
-    // The service manager hears of the end, be it by an error, before the process is gone.
+    // The service manager learns of the stop before the process exits, also after an error.
     stopping.cancel();
     let _ = notifier.await;
     hub.and(http)
 }
 
-/// The hub's state for the service manager: it waits for an absent router or database, and is stuck if the writer does
-/// nothing while batches wait.
+/// Returns the hub's state for the service manager: not ready while the router or the database is absent, and stuck if
+/// the writer does nothing while batches wait.
 fn service_state(view: HubView) -> impl Fn() -> ServiceState {
     let moved = Mutex::new((0, Instant::now()));
     move || {
@@ -136,7 +137,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let Some((store, nodes)) = opened else {
         return Ok(());
     };
-    tracing::info!(database = store.kind(), nodes, "history is open");
+    tracing::info!(database = store.kind(), nodes, "database opened");
     // This is the only place that sets it.
     let _ = view.opened.set(store.clone());
     readiness.release("database");
@@ -148,12 +149,13 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         return Ok(());
     };
 
-    let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
-        .map_err(HubError::at("the answering thread cannot be started"))?;
+    let (replies, replier) = Replies::start(Arc::clone(&view.ingest)).map_err(HubError::at(
+        "the thread that sends answers cannot be started",
+    ))?;
     let (queue, written) = ingest::start(config, view, &store, &replies)
-        .map_err(HubError::at("the threads of ingest cannot be started"))?;
-    // A hub that lost a task would look healthy and do half of its work. So the end of a task ends the hub, and the service
-    // manager starts it again; readiness need not name tasks.
+        .map_err(HubError::at("the ingest threads cannot be started"))?;
+    // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
+    // service manager restarts it; readiness does not need to name tasks.
     let mut tasks = Supervisor::new(
         albireo_service::readiness::Readiness::default(),
         TaskTally::default(),
@@ -175,8 +177,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         .complete(true)
         .callback(move |query| queue.take(query))
         .await
-        .map_err(HubError::at("reports cannot be taken"))?;
-    // `None` means that the hub stops; batches that were taken meanwhile are committed below.
+        .map_err(HubError::at("reports cannot be received"))?;
+    // `None` means that the hub is stopping; batches that were accepted until then are committed below.
     let opening = || {
         Tuner::open(
             store.clone(),
@@ -194,7 +196,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         let _ = view.tunes.set(Arc::clone(&tuner));
         tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     }
-    // Known nodes report their state now instead of at their next period.
+    // Known nodes report their state now instead of at their next interval.
     for node in view.fleet.names() {
         listening
             .notifier
@@ -213,8 +215,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let watched = tasks.watch().await;
     // After a failure the other tasks have to stop.
     shutdown.cancel();
-    readiness.hold("zenoh", "the hub stops");
-    // This drops the queue's only sender: the writer commits the waiting batches, and ends.
+    readiness.hold("zenoh", "the hub is stopping");
+    // This drops the queue's only sender: the writer commits the waiting batches and ends.
     drop(reports);
     let stop = async {
         tasks.finish().await;
@@ -227,12 +229,12 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         store.close().await;
     };
     if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
-        tracing::warn!("not everything could be committed before the end; the nodes keep it");
+        tracing::warn!("stopping took too long; nodes keep the reports that were not committed");
     }
     Ok(watched?)
 }
 
-/// Retries `open` until the database answers; `None` if the hub stops meanwhile.
+/// Retries `open` until the database answers. Returns `None` if the hub stops first.
 async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
     config: &HubConfig,
     view: &HubView,

@@ -36,7 +36,7 @@ use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 
-/// Connections for reading, beside the one that writes.
+/// The number of connections for reading.
 const READERS: usize = 4;
 
 /// The kind of database.
@@ -49,7 +49,7 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    /// The database of that URL.
+    /// The kind of database that a URL names.
     fn of(url: &str) -> Self {
         if url.starts_with("sqlite:") {
             Self::Sqlite
@@ -71,7 +71,7 @@ struct Shared {
     /// One permit per connection that reads.
     readers: Arc<Semaphore>,
     idle: Mutex<Vec<Box<dyn Database>>>,
-    /// The connection that writes settings of nodes.
+    /// The connection for writes other than those of ingest.
     writer: Arc<tokio::sync::Mutex<Option<Box<dyn Database>>>>,
 }
 
@@ -84,10 +84,10 @@ impl std::fmt::Debug for Store {
 }
 
 impl Store {
-    /// Connects, and creates the tables where there are none.
+    /// Connects, and creates the tables if there are none.
     ///
     /// # Errors
-    /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: waiting
+    /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: a retry
     /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
         let kind = Kind::of(&config.url);
@@ -108,7 +108,7 @@ impl Store {
         Ok(store)
     }
 
-    /// A connection: `before` if it is still open, else a new one. Must not be called on a thread of the runtime.
+    /// Returns `before` if it is still open, else a new connection. Must not be called on a thread of the runtime.
     pub(crate) fn connect(
         &self,
         access: Access,
@@ -132,7 +132,7 @@ impl Store {
         })
     }
 
-    /// Runs `work` in a transaction on a thread that may block, and commits it.
+    /// Runs `work` in a transaction on a thread that may block, and commits the transaction.
     pub(crate) async fn write<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut dyn Database) -> Result<T, StoreError> + Send + 'static,
@@ -150,7 +150,7 @@ impl Store {
         .await
     }
 
-    /// The rows of a query. At most [`READERS`] queries run at once, the others wait.
+    /// Runs a query and returns its rows. At most [`READERS`] queries run at a time; the others wait.
     async fn query(
         &self,
         text: impl Into<Cow<'static, str>>,
@@ -185,7 +185,7 @@ impl Store {
         }
     }
 
-    /// Closes the connections, once nothing uses them any more.
+    /// Closes the connections once nothing uses them.
     pub async fn close(&self) {
         let _all = self.0.readers.acquire_many(READERS as u32).await;
         let idle = std::mem::take(&mut *self.0.idle.lock());
@@ -204,12 +204,12 @@ async fn blocking<T: Send + 'static>(
     match tokio::task::spawn_blocking(work).await {
         Ok(done) => done,
         Err(error) => Err(StoreError::Unavailable(format!(
-            "the database was not used: {error}"
+            "the task that uses the database failed: {error}"
         ))),
     }
 }
 
-/// Checks the folder of the file: SQLite's own error does not name it.
+/// Checks that the folder of the file exists, because SQLite's own error does not name it.
 fn check_file(url: &str) -> Result<(), StoreError> {
     let folder = match Path::new(sqlite::file(url)).parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -217,7 +217,7 @@ fn check_file(url: &str) -> Result<(), StoreError> {
     };
     if !folder.is_dir() {
         return Err(StoreError::Unavailable(format!(
-            "the folder {} of the database is missing; create it, or change database.url",
+            "the database folder {} does not exist; create it, or change database.url",
             folder.display()
         )));
     }

@@ -1,7 +1,7 @@
 //! Tunes the fleet: changes of selected nodes, rollouts in stages with gates on measured figures, and trials that compare
 //! values on random groups.
 //!
-//! All decisions are pure: [`selector`], [`gate`] and [`run`] know no clock, network or database.
+//! All decisions are pure: [`selector`], [`gate`] and [`run`] use no clock, network or database.
 
 pub mod change;
 pub mod effect;

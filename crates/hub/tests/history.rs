@@ -256,7 +256,7 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
         "albireo_hub_clips_total 1",
         "albireo_hub_sessions 1",
         "albireo_hub_queue_batches 0",
-        "no status has come yet",
+        "no status was received yet",
     ] {
         assert!(text.contains(part), "no {part} in {text}");
     }

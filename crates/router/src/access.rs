@@ -34,7 +34,7 @@ pub fn access_control(
         if found != expected {
             let file = file.display();
             return other(format!(
-                "{file} is a certificate of `{found}`, and `{expected}` belongs there"
+                "{file} is a certificate of `{found}`, but must be one of `{expected}`"
             ));
         }
     }
@@ -67,7 +67,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
     let mut to_nodes = vec![
         rule("to nodes", "egress", &["put"], &changed),
         rule("answers to nodes", "egress", &["reply"], &queried),
-        // Nodes see only the hub's declarations: they show if anybody receives what a node sends.
+        // Nodes see only the hub's declarations, which show whether anybody receives their messages.
         rule(
             "declarations to nodes",
             "egress",
@@ -148,7 +148,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         policies.push(json!({ "rules": own, "subjects": [subject] }));
     }
     if subjects.is_empty() {
-        return other("there is no valid certificate: no one would be let in");
+        return other("there is no valid certificate: nobody would have access");
     }
     // Zenoh warns about rules that no policy names.
     let named: HashSet<&str> = (policies.iter())

@@ -63,7 +63,7 @@ impl Authority {
         if file.exists() || folder.join(AUTHORITY_KEY).exists() {
             let file = file.display();
             return other(format!(
-                "{file} is there already: a new authority would make every certificate of the old one worthless"
+                "{file} exists already: a new authority would invalidate every certificate of the old one"
             ));
         }
         create_folder(folder)?;
@@ -115,7 +115,7 @@ impl Authority {
         albireo_wire::check_segment("name", name)?;
         if self.list.good(role, name).is_ok() {
             return other(format!(
-                "{role} `{name}` has a certificate; renew it, or revoke it first"
+                "{role} `{name}` has a valid certificate; renew it, or revoke it first"
             ));
         }
         let entry = Entry {
@@ -160,7 +160,7 @@ impl Authority {
         entry.ends_s = set_validity(&mut params, lasts)?;
         params.distinguished_name = common_name(&entry.common_name());
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        // A router connects to others of the fleet, and to itself to check that it still accepts sessions.
+        // A router connects to other routers, and to itself to check that it still accepts sessions.
         params.extended_key_usages = match entry.role {
             Role::Node => vec![ExtendedKeyUsagePurpose::ClientAuth],
             Role::Hub | Role::Router => vec![
@@ -236,7 +236,7 @@ fn write(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The common name of the certificate in a file.
+/// Returns the common name of the certificate in a file.
 ///
 /// # Errors
 /// [`RouterError`] if the file has no certificate with a common name.
@@ -252,7 +252,7 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
 
 /// Sets the validity to `lasts` from now on. Returns its end in seconds since the Unix epoch.
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
-    let no_time = || RouterError::Other("that time cannot stand in a certificate".to_owned());
+    let no_time = || RouterError::Other("a certificate cannot contain that time".to_owned());
     let now = unix_milliseconds() / 1000;
     let ends = i64::try_from(lasts.as_secs()).ok();
     let ends = ends

@@ -1,4 +1,4 @@
-//! Errors of certificates, rules and routers.
+//! Defines the errors of certificates, rules and routers.
 
 use albireo_service::http::HttpError;
 use albireo_wire::KeyError;
@@ -12,17 +12,17 @@ pub enum RouterError {
     #[error(transparent)]
     Key(#[from] KeyError),
     /// A certificate cannot be created.
-    #[error("the certificate cannot be made: {0}")]
+    #[error("the certificate cannot be created: {0}")]
     Certificate(#[from] rcgen::Error),
     /// The HTTP interface is not allowed as configured.
     #[error("[http] {0}")]
     Http(#[from] HttpError),
-    /// Another reason, in words.
+    /// Another reason, as text.
     #[error("{0}")]
     Other(String),
 }
 
-/// Returns an error with a reason in words.
+/// Returns an error with a reason as text.
 pub(crate) fn other<T>(reason: impl Into<String>) -> Result<T, RouterError> {
     Err(RouterError::Other(reason.into()))
 }

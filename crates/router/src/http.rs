@@ -26,7 +26,7 @@ impl RouterView {
         Some(session.info().transports().await.count())
     }
 
-    /// Why the router does not work; `None` if it does.
+    /// The reason that the router does not work; `None` if it does.
     pub(crate) fn reason(&self) -> Option<String> {
         match self.session.get() {
             None => Some("it does not listen yet".to_owned()),
@@ -63,12 +63,12 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
     let mut page = MetricsPage::default();
     page.gauges(
         "albireo_router_build_info",
-        "The program that runs, always 1",
+        "The running program, always 1",
         [([("version", env!("CARGO_PKG_VERSION"))], 1.0)],
     );
     page.gauge(
         "albireo_router_ready",
-        "Whether the router takes sessions",
+        "Whether the router accepts sessions",
         f64::from(u8::from(view.reason().is_none())),
     );
     page.gauge(
@@ -78,12 +78,12 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
     );
     page.gauge(
         "albireo_router_sessions_limit",
-        "Most sessions: one more is refused",
+        "Most sessions; further ones are refused",
         view.max_sessions as f64,
     );
     page.gauge(
         "albireo_router_probe_seconds",
-        "How long it took to open a session at the last attempt; absent when it failed",
+        "Duration of the last attempt to open a session; absent if it failed",
         view.probes.took().map(|took| took.as_secs_f64()),
     );
     page.counter(

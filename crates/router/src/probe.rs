@@ -12,7 +12,7 @@ use zenoh::{Config, Wait};
 /// The time limit of an attempt.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Consecutive failures before the router counts as stuck: one attempt may meet a storm of joining nodes.
+/// Consecutive failures before the router counts as stuck. A single attempt may fail while many nodes join.
 const STUCK_AFTER: u32 = 3;
 
 #[derive(Debug, Default)]
@@ -38,12 +38,12 @@ impl Probes {
         self.0.lock().took
     }
 
-    /// Why the router no longer accepts sessions, if so.
+    /// The reason to assume that the router no longer accepts sessions, if any.
     pub(crate) fn stuck(&self) -> Option<String> {
         let state = self.0.lock();
         (state.failures >= STUCK_AFTER).then(|| {
             format!(
-                "no session could be opened {} times: {}",
+                "{} attempts in a row opened no session: {}",
                 state.failures, state.error
             )
         })
@@ -57,7 +57,7 @@ impl Probes {
                 state.took = Some(took);
             }
             Err(error) => {
-                tracing::warn!(%error, "the router takes no session");
+                tracing::warn!(%error, "the router accepted no session");
                 state.failures = state.failures.saturating_add(1);
                 state.failed += 1;
                 state.took = None;

@@ -66,10 +66,9 @@ impl RouterOptions {
             && !self.no_access_control
         {
             return other(format!(
-                "{} asks for certificates (`enable_mtls`), and no access rules say what their holders may do: every \
-                 certificate, revoked ones included, could send in the name of any node and answer as a hub. Name the \
-                 rules with --access (`albireo acl --output access.json` writes them), or allow everything with \
-                 --no-access-control",
+                "{} requires certificates (`enable_mtls`), but there are no access rules: every certificate, revoked ones \
+                 included, could send in the name of any node and answer as a hub. Set the rules with --access (`albireo \
+                 acl --output access.json` writes them), or allow everything with --no-access-control",
                 self.config.display()
             ));
         }
@@ -120,7 +119,7 @@ pub async fn run(
     let (served, routed) = tokio::join!(
         async {
             let ended = served.await;
-            // A router without its interface cannot be monitored, so it ends.
+            // A router without its HTTP interface cannot be monitored, so it stops.
             shutdown.cancel();
             ended
         },

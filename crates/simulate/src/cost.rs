@@ -1,4 +1,4 @@
-//! Processor time and memory of processes, as the kernel reports them.
+//! Measures processor time and memory of processes, as the kernel reports them.
 
 use procfs::{ProcResult, page_size, ticks_per_second};
 use serde::Serialize;

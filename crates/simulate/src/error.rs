@@ -1,4 +1,4 @@
-//! Errors of a simulated fleet.
+//! Defines the errors of a simulated fleet.
 
 /// The reason a fleet cannot be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -9,7 +9,7 @@ pub enum SimulateError {
     /// The task of a session ended early.
     #[error("a simulated session failed: {0}")]
     Task(#[from] tokio::task::JoinError),
-    /// Another reason, in words.
+    /// Another reason, as text.
     #[error("{0}")]
     Other(String),
 }

@@ -1,4 +1,4 @@
-//! One simulated node: its reports and its reactions to desired settings, without network or clock.
+//! Simulates one node, its reports and its reactions to desired settings, without network or clock.
 
 use super::options::{Behaviour, Options};
 use albireo_wire::{
@@ -82,7 +82,7 @@ impl SimNode {
         }
     }
 
-    /// Starts the node somewhere between two batches, like a fleet that has been running for long: otherwise nothing
+    /// Starts the node at a random point between two batches, like in a fleet that has run for long: otherwise nothing
     /// would be reported until the first batch is gathered.
     pub(crate) fn begin_within(&mut self, gather: u64) {
         let waiting = mix(self.seed, 6) % gather.max(1);
@@ -119,7 +119,7 @@ impl SimNode {
         self.acknowledged = (self.acknowledged + reports).min(self.made);
     }
 
-    /// Applies a desired setting. Returns true if the status must be sent at once.
+    /// Applies a desired setting. Returns true if the status must be sent immediately.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
         let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
@@ -154,8 +154,8 @@ impl SimNode {
         true
     }
 
-    /// Holds a target, or none. The simulated street has a skip rate for each `u`, so the target is reached at once, as
-    /// if a controller had settled; there are no figures for power, time and recall.
+    /// Holds a target, or none. The simulated street has a skip rate for each `u`, so the target is reached
+    /// immediately, as if a controller had settled; there are no figures for power and recall.
     fn hold(&mut self, target: Option<Target>, revision: u64) {
         self.full_due = true;
         self.refused = None;
@@ -263,7 +263,7 @@ impl SimNode {
         }
     }
 
-    /// Report number `number`, from 0: a day of a street, drawn from the node's seed.
+    /// Report number `number`, from 0, drawn from the node's seed.
     fn report(&self, number: u64) -> ClipReport {
         let u = self
             .values
@@ -274,7 +274,7 @@ impl SimNode {
         let mut random = Pcg64Mcg::seed_from_u64(mix(self.seed, 1_000 + number));
         let mut noise = || normal(&mut random);
         let frames = (self.clip_s * FRAMES_PER_S).round().max(1.0);
-        // A decade of `u` changes a fifth of the frames; nodes and clips differ.
+        // A factor of ten in `u` changes a fifth of the frames; nodes and clips differ.
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
         let skip =
             (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);

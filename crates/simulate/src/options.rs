@@ -1,4 +1,4 @@
-//! The options of a simulated fleet, and their bounds.
+//! Defines the options of a simulated fleet, and checks them.
 
 use clap::Parser;
 use std::net::ToSocketAddrs;
@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The maximum number of nodes in a run.
 const MOST_NODES: usize = 1_000_000;
-/// The maximum number of sessions in a run: each is a connection with threads' worth of state on both ends.
+/// The maximum number of sessions in a run: each is a connection, with much state at both ends.
 const MOST_SESSIONS: usize = 20_000;
 /// The maximum duration of a run.
 const LONGEST: Duration = Duration::from_secs(86_400);
@@ -81,7 +81,7 @@ pub struct Options {
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse().map_err(|_| "no number".to_owned())?;
+    let seconds = text.parse().map_err(|_| "not a number".to_owned())?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
@@ -91,7 +91,7 @@ fn named_pid(text: &str) -> Result<(String, u32), String> {
         .ok_or("write NAME=PID, such as hub=4711")?;
     let pid = pid
         .parse()
-        .map_err(|_| format!("`{pid}` is no process number"))?;
+        .map_err(|_| format!("`{pid}` is not a process number"))?;
     Ok((name.to_owned(), pid))
 }
 
@@ -118,7 +118,7 @@ impl Options {
     /// Checks that the run is bounded and stays on this machine.
     ///
     /// # Errors
-    /// The error, and what is allowed, in words.
+    /// The invalid option, and the allowed values.
     pub(crate) fn check(&self) -> Result<(), String> {
         let within = |what: &str, value: f64, least: f64, most: f64| {
             let is_within = (least..=most).contains(&value);
@@ -130,14 +130,14 @@ impl Options {
         within("sessions", sessions, 1.0, nodes.min(MOST_SESSIONS as f64))?;
         within("status-seconds", self.status_s, 0.1, 86_400.0)?;
         within("clip-seconds", self.clip_s, 0.1, 86_400.0)?;
-        // More would not fit into the largest batch that a hub takes.
+        // More would not fit into the largest batch that a hub accepts.
         within("gather", self.gather as f64, 1.0, 500.0)?;
         if self.duration > LONGEST || self.drain > LONGEST {
-            return Err("no time may be longer than a day".to_owned());
+            return Err("seconds and drain must be at most a day".to_owned());
         }
         if !is_on_this_machine(&self.connect) {
             return Err(format!(
-                "`{}` is not on this machine: a simulated fleet is played over loopback only (tcp/127.0.0.1:7448)",
+                "`{}` is not on this machine: a simulated fleet connects only over loopback (tcp/127.0.0.1:7448)",
                 self.connect
             ));
         }
@@ -145,7 +145,7 @@ impl Options {
     }
 }
 
-/// True if an endpoint such as `tcp/127.0.0.1:7448` is on this machine.
+/// Returns true if an endpoint such as `tcp/127.0.0.1:7448` is on this machine.
 fn is_on_this_machine(endpoint: &str) -> bool {
     let address = endpoint.split_once('/').map(|(_, address)| address);
     let host = address.and_then(|address| address.split(['?', '#']).next());

@@ -34,7 +34,7 @@ const FIRST_STATUSES: Duration = Duration::from_secs(5);
 /// The time after the start at which the initial flood of all nodes is over.
 pub(crate) const SETTLED: Duration = Duration::from_secs(20);
 
-/// A request to the hub with its answer, good or error, if one came.
+/// A request to the hub with its answer, good or error, if one was received.
 enum Asked {
     Desired(Option<Answer>),
     /// A batch with its number of reports and the time until the answer.
@@ -50,7 +50,7 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
             .map_err(|error| SimulateError::at(file.display(), error))?,
         None => zenoh::Config::default(),
     };
-    // Spread over time when thousands reconnect to a lost router.
+    // The first retries are spread over time, because thousands may reconnect to a router at once.
     let first_retry = 500 + mix(options.seed, index as u64) % 2_000;
     let retry = serde_json::json!({"period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2});
     for (key, value) in [
@@ -87,10 +87,10 @@ pub(crate) struct Player {
     asked: JoinSet<Asked>,
     /// True while a batch is in flight.
     sending: bool,
-    /// When to resend an unacknowledged batch, and the pause after the next one.
+    /// The time to resend an unacknowledged batch, and the pause after the next one.
     again: Option<Instant>,
     pause: Duration,
-    /// True once no more clips are made: the rest is sent, however little.
+    /// True once no more clips are made: the remaining reports are sent even if there are few.
     ending: bool,
 }
 
@@ -253,7 +253,7 @@ impl Player {
 
     fn take(&mut self, desired: &Desired) {
         if self.node.take(desired) && !self.ending {
-            // A change is reported at once.
+            // A change is reported immediately.
             self.status();
         }
     }

@@ -1,4 +1,4 @@
-//! The summary of a run, as a table and as JSON.
+//! Summarises a run, as a table and as JSON.
 
 use super::cost::ProcessCost;
 use super::totals::{Counts, DelaySummary};
@@ -23,8 +23,8 @@ pub struct Summary {
     pub counts: Counts,
     /// The delay from sending a batch to its acknowledgement.
     pub answers: DelaySummary,
-    /// The same without two floods that only the simulation has: all nodes start at once, and all send their rest at
-    /// once at the end.
+    /// The same without two floods that only the simulation has: all nodes start at the same time, and all send their
+    /// remaining reports at the same time at the end.
     pub settled: DelaySummary,
     /// The cost of processes during the load.
     pub costs: Vec<ProcessCost>,

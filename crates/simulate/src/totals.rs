@@ -1,4 +1,4 @@
-//! The counts of a run.
+//! Counts the messages of a run, and measures delays.
 
 use parking_lot::Mutex;
 use serde::Serialize;

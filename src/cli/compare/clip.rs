@@ -1,11 +1,11 @@
-//! Reads a clip into memory once, so that reading it costs no run any time.
+//! Reads a clip into memory once, so that no run spends time on reading.
 
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
 
-/// The most memory of a clip, bytes.
+/// Largest clip, bytes.
 const MAX_BYTES: usize = 1 << 30;
 
 /// Reads the first `seconds` of `source`; also returns the size of its first picture.
@@ -44,7 +44,7 @@ fn load_now(
         pictures.push(picture);
     }
     let Some(size) = pictures.first().map(|first| first.size) else {
-        bail!("--clip {}: there is not one frame in it", source.name());
+        bail!("--clip {}: it has no frames", source.name());
     };
     let clip = Pictures::in_memory(source.name().to_owned(), pictures, source.rate());
     Ok((clip, size))

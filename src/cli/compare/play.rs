@@ -39,7 +39,7 @@ pub(super) struct Player {
     pub clip: Pictures,
     /// Size of its pictures.
     pub size: PictureSize,
-    /// Frames per second; `None` to send each frame when the last was taken.
+    /// Frames per second; `None` to send each frame once the node has accepted the previous one.
     pub rate: Option<f64>,
     /// Warm-up, seconds of the clip.
     pub warm_up_s: f64,

@@ -20,7 +20,8 @@ pub(super) struct DemoHub {
 }
 
 impl DemoHub {
-    /// Starts a hub on `listener` that talks to the node at `node`. When it ends by itself, it ends the demonstration.
+    /// Starts a hub on `listener` that connects to the node at `node`. If it stops by itself, it ends the
+    /// demonstration.
     pub(super) fn start(
         listener: TcpListener,
         node: &str,
@@ -31,7 +32,7 @@ impl DemoHub {
             .prefix("albireo-demo-")
             .permissions(Permissions::from_mode(0o700))
             .tempdir()
-            .context("no folder for the hub's database")?;
+            .context("the folder of the hub's database cannot be created")?;
         let mut config = HubConfig::default();
         config.zenoh.mode = ZenohMode::Peer;
         config.zenoh.connect = vec![node.to_owned()];
@@ -60,7 +61,7 @@ impl DemoHub {
         self.address
     }
 
-    /// Ends the hub after it has committed all reports.
+    /// Stops the hub after it has committed all reports.
     pub(super) async fn stop(self) -> anyhow::Result<()> {
         self.stop.cancel();
         self.running.await.context("hub")?.context("hub")

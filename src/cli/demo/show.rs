@@ -12,7 +12,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
-/// How long to wait for the last clip's report after the end.
+/// Longest wait for the last clip's report after the end.
 const LAST_REPORT: Duration = Duration::from_secs(3);
 
 /// Follows a node's board and prints.
@@ -198,7 +198,7 @@ fn clip_line(report: &ClipReport) -> String {
     )
 }
 
-/// Marks energy that no meter has measured, or that does not cover the whole clip.
+/// Returns the mark for energy that no meter has measured, or that does not cover the whole clip.
 fn mark(energy: &ClipEnergy) -> &'static str {
     match (energy.quality, energy.is_whole()) {
         (EnergyQuality::Estimated, true) => "*",
@@ -242,7 +242,7 @@ impl Summary {
                 self.joules, self.source
             ),
             Some(EnergyQuality::Estimated) => println!(
-                "energy {:.1} J: estimated from utilisation (*), no power meter here{gaps}",
+                "energy {:.1} J: estimated from utilisation (*), without a power meter{gaps}",
                 self.joules
             ),
             Some(EnergyQuality::Unavailable) | None => println!("energy not known: no source"),

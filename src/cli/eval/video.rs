@@ -25,7 +25,7 @@ use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
 
-/// A detector run that takes longer has failed; no camera waits for it, so the limit is high.
+/// Time limit of a detector run, milliseconds. No camera waits for it, so the limit is high.
 const TIMEOUT_MS: u64 = 60_000;
 
 /// Arguments of `albireo eval video`.
@@ -201,9 +201,9 @@ impl<'a> Evaluation<'a> {
         })
     }
 
-    /// Runs the detector over a clip and every policy on what it found, and judges them by the clip's ground truth or, where
-    /// none was given, against Vanilla. The frames that lost most get their pictures from `source` once more: keeping all
-    /// pictures until these frames are known takes memory.
+    /// Runs the detector over a clip and every policy on its detections, and judges them by the clip's ground truth or,
+    /// if there is none, against Vanilla. The pictures of the frames that lost most are read from `source` again,
+    /// because keeping all pictures until these frames are known would take too much memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
         let mut clip = pass_over(
             source,
@@ -258,7 +258,7 @@ impl<'a> Evaluation<'a> {
         } else {
             let confidence = self.settings.confidence;
             format!(
-                "against vanilla: its own output at confidence {confidence} is taken for ground truth"
+                "against vanilla: its own output at confidence {confidence} is used as ground truth"
             )
         };
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
@@ -372,7 +372,7 @@ fn max_frames(pass: &PassArguments) -> Option<usize> {
     (pass.frames).map(|most| usize::try_from(most).unwrap_or(usize::MAX))
 }
 
-/// Passes over a clip, with a progress bar on a terminal and a line elsewhere.
+/// Passes over a clip, with a progress bar on a terminal and a line otherwise.
 fn pass_over(
     source: &mut dyn FrameSource,
     models: &mut ModelRunner,
@@ -430,7 +430,7 @@ pub(super) fn look_at(
     Ok(pictured)
 }
 
-/// Reports how many frames the screen called empty and how many of them wrongly, in a line per policy that asked it.
+/// Reports how many frames the screen called empty, and how many of these wrongly, in a line per policy that used it.
 fn screen_lines(results: &[ClipResult]) -> Vec<String> {
     let asked = results.iter().filter(|result| result.screen_frames > 0);
     let mut policies: Vec<&str> = asked.map(|result| result.policy.as_str()).collect();

@@ -8,9 +8,9 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::time::Duration;
 
-/// How long a plain answer may take.
+/// Time limit of a plain answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
-/// The longest line of a stream.
+/// The longest line of a stream, bytes.
 const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// A hub, or a node.
@@ -23,7 +23,7 @@ pub(in crate::cli) struct Client {
 impl Client {
     pub(in crate::cli) fn new(hub: &str, token: Option<String>) -> anyhow::Result<Self> {
         let base = Url::parse(hub)
-            .with_context(|| format!("`{hub}` is no address such as http://127.0.0.1:8090"))?;
+            .with_context(|| format!("`{hub}` is not an address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             // An answer must come from the hub itself, so redirects are not followed.
@@ -125,7 +125,11 @@ impl Client {
             .json(body);
         let mut answer = self.send(request).await?;
         let mut unread = Vec::new();
-        while let Some(bytes) = answer.chunk().await.context("the hub broke off")? {
+        while let Some(bytes) = answer
+            .chunk()
+            .await
+            .context("the connection to the hub broke")?
+        {
             unread.extend_from_slice(&bytes);
             while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
                 let rest = unread.split_off(end + 1);

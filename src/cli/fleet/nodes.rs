@@ -1,10 +1,11 @@
-//! The commands `ls`, `show`, `energy` and `watch`.
+//! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
 use super::table::{WIDTH, cut, table};
-use super::units::{self, ago, figure, name_of, now_ms, seconds, threshold};
+use super::units::{self, ago, figure, name_of, seconds, threshold};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use serde::Deserialize;
 use serde_json::json;
@@ -90,7 +91,7 @@ async fn nodes(
     while found.len() < limit.min(MAX_NODES) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
         query.push(("sort", sort.to_owned()));
-        // The worst, the last heard and the most waiting first.
+        // The worst state, the most recent status and the most waiting reports come first.
         query.push(("down", (sort != "name").to_string()));
         query.push(("offset", found.len().to_string()));
         query.extend(state.map(|state| ("state", state.to_owned())));
@@ -250,7 +251,7 @@ fn target_words(report: &NodeTarget) -> String {
 }
 
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
-    let from = now_ms() - (arguments.since * 1e3) as i64;
+    let from = unix_milliseconds() - (arguments.since * 1e3) as i64;
     // The hub keeps sums of whole days, which are enough for a long time.
     let from = match arguments.since >= WHOLE_DAYS_FROM {
         true => from.div_euclid(DAY_MS) * DAY_MS,
@@ -264,10 +265,10 @@ pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> any
     Ok(Ended::Well)
 }
 
-/// One line for each group and quality; the quality is never summed over.
+/// Formats one line for each group and quality; different qualities are never added.
 fn sums(energy: &Energy) -> String {
     if energy.groups.is_empty() {
-        return "no clips in that time\n".to_owned();
+        return "there are no clips in that time\n".to_owned();
     }
     let rows = energy.groups.iter().map(|group| {
         let joules = |value: f64| match group.quality {

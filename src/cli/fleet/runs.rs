@@ -1,4 +1,4 @@
-//! The commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
+//! Runs the commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
 
 use super::table::{WIDTH, cut, table, wrapped};
 use super::units::{
@@ -161,7 +161,7 @@ struct Basics {
     why: String,
 }
 
-/// Starts a rollout or a trial with this plan; the hub has a default for what is not given.
+/// Starts a rollout or a trial with this plan. The hub has defaults for absent fields.
 async fn begin(
     context: &Context,
     path: &str,
@@ -429,7 +429,7 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     text
 }
 
-/// Formats what a trial measured.
+/// Formats the measurements of a trial.
 fn result(result: &TrialResult) -> String {
     let level = result.confidence * 100.0;
     let row = |shown: Figure, arm: &ArmResult| {

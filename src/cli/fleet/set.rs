@@ -1,4 +1,4 @@
-//! The commands `set-u`, `set-target`, `changes` and `drift`.
+//! Runs the commands `set-u`, `set-target`, `changes` and `drift`.
 
 use super::table::{WIDTH, cut, table};
 use super::units::{counts, name_of, seconds, setting, target, when};
@@ -187,7 +187,7 @@ pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
     let drift: Vec<Drift> = context.client.get("/api/v1/drift", &[]).await?;
     context.print(&drift, |nodes| {
         if nodes.is_empty() {
-            return "every node that took a desired value still has it\n".to_owned();
+            return "every node that applied its desired setting still has it\n".to_owned();
         }
         let rows = nodes.iter().map(|node| {
             [

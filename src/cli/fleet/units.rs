@@ -3,10 +3,10 @@
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
 use albireo_hub::tuning::member::Outcome;
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
@@ -19,30 +19,22 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
     };
     match number.trim().parse::<f64>() {
         Ok(number) if number >= 0.0 && number.is_finite() => Ok(number * unit),
-        _ => Err(format!("`{text}` is no time such as 90s, 30m, 2h or 7d")),
+        _ => Err(format!("`{text}` is not a time such as 90s, 30m, 2h or 7d")),
     }
 }
 
 /// Reads a number that JSON can hold.
 pub(super) fn finite(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite());
-    number.ok_or_else(|| format!("`{text}` is no number"))
+    number.ok_or_else(|| format!("`{text}` is not a number"))
 }
 
-/// Returns the milliseconds since the Unix epoch.
-pub(super) fn now_ms() -> i64 {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
-}
-
-/// Formats how long ago something was: `12 s`, `5 min`, `3 h`, `8 d`.
+/// Formats the age of a time, which is in milliseconds since the Unix epoch: `12 s`, `5 min`, `3 h`, `8 d`.
 pub(super) fn ago(at_ms: i64) -> String {
-    span((now_ms() - at_ms).max(0) / 1000)
+    span((unix_milliseconds() - at_ms).max(0) / 1000)
 }
 
-/// Formats how long ago a time is, in milliseconds since the Unix epoch.
+/// Formats a time in milliseconds since the Unix epoch: `12 s ago`.
 pub(super) fn when(at_ms: i64) -> String {
     format!("{} ago", ago(at_ms))
 }
@@ -53,7 +45,7 @@ pub(super) fn name_of(value: &impl Serialize) -> String {
     name.as_str().unwrap_or("-").replace('_', " ")
 }
 
-/// Formats how many nodes have each outcome: `3 applied, 1 timed out`.
+/// Formats the number of nodes by outcome: `3 applied, 1 timed out`.
 pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
     let counts = counts
         .iter()
@@ -61,7 +53,7 @@ pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
     counts.collect::<Vec<_>>().join(", ")
 }
 
-/// Formats a change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers where it is not `relative`.
+/// Formats a change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers if it is not `relative`.
 pub(super) fn interval(change: &Interval, relative: bool) -> String {
     let shown = |value: f64| match relative {
         true => format!("{:+.1}%", value * 100.0),
@@ -104,7 +96,7 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
-/// Rounds to six digits: the values of a controller have more than anybody reads.
+/// Rounds to six digits, because the values of a controller have more than anybody reads.
 fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }

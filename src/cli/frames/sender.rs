@@ -16,20 +16,20 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::Querier;
 use zenoh::session::Session;
 
-/// The longest time until a node takes a frame. A node whose detector hangs takes the next one long before.
+/// The longest time until a node accepts a frame. A node whose detector hangs accepts the next one long before.
 const TURN: Duration = Duration::from_secs(120);
 
-/// The time between two attempts to send a frame to a node that did not take it.
+/// The time between two attempts to send a frame to a node that did not accept it.
 const RETRY: Duration = Duration::from_millis(50);
 
-/// What happens if frames arrive faster than the node takes them.
+/// The handling of frames that are faster than the node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pacing {
-    /// Frames are dropped, as those of a camera should be.
+    /// Frames are dropped, as a camera's should be.
     Drop,
-    /// The sender waits for the network, and the node takes the newest.
+    /// The sender waits for the network, and the node uses the newest frame.
     WaitForNetwork,
-    /// The sender waits until the node has taken each: its camera has `delivery = "every"`.
+    /// The sender waits until the node has accepted each frame: its camera has `delivery = "every"`.
     WaitForNode,
 }
 
@@ -132,15 +132,15 @@ impl FrameSender {
         Ok(())
     }
 
-    /// True while a node takes the frames; `None` until one has.
+    /// True while a node subscribes to the frames; `None` until one has.
     pub(crate) fn receivers(&self) -> watch::Receiver<Option<bool>> {
         self.receivers.clone()
     }
 
-    /// Waits until a node takes the frames.
+    /// Waits until a node subscribes to the frames.
     ///
     /// # Errors
-    /// When no node takes frames within `patience`.
+    /// When no node subscribes within `patience`.
     pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
         let mut receivers = self.receivers();
         let taken = receivers.wait_for(|taken| *taken == Some(true));
@@ -164,10 +164,10 @@ impl FrameSender {
     /// Puts one frame; blocks while the network has no room.
     ///
     /// # Errors
-    /// When Zenoh refuses it, or the frames of this sender are asked for.
+    /// When Zenoh refuses it, or this sender waits for the node.
     pub fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
         let SendMode::Put(publisher) = &self.mode else {
-            bail!("this sender's frames wait to be taken");
+            bail!("this sender waits for the node to accept each frame");
         };
         publisher
             .put(frame.picture.bytes.as_ref())
@@ -180,7 +180,7 @@ impl FrameSender {
     /// Sends one frame; returns the reason if the node reports that it does not process it.
     ///
     /// # Errors
-    /// When Zenoh refuses it, or no node takes it.
+    /// When Zenoh refuses it, or no node accepts it.
     #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<Option<String>> {
         match &self.mode {
@@ -196,7 +196,7 @@ impl FrameSender {
         }
     }
 
-    /// Sends a frame and waits until the node has taken it; repeats it until then.
+    /// Sends a frame again and again until the node has accepted it.
     async fn ask(
         &self,
         querier: &Arc<Querier<'static>>,
@@ -247,7 +247,7 @@ impl FrameSender {
     }
 }
 
-/// A stream's number, and the token that shows that it is active.
+/// Begins a stream: returns its number, and the token that shows that it is active.
 fn new_stream(session: &Session, key: &str) -> anyhow::Result<(u64, LivelinessToken)> {
     let stream = unix_nanoseconds();
     let token = session

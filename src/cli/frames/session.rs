@@ -1,4 +1,4 @@
-//! The Zenoh session of a command that talks to a node.
+//! Opens and closes the Zenoh session of a command that sends frames to a node.
 
 use albireo_service::session;
 use anyhow::anyhow;
@@ -9,17 +9,16 @@ use std::time::Duration;
 use zenoh::Config;
 use zenoh::session::Session;
 
-/// Where a node listens by default.
+/// The endpoint on which a node listens by default.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// How long, in microseconds, a put may wait for room before Zenoh closes the connection. Its
-/// default of 5 s is too short for a receiver that slows its sender down.
+/// The time that a put may wait for room before Zenoh closes the connection, microseconds. Zenoh's default of 5 s is
+/// too short for a receiver that slows its sender down.
 const BLOCKED_MICROSECONDS: u64 = 120_000_000;
 const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
-/// Opens a session that connects only to the given endpoints: a client of `connect` (of
-/// [`DEFAULT_ENDPOINT`] when both are empty), or a peer when there is something to listen on. Keeps
-/// trying to connect for `patience`.
+/// Opens a session that connects only to the given endpoints: as a client of `connect` (of [`DEFAULT_ENDPOINT`] if both
+/// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`.
 ///
 /// # Errors
 /// When an endpoint is malformed, or cannot be reached or listened on.
@@ -47,7 +46,8 @@ pub async fn open_session(
         ("transport/shared_memory/enabled", json!(false)),
         (BLOCKED, json!(BLOCKED_MICROSECONDS)),
     ];
-    session::set(&mut config, &settings).map_err(|error| anyhow!("Zenoh does not take {error}"))?;
+    session::set(&mut config, &settings)
+        .map_err(|error| anyhow!("Zenoh does not accept {error}"))?;
     zenoh::open(config).await.map_err(|error| {
         let endpoints = [&connect, listen].concat().join(", ");
         let error = session::plain(&error);
@@ -55,9 +55,9 @@ pub async fn open_session(
     })
 }
 
-/// Waits until all earlier puts have left this session and, if it is a client, have reached its node or
-/// router: a query travels behind the frames, and it ends only then. Closing a session drops what a slow
-/// receiver has not taken after ten seconds.
+/// Waits until all earlier puts have left this session and, if it is a client, have reached its node or router: a query
+/// is queued behind the frames, so it ends only then. Closing a session drops what a slow receiver has not received
+/// after 10 s.
 ///
 /// # Errors
 /// When that takes longer than `patience`.
@@ -68,7 +68,7 @@ pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::
         .get(format!("{key}/@flush"))
         .timeout(patience)
         .await
-        .map_err(|error| anyhow!("waiting for the last frames to be taken: {error}"))?;
+        .map_err(|error| anyhow!("waiting for the last frames to be sent: {error}"))?;
     let waited = tokio::time::timeout(patience, async {
         while let Ok(reply) = replies.recv_async().await {
             if let Err(error) = reply.result() {
@@ -79,7 +79,7 @@ pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::
     });
     waited.await.with_context(|| {
         format!(
-            "the last frames were not taken within {} s",
+            "the last frames were not sent within {} s",
             patience.as_secs()
         )
     })?
@@ -88,7 +88,7 @@ pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::
 /// Closes a session.
 ///
 /// # Errors
-/// When Zenoh cannot.
+/// When Zenoh cannot close it.
 pub(crate) async fn close(session: Session) -> anyhow::Result<()> {
     (session.close().await).map_err(|error| anyhow!("closing the Zenoh session: {error}"))
 }

@@ -12,15 +12,15 @@ use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// The longest time between two frames: that of the lowest rate that can be asked for.
+/// The longest time between two frames, at the lowest rate that can be requested.
 const MAX_PERIOD: Duration = Duration::from_secs(1000);
 
-/// How fast frames are sent.
+/// The rate at which frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
     /// This many frames per second.
     PerSecond(f64),
-    /// As fast as they are read and taken. Their capture times stay those of the source's own rate.
+    /// As fast as they are read and accepted. Their capture times follow the source's own rate.
     Unpaced,
 }
 
@@ -70,7 +70,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// What was sent so far.
+/// The totals so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sent {
     /// The number of frames.
@@ -89,8 +89,7 @@ pub struct Sent {
     pub elapsed: Duration,
 }
 
-/// Publishes `source` until it ends, the frames asked for are sent, or `shutdown`. `progress` is called
-/// after each frame.
+/// Publishes `source` until it ends, the requested frames are sent, or `shutdown`. Calls `progress` after each frame.
 ///
 /// # Errors
 /// When the source fails or Zenoh refuses a frame.
@@ -111,7 +110,7 @@ pub async fn publish(
     .await
 }
 
-/// Ends the source when the player ends, for whatever reason.
+/// Stops the source when it is dropped, so that the source stops with the player for any reason.
 struct StopOnDrop(Option<Stopper>);
 
 impl Drop for StopOnDrop {
@@ -166,7 +165,7 @@ fn prepare(
                 return;
             }
             let again = if frames == 0 {
-                Err(anyhow!("{}: there are no frames in it", source.name()))
+                Err(anyhow!("{}: it has no frames", source.name()))
             } else {
                 source.rewind().map_err(anyhow::Error::from)
             };
@@ -325,7 +324,7 @@ fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
         .unwrap_or(0)
 }
 
-/// Returns the size, which only raw pictures need.
+/// Returns an attachment with the size of the picture, which only raw pictures need.
 fn raw_size(picture: &EncodedPicture) -> FrameAttachment {
     let raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
     FrameAttachment {

@@ -52,7 +52,7 @@ pub struct HeldOut {
 /// The result of the search: a proposal without a screen and, if verdicts were recorded, one with it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
-    /// The target that was asked for.
+    /// The requested target.
     pub target: Target,
     /// The number of clips of the recording.
     pub clips: usize,

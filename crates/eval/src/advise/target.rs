@@ -1,4 +1,4 @@
-//! The target that the advice has to meet.
+//! Parses the target that the advice has to meet.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! Formats the advice as text: a table of the proposals, what to use, and the lines for `node.toml`.
+//! Formats the advice as text: a table of the proposals, the recommended one, and the lines for `node.toml`.
 
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;

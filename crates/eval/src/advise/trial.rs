@@ -13,7 +13,7 @@ use albireo_core::policy::PolicyConfig;
 /// The number of blocks that a recording is cut into, if it is long enough.
 const BLOCKS: usize = 40;
 
-/// The fewest frames of a block. Shorter blocks would share their objects, and so would not be independent.
+/// The fewest frames per block. Shorter blocks would share objects and would not be independent.
 const MIN_BLOCK_FRAMES: usize = 20;
 
 /// The counts of a block of consecutive frames.
@@ -91,7 +91,7 @@ impl Trial {
     }
 }
 
-/// Makes the error for a policy that cannot be used.
+/// Creates the error for a policy that cannot be used.
 pub(super) fn refused(reason: impl std::fmt::Display) -> EvalError {
     EvalError::new(reason).context("--policy")
 }

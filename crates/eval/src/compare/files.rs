@@ -7,8 +7,8 @@ use crate::error::EvalError;
 use crate::files;
 use std::path::Path;
 
-/// Writes all files into `folder`, which is created if needed: `compare.json` with every run's clip
-/// report and the summary, `runs.csv` with a row per run, and `compare.txt` with what was printed.
+/// Writes all files into `folder`, which is created if needed: `compare.json` with every run's clip report and the
+/// summary, `runs.csv` with a row per run, and `compare.txt` with the printed text.
 ///
 /// # Errors
 /// [`EvalError`] with the first file that cannot be written.

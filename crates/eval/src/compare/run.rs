@@ -1,10 +1,10 @@
-//! The records of a comparison and of each of its runs.
+//! Defines the records of a comparison and of each of its runs.
 
 use super::agreement::Agreement;
 use albireo_wire::ClipReport;
 use serde::Serialize;
 
-/// What was played, and how.
+/// The clip that was played, and the way it was played.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Playback {
     /// The clip's name.
@@ -15,7 +15,7 @@ pub struct Playback {
     pub size: String,
     /// The clip's own frames per second.
     pub rate: f64,
-    /// The frames per second at which it was played; `None` if each frame was sent when the last was taken.
+    /// The frames per second at which it was played; `None` if each frame was sent once the previous one was accepted.
     pub played_rate: Option<f64>,
     /// Warm-up under each policy before each run, seconds.
     pub warm_up_s: f64,
@@ -43,7 +43,7 @@ pub struct Run {
     pub meter_share_of_core: f64,
     /// The agreement of its boxes with the detector's; `None` if the detector found nothing.
     pub agreement: Option<Agreement>,
-    /// What to try, if no frame was skipped although objects were tracked.
+    /// A value to try, if no frame was skipped although objects were tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Suggestion>,
 }
@@ -61,7 +61,7 @@ pub struct Suggestion {
 /// All runs of a comparison.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// What was played.
+    /// The clip, and the way it was played.
     pub playing: Playback,
     /// Labels of the variants.
     pub policies: Vec<String>,

@@ -1,6 +1,6 @@
 //! Decides the order in which runs are played.
 
-/// A run of the comparison that is to be played.
+/// A run of the comparison to play.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScheduledRun {
     /// Number of the round, from 0: each round plays every variant once.

@@ -229,7 +229,7 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
     })
 }
 
-/// The lowest quality of all runs: one estimate among measurements makes the whole an estimate.
+/// Returns the lowest quality of all runs: one estimate among measurements makes the whole an estimate.
 fn quality(runs: &[Run]) -> EnergyQuality {
     let of = |run: &Run| match run.report.energy.joules {
         Some(_) => run.report.energy.quality,

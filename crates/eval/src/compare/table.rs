@@ -14,7 +14,7 @@ const MAX_LABEL: usize = 24;
 /// The longest line of text.
 const MAX_LINE: usize = 100;
 
-/// Formats the comparison: what was played, the quality of the energy, three tables, and the verdicts.
+/// Formats the comparison: the clip, the quality of the energy, three tables, and the verdicts.
 pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let mut text = String::new();
     for paragraph in [heading(comparison, summary), energy(summary)] {
@@ -85,7 +85,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
     let pace = match playing.played_rate {
         Some(rate) if rate == playing.rate => format!("at its own {rate} frames/s"),
         Some(rate) => format!("at {rate} frames/s ({} its own)", playing.rate),
-        None => "as fast as the node takes it".to_owned(),
+        None => "as fast as the node accepts it".to_owned(),
     };
     let order: Vec<String> = schedule(comparison.policies.len(), summary.rounds.min(2))
         .chunks(comparison.policies.len().max(1))
@@ -120,7 +120,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
     )
 }
 
-/// The quality of the energy in words.
+/// Describes the quality of the energy.
 fn energy(summary: &Summary) -> String {
     let source = &summary.energy_source;
     let mut text = match summary.energy {

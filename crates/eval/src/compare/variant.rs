@@ -24,7 +24,7 @@ pub fn variants(
     let found = swept(&asked, sweep.as_slice(), base, label)?;
     match found.as_slice() {
         [alone] => Err(EvalError::new(format!(
-            "only `{}` was asked for: name a second policy, such as --policy vanilla --policy albireo",
+            "`{}` is the only policy: name a second one, such as --policy vanilla --policy albireo",
             alone.label
         ))),
         _ => Ok(found),

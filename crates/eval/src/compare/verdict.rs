@@ -112,7 +112,7 @@ fn sentence(
     format!("{name}: {}.", parts.join(", "))
 }
 
-/// The change of energy in words.
+/// Describes the change of energy.
 fn energy(summary: &Summary, policy: &VariantSummary, verdict: &Verdict) -> Option<String> {
     let source = &summary.energy_source;
     let basis = match summary.energy {

@@ -1,4 +1,4 @@
-//! The classes that are evaluated, and how the names of data sets map to them.
+//! Defines the classes that are evaluated, and maps the names of data sets to them.
 //!
 //! Class numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
 //! classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six classes.

@@ -65,8 +65,8 @@ struct Video {
 /// Reads a data set and, if given, a list of results on its images.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, a box on an image that is not there, or pictures of
-/// different sizes within a clip.
+/// [`EvalError`] for a missing or broken file, a box on an image that is not listed, or pictures of different sizes within a
+/// clip.
 pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let names: HashMap<u64, &str> = set
@@ -162,7 +162,7 @@ fn place(
     })
 }
 
-/// Makes the clips without boxes, and finds each image's clip and frame.
+/// Creates the clips without boxes, and finds each image's clip and frame.
 fn frames(
     path: &Path,
     set: &Dataset,

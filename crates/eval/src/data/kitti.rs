@@ -21,7 +21,7 @@ const FRAME_RATE: f64 = 10.0;
 /// Reads all sequences of the folder that contains `label_02`.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, with the line where there is one.
+/// [`EvalError`] for a missing or broken file, with the line if there is one.
 pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let labels = folder.join("label_02");
     let files = entries(&labels, |path| has_extension(path, &["txt"])).map_err(|error| {

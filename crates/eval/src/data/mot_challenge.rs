@@ -18,7 +18,7 @@ use std::path::Path;
 /// exist.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, with the line where there is one.
+/// [`EvalError`] for a missing or broken file, with the line if there is one.
 pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let is_sequence = |folder: &Path| folder.join("seqinfo.ini").exists();
     let folders = if is_sequence(folder) {

@@ -47,7 +47,7 @@ struct Entry {
 /// Reads the folder.
 ///
 /// # Errors
-/// [`EvalError`] for a missing or broken file, with the line where there is one.
+/// [`EvalError`] for a missing or broken file, with the line if there is one.
 pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     let path = folder.join("sequences.json");
     let text = read_text(

@@ -12,7 +12,7 @@ use std::str::FromStr;
 pub(super) const MAX_FRAMES: usize = 1_000_000;
 
 /// The help for a file that was listed, but cannot be read.
-pub(super) const GONE: &str = "it was there a moment ago";
+pub(super) const GONE: &str = "it existed a moment ago";
 
 /// One row of a table.
 pub(super) struct Row<'a> {
@@ -72,7 +72,7 @@ impl Row<'_> {
         Ok(u64::try_from(self.integer(index, name)?).ok())
     }
 
-    /// Makes an error about this row.
+    /// Creates an error about this row.
     pub(super) fn broken(&self, what: impl std::fmt::Display) -> EvalError {
         EvalError::line(self.path, self.line, what)
     }

@@ -1,22 +1,22 @@
-//! Lowers the frame rate of footage by taking only some frames, as evenly spaced as possible.
+//! Lowers the frame rate of footage by keeping only some frames, as evenly spaced as possible.
 
 use super::source::{FrameSource, Stopper};
 use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 
-/// Selects the frames that are taken when the frame rate is lowered.
+/// Selects the frames to keep when the frame rate is lowered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct FrameSelection {
-    /// The share of frames that are taken, at most 1.
+    /// The share of frames that are kept, at most 1.
     share: f64,
 }
 
 impl FrameSelection {
-    /// Lowers `rate` frames per second to `wanted`; takes all frames if there are no more than that.
+    /// Lowers `rate` frames per second to `wanted`; keeps all frames if `rate` is not higher.
     fn new(rate: f64, wanted: f64) -> Self {
         let share = wanted / rate;
         Self {
-            // Written so that NaN takes all frames.
+            // Written so that NaN keeps all frames.
             share: if share > 0.0 && share < 1.0 {
                 share
             } else {
@@ -25,7 +25,7 @@ impl FrameSelection {
         }
     }
 
-    /// True if frame `index` is taken; frame 0 always is.
+    /// Returns true if frame `index` is kept; frame 0 always is.
     fn takes(&self, index: u64) -> bool {
         // A rounding error must not put a product just below the whole number that it should be.
         let due = |index: u64| (index as f64 * self.share + 1e-9).floor();
@@ -42,7 +42,7 @@ pub struct Downsampled<'a> {
 }
 
 impl<'a> Downsampled<'a> {
-    /// `source` at `rate` frames per second, or at its own if that is lower.
+    /// Lowers `source` to `rate` frames per second, unless its own rate is lower.
     pub fn new(source: &'a mut dyn FrameSource, rate: f64) -> Self {
         let own = source.rate();
         Self {

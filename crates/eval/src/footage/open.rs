@@ -12,7 +12,7 @@ use std::str::FromStr;
 /// The demonstration's road, relative to the project's folder.
 const ROAD: &str = "demo/road.tar";
 
-/// Footage as it is named on the command line.
+/// Footage, named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceName {
     /// A folder of JPEG and PNG files, or one such file.
@@ -73,7 +73,7 @@ impl SourceName {
     /// Opens each clip as a source: one clip, unless it is an archive.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// The same as for [`open`](Self::open).
     pub fn open_clips(
         &self,
         rate: Option<f64>,

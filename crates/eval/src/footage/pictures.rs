@@ -52,7 +52,7 @@ impl Pictures {
         }
     }
 
-    /// Makes a sequence of these pictures, at `rate` frames per second.
+    /// Creates a sequence of these pictures, at `rate` frames per second.
     pub fn in_memory(name: String, pictures: Vec<EncodedPicture>, rate: f64) -> Self {
         let member = |picture| Member {
             clip: None,
@@ -114,7 +114,7 @@ impl Pictures {
             });
         }
         if pictures.is_empty() {
-            let what = "there are no JPEG or PNG files in it";
+            let what = "it has no JPEG or PNG files";
             return Err(EvalError::content(path, what));
         }
         Ok(Self::new(name, pictures, rate))

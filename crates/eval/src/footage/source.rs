@@ -51,7 +51,7 @@ pub(crate) fn clip_name(path: &Path) -> String {
     plain_name(stem.to_string_lossy().trim_start_matches('.'))
 }
 
-/// Turns `text` into a name that is valid as a clip id.
+/// Converts `text` to a name that is valid as a clip id.
 pub(super) fn plain_name(text: &str) -> String {
     let name: String = text
         .chars()

@@ -32,7 +32,7 @@ impl Default for Ffmpeg {
     }
 }
 
-/// How the frames of a video are encoded before they are sent.
+/// The encoding of a video's frames before they are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum VideoEncoding {
     /// JPEG of the highest common quality (`-q:v 2`).
@@ -48,7 +48,7 @@ const MAX_PICTURE_BYTES: u64 = 256 << 20;
 /// Bytes that are read from ffmpeg at once: a picture is far larger than a pipe's buffer.
 const BUFFER: usize = 1 << 18;
 
-/// The most bytes that are kept of ffmpeg's error output.
+/// The most bytes of ffmpeg's error output that are kept.
 const MAX_ERROR_OUTPUT_BYTES: u64 = 16 << 10;
 
 /// A video file. Dropping it ends its `ffmpeg`.
@@ -203,7 +203,7 @@ fn probe(
     let probed: Probed = serde_json::from_slice(&probed.stdout)
         .map_err(|error| wrong(format!("ffprobe's output cannot be read: {error}")))?;
     let Some(stream) = probed.streams.first() else {
-        return Err(wrong("there is no video in it".to_owned()));
+        return Err(wrong("it has no video".to_owned()));
     };
     let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
         .into_iter()

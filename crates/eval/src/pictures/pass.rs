@@ -148,9 +148,7 @@ pub fn run_pass(
     }
     let frames = times.len();
     let Some(picture) = size else {
-        return Err(EvalError::new(format!(
-            "{name}: not a single frame came out of it"
-        )));
+        return Err(EvalError::new(format!("{name}: it has no frames")));
     };
     if models.has_screen() {
         let missing = verdicts.iter().filter(|verdict| verdict.is_none()).count();

@@ -162,7 +162,7 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
         section {
             h2 { "AP@50 by class" }
             (sortable(&columns))
-            p.legend { "Each class judged by itself; mean over the clips that show it." }
+            p.legend { "Each class is judged separately; mean over the clips that show it." }
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Makes the rows of `summary.csv`, one per clip and policy.
+//! Builds the rows of `summary.csv`, one per clip and policy.
 //!
 //! The first columns are those of the summary published with the golden traces. `ap50` and `map` follow
 //! the run's profile; `_decayed` and `_lastconf` are the published scoring's two definitions of confidence

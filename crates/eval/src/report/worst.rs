@@ -8,7 +8,7 @@ use albireo_vision::picture::{PictureFormat, read_picture_file};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use maud::{Markup, html};
 
-/// The number of frames that are shown of each policy.
+/// The number of frames that are shown per policy.
 const SHOWN: usize = 3;
 
 /// Renders the frames of each policy that lost the most objects over all clips; nothing if none were lost.

@@ -16,7 +16,7 @@ impl RunTimes {
     /// Reads `text`: milliseconds, or the path of a file with the milliseconds of one measured run on each line.
     ///
     /// # Errors
-    /// A message that says what is wrong, and in which line.
+    /// A message with the fault and its line.
     pub fn read(text: &str) -> Result<Self, String> {
         if text.parse::<f64>().is_ok() {
             return Self::parse([text].into_iter());
@@ -47,7 +47,7 @@ impl RunTimes {
             }
         }
         if seconds.is_empty() {
-            return Err("there is no number".to_owned());
+            return Err("it has no numbers".to_owned());
         }
         Ok(Self { seconds })
     }

@@ -1,9 +1,9 @@
-//! The sections that only a hub has.
+//! Defines the configuration sections that only a hub has.
 
 use albireo_service::config::Findings;
 use serde::{Deserialize, Serialize};
 
-/// Which fleet: the `[hub]` section.
+/// The fleet: the `[hub]` section.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HubSection {
@@ -19,13 +19,13 @@ impl Default for HubSection {
     }
 }
 
-/// Where the history is kept: the `[database]` section.
+/// The database that holds the history: the `[database]` section.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DatabaseConfig {
     /// `sqlite:FILE`, or `postgres://USER:PASSWORD@HOST/DATABASE`.
     pub url: String,
-    /// How long a statement may wait for a connection or a lock, milliseconds.
+    /// Longest wait of a statement for a connection or a lock, milliseconds.
     pub timeout_ms: u64,
 }
 
@@ -48,7 +48,7 @@ impl Default for DatabaseConfig {
 }
 
 impl DatabaseConfig {
-    /// The URL without its password, which may also be among its parameters.
+    /// The URL without its password and parameters, which may contain a password too.
     pub fn shown(&self) -> String {
         let Some((scheme, rest)) = self.url.split_once("://") else {
             return self.url.clone();
@@ -67,7 +67,7 @@ impl DatabaseConfig {
         format!("{scheme}://{place}{parameters}")
     }
 
-    /// The passwords in the URL: that of the user, and one among the parameters.
+    /// The passwords in the URL: the user's, and any in the parameters.
     pub(crate) fn passwords(&self) -> impl Iterator<Item = &str> {
         let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
         let user = place
@@ -95,20 +95,21 @@ impl DatabaseConfig {
         {
             findings.add(
                 "database.url",
-                "names no file: what the hub acknowledges must survive it",
+                "names no file: acknowledged reports must survive a restart",
             );
         }
         findings.count("database.timeout_ms", self.timeout_ms, 100, 600_000);
     }
 }
 
-/// How reports are taken: the `[ingest]` section.
+/// The commits and limits of incoming reports: the `[ingest]` section.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IngestConfig {
     /// Shortest time between two commits, milliseconds: reports that arrive in between are committed together.
     pub commit_ms: u64,
-    /// Bytes of reports that a node may send per day and camera; above it the hub answers when to try again.
+    /// Bytes of reports that a node may send per day and camera; above the limit the hub refuses batches and says when
+    /// to retry.
     pub camera_bytes_per_day: u64,
 }
 
@@ -133,7 +134,7 @@ impl IngestConfig {
     }
 }
 
-/// When a node counts as silent or offline: the `[presence]` section.
+/// The times after which a node counts as silent or offline: the `[presence]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PresenceConfig {
@@ -141,7 +142,7 @@ pub struct PresenceConfig {
     pub silent_after_s: f64,
     /// A node that sent nothing for this long is offline, seconds.
     pub offline_after_s: f64,
-    /// Whether liveliness tokens are watched too: a node that loses its token is offline at once.
+    /// True if liveliness tokens are watched too: a node that loses its token is offline immediately.
     pub tokens: bool,
 }
 
@@ -169,17 +170,17 @@ impl PresenceConfig {
     }
 }
 
-/// How long history is kept: the `[history]` section.
+/// The retention of the history: the `[history]` section.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HistoryConfig {
-    /// Days that clips are kept one by one.
+    /// Days that individual clips are kept.
     pub clips_days: u32,
-    /// Days that sums over five minutes are kept. Daily sums are kept forever.
+    /// Days that five-minute sums are kept. Daily sums are kept for ever.
     pub five_minutes_days: u32,
     /// Days that events and changes are kept.
     pub events_days: u32,
-    /// Days that unreadable reports are kept.
+    /// Days that invalid reports are kept.
     pub set_aside_days: u32,
 }
 

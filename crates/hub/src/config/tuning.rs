@@ -1,9 +1,9 @@
-//! The `[tuning]` section.
+//! Defines the `[tuning]` section.
 
 use albireo_service::config::Findings;
 use serde::{Deserialize, Serialize};
 
-/// What the hub does when somebody changes at a node a value that the hub has set.
+/// The hub's reaction when somebody at a node changes a value that the hub set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LocalChange {
@@ -14,20 +14,13 @@ pub enum LocalChange {
     SetBack,
 }
 
-impl LocalChange {
-    /// True if the hub sets its value again.
-    pub(crate) const fn is_set_back(self) -> bool {
-        matches!(self, Self::SetBack)
-    }
-}
-
-/// How values are set: the `[tuning]` section.
+/// The time limit of orders, and the reaction to local changes: the `[tuning]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TuningConfig {
     /// Time that a reachable node has to report a new value before the order counts as timed out, seconds.
     pub apply_within_s: f64,
-    /// What the hub does when somebody changes a value at the node.
+    /// The reaction to a change at the node.
     pub local_change: LocalChange,
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-/// The object in a body.
+/// Reads the JSON object in a body.
 pub(super) fn object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     let value: Value = serde_json::from_slice(body).map_err(|error| {
         let detail = format!("the body is not JSON: {error}");
@@ -24,8 +24,8 @@ pub(super) fn object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     Ok(object)
 }
 
-/// Splits an object into the request and the fields that are not part of it. Requests flatten other types, so `serde` cannot
-/// refuse unknown fields itself.
+/// Splits an object into the request and the fields that are not part of it. Requests flatten other types, so `serde`
+/// cannot reject unknown fields itself.
 fn read<T>(object: Map<String, Value>) -> Result<(T, Map<String, Value>), Problem>
 where
     T: DeserializeOwned + Serialize + Default,
@@ -56,12 +56,12 @@ where
             "the body must have a threshold, such as \"u\": 5e-4",
         )),
         (Some((one, _)), Some((other, _))) => Err(unusable(format!(
-            "`{one}` and `{other}`: there must be one threshold and nothing else that is not known here"
+            "`{one}` and `{other}`: there must be one threshold and no other unknown field"
         ))),
     }
 }
 
-/// Replaces a threshold as users write it, `{"u": 3e-4}`, by the form that messages have.
+/// Converts a threshold from the form that users write, `{"u": 3e-4}`, to the form in messages.
 pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
     let fault = || unusable(r#"values: each must be one threshold, such as {"u": 3e-4}"#);
     let fields = written.as_object().filter(|fields| fields.len() == 1);
@@ -71,7 +71,7 @@ pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Reads a request and refuses unknown fields.
+/// Reads a request and rejects unknown fields.
 pub(super) fn rest<T>(object: Map<String, Value>) -> Result<T, Problem>
 where
     T: DeserializeOwned + Serialize + Default,
@@ -90,6 +90,7 @@ pub(super) fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) ->
     found.last().filter(|_| more).map(id)
 }
 
+/// The problem document of an invalid request.
 pub(super) fn unusable(detail: impl Into<String>) -> Problem {
     Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail)
 }

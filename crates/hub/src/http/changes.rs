@@ -1,4 +1,4 @@
-//! Changes of a threshold or a target on selected nodes, their history, and nodes that drifted from what was set.
+//! Serves changes of a threshold or a target on selected nodes, their history, and the nodes that drifted.
 
 use super::{HubView, body};
 use crate::store::{ChangeNode, ChangeRow};
@@ -23,14 +23,12 @@ use std::time::Duration;
 use tokio::time::Instant;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most changes of one answer.
+/// Most changes per answer.
 const MOST: i64 = 500;
 /// The media type of a stream of outcomes, one JSON object per line.
 const LINES: &str = "application/x-ndjson";
-/// Longest wait of a plain answer for the nodes, seconds: clients give up on answers that begin too late.
+/// Longest wait of a plain answer for the nodes, seconds: below the 10 s that a request may take.
 const LONGEST_WAIT_S: f64 = 8.0;
-/// Time that a request keeps for the order and the answer, seconds.
-const ANSWER_S: f64 = 1.0;
 /// Longest stream of outcomes, seconds.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
@@ -67,7 +65,7 @@ pub enum OrderLine {
     Last(LastLine),
 }
 
-/// A target that selected nodes are to hold.
+/// A target for selected nodes.
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub(super) struct NewTarget {
     /// Such as `{"skip_rate": 0.5}`; null for no target: the threshold then keeps its value.
@@ -80,9 +78,9 @@ pub(super) struct NewTarget {
 
 /// Sets a value on selected nodes
 ///
-/// A node has the value when it **reports** the value. `Accept: application/x-ndjson` streams the outcome of each node; otherwise
-/// the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it returns. The value switches
-/// off a node's target.
+/// A node has the value once it **reports** the value. With `Accept: application/x-ndjson` the outcome of each node is
+/// streamed; otherwise the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it
+/// returns. The value switches off a node's target.
 /// `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
 #[utoipa::path(
     put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = NewChange,
@@ -101,8 +99,8 @@ pub(super) async fn set_threshold(
 
 /// Sets a target on selected nodes instead of a threshold
 ///
-/// A node has the target when it **reports** the target; its status says how well it is met. A threshold that is set later,
-/// here or at the node, switches the target off. Otherwise this works as `/api/v1/threshold`.
+/// A node has the target once it **reports** the target; its status says whether the target is met. A threshold that is
+/// set later, here or at the node, switches the target off. Otherwise this works like `/api/v1/threshold`.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
 #[utoipa::path(
     put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewTarget,
@@ -119,7 +117,7 @@ pub(super) async fn set_target(
     let target = object.get("target").cloned().ok_or_else(|| {
         names("the body must have a target, such as \"target\": {\"skip_rate\": 0.5}, or null for none".to_owned())
     })?;
-    // Read by itself, so that only errors of the target list the names of targets.
+    // Read separately, so that only errors of the target list the names of targets.
     serde_json::from_value::<Option<Target>>(target)
         .map_err(|error| names(format!("target: {error}")))?;
     let NewTarget { target, change } = body::rest(object)?;
@@ -129,8 +127,8 @@ pub(super) async fn set_target(
     carry_out(&view, &caller, &headers, setting, change).await
 }
 
-/// Orders a setting, and answers with the outcomes: as a stream of lines where the caller accepts one, else after `wait_s`
-/// seconds.
+/// Orders a setting, and answers with the outcomes: as a stream of lines if the caller accepts one, else after `wait_s`
+/// seconds at most.
 async fn carry_out(
     view: &HubView,
     caller: &Caller,
@@ -143,7 +141,7 @@ async fn carry_out(
     let streams = accepted.is_some_and(|accept| accept.contains(LINES));
     let most = match streams {
         true => LONGEST_STREAM_S,
-        false => (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S),
+        false => LONGEST_WAIT_S,
     };
     let wait = request.wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {
@@ -206,7 +204,7 @@ fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
 /// A change in the history.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ChangeView {
-    /// What was ordered.
+    /// The order.
     #[serde(flatten)]
     pub change: ChangeRow,
     /// The number of nodes by outcome.
@@ -255,7 +253,7 @@ pub(super) async fn changes(
     Ok(Json(Changes { changes, next }))
 }
 
-/// The newest changes below revision `before`, and where the next page begins.
+/// The newest changes below revision `before`, and the cursor of the next page.
 async fn page(
     view: &HubView,
     before: i64,
@@ -301,7 +299,7 @@ pub(super) async fn change(
 
 /// Nodes whose setting differs from the desired one
 ///
-/// These nodes took the desired setting, and somebody changed it at the node since.
+/// These nodes applied the desired setting, and somebody changed it at the node since then.
 #[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
 pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
     Ok(Json(view.tuner()?.drift()))

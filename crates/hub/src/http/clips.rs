@@ -1,4 +1,4 @@
-//! Clips, as pages of JSON and as CSV, and the reports that were set aside.
+//! Serves clips, as pages of JSON and as CSV, and the reports that were set aside.
 
 use super::HubView;
 use super::body::next;
@@ -15,7 +15,7 @@ use futures_util::stream;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-/// Most rows of one page.
+/// Most rows per page.
 const MOST: i64 = 1000;
 
 /// A page of clips, the last received first.
@@ -47,15 +47,15 @@ pub(super) async fn list(
 
 fn check(wanted: &ClipQuery) -> Result<(), Problem> {
     if wanted.camera.is_some() && wanted.node.is_none() {
-        let detail = "`camera` needs `node`: cameras of different nodes may have one name";
+        let detail = "`camera` needs `node`: cameras of different nodes may have the same name";
         return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
     }
     Ok(())
 }
 
-/// The same clips as CSV, all of them, or `limit`
+/// Clips as CSV: all of them, or at most `limit`
 ///
-/// They are read and sent in pages: the file may be larger than the memory. Without the audit's figures.
+/// The hub reads and sends them in pages, so the file may be larger than its memory. The audit's figures are left out.
 /// `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
 #[utoipa::path(
     get, operation_id = "clips_csv", path = "/api/v1/clips.csv", tag = "history", params(ClipQuery),
@@ -68,7 +68,7 @@ pub(super) async fn csv(
     check(&wanted)?;
     let store = view.store()?.clone();
     let left = wanted.limit.unwrap_or(i64::MAX).max(1);
-    // The first page is read before anything is answered: an error can then still be answered.
+    // The first page is read before the answer begins, so that the answer to an error has its status.
     let first = store.clips(&wanted, left.min(MOST)).await?;
     let state = (store, wanted, first, left, true);
     let pages = stream::try_unfold(Some(state), |state| async move {
@@ -119,7 +119,7 @@ pub(super) struct AsideSelection {
     limit: Option<i64>,
 }
 
-/// A page of reports that could not be read, the latest first.
+/// A page of invalid reports, the latest first.
 #[derive(Serialize, ToSchema)]
 pub(super) struct AsidePage {
     reports: Vec<StoredSetAside>,
@@ -128,9 +128,9 @@ pub(super) struct AsidePage {
     next: Option<i64>,
 }
 
-/// Reports that could not be read, and why
+/// Invalid reports, with the reasons
 ///
-/// The hub acknowledges them, so that they do not hold up the reports behind them, and keeps them here.
+/// The hub acknowledges them, so that they do not hold up later reports, and keeps them here.
 /// `curl http://127.0.0.1:8090/api/v1/set-aside`
 #[utoipa::path(
     get, operation_id = "list_set_aside", path = "/api/v1/set-aside", tag = "history", params(AsideSelection),

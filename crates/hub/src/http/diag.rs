@@ -1,4 +1,4 @@
-//! The hub's diagnostics as one archive.
+//! Serves the hub's diagnostics as one archive.
 
 use super::HubView;
 use crate::config::HubConfig;
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use std::cmp::Reverse;
 use std::sync::Arc;
 
-/// Most nodes that are not well, most events and most changes in the archive.
+/// Most nodes that are not online, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
 const MOST_EVENTS: i64 = 500;
 const MOST_CHANGES: i64 = 100;
@@ -28,8 +28,9 @@ pub(super) fn without_secrets(config: &HubConfig) -> Value {
 
 /// Diagnostics as one tar archive
 ///
-/// Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
-/// changes, the last lines of the log. What is missing (a database that is away) is named instead.
+/// The archive contains versions, the configuration with its secrets masked, readiness, the nodes that are not online,
+/// metrics, the last events and changes, and the last lines of the log. If the database cannot be read, the error is in
+/// place of events and changes.
 /// `curl -O -J http://127.0.0.1:8090/api/v1/diag`
 #[utoipa::path(
     get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",

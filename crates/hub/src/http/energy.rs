@@ -1,4 +1,4 @@
-//! The energy of the fleet's clips.
+//! Serves the energy of the fleet's clips.
 
 use super::HubView;
 use crate::store::{AuditCounts, EnergyGroup, EnergyQuery, Resolution};
@@ -16,7 +16,7 @@ const FIVE_MINUTES: i64 = 300;
 /// Sums by group and quality.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Energy {
-    /// The spans that were summed: days where the requested times are whole days, else five minutes.
+    /// The spans that were summed: days if the requested times are whole days, else five minutes.
     pub resolution: Resolution,
     /// The beginning of the first span, milliseconds since the Unix epoch.
     pub since_ms: i64,
@@ -24,13 +24,13 @@ pub struct Energy {
     pub until_ms: i64,
     /// One entry for each group and quality.
     pub groups: Vec<EnergyGroup>,
-    /// The audit's figures over all these groups, whatever the quality of their energy; absent without an audit.
+    /// The audit's figures over all these groups, regardless of the quality of their energy; absent without an audit.
     /// They compare with the detector, not with the truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
 }
 
-/// Energy over time and fleet: measured, partial and estimated apart, and against vanilla
+/// Energy over time and fleet, separately measured, partial and estimated, and compared with vanilla
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/energy?by=policy'`
 #[utoipa::path(

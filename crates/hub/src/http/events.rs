@@ -1,4 +1,4 @@
-//! The fleet's events, as numbered server-sent events: a reader that reconnects gets the events it missed.
+//! Serves the fleet's events as numbered server-sent events: a reader that reconnects gets the events it missed.
 
 use super::HubView;
 use crate::store::{Store, StoredEvent};
@@ -18,7 +18,7 @@ use utoipa::IntoParams;
 
 /// Most events that are replayed: a reader that missed more reads the present state instead.
 const MOST_REPLAYED: i64 = 5000;
-/// Events that are read from the database at a time.
+/// Most events that are read from the database at a time.
 const STEP: i64 = 500;
 /// Time between two reads without a signal: other hubs write to the same database.
 const LOOK: Duration = Duration::from_secs(2);
@@ -30,7 +30,7 @@ const GATHER: Duration = Duration::from_millis(100);
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Number of the last event that the reader has; the header `Last-Event-ID` does the same.
+    /// Number of the last event that the reader has; the header `Last-Event-ID` takes precedence.
     last_event_id: Option<i64>,
     /// Only these kinds, separated by commas; all kinds by default.
     types: Option<String>,
@@ -74,8 +74,8 @@ fn written(event: StoredEvent) -> Option<sse::Event> {
 
 /// The fleet's events, as server-sent events
 ///
-/// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node),
-/// `forgotten`, and `resync`: more was missed, so read the present state again.
+/// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed
+/// at the node), `forgotten`, and `resync`: too many events were missed, so read the present state again.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
@@ -99,7 +99,10 @@ pub(super) async fn stream(
     let store = view.store()?.clone();
     let newest = store.last_event().await?;
     let (last, resync) = match last_id.unwrap_or(newest) {
-        last if last > newest => (newest, Some("the number is of another database".to_owned())),
+        last if last > newest => (
+            newest,
+            Some("the event is from another database".to_owned()),
+        ),
         last if newest - last > MOST_REPLAYED => (
             newest,
             Some(format!("{} events were missed", newest - last)),

@@ -1,4 +1,4 @@
-//! Liveness and readiness of the hub.
+//! Serves liveness and readiness of the hub.
 
 use super::HubView;
 use albireo_service::http::{self, Problem};
@@ -19,12 +19,12 @@ pub(super) struct Health {
     version: &'static str,
 }
 
-/// Whether the hub takes and commits reports.
+/// The readiness of the hub to accept and commit reports.
 #[derive(Serialize, ToSchema)]
 pub(super) struct HubReadiness {
     /// True if every part works.
     ready: bool,
-    /// Why each broken part does not work: `database`, `zenoh`.
+    /// The reason of each part that does not work: `database`, `zenoh`.
     reasons: BTreeMap<&'static str, String>,
 }
 
@@ -48,7 +48,7 @@ pub(super) async fn healthz() -> Json<Health> {
     })
 }
 
-/// Whether the hub takes reports: the database can be written, the Zenoh session is open
+/// Whether the hub accepts reports: the database can be written, and the Zenoh session is open
 ///
 /// `curl http://127.0.0.1:8090/readyz`
 #[utoipa::path(

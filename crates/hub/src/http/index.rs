@@ -1,4 +1,4 @@
-//! The index of the HTTP interface.
+//! Serves the index of the HTTP interface.
 
 use albireo_service::http::Route;
 use axum::{Extension, Json};
@@ -13,7 +13,7 @@ pub(super) struct Index {
     service: &'static str,
     /// The program's version.
     version: &'static str,
-    /// Where the full description is.
+    /// The path of the full description.
     openapi: &'static str,
     /// All routes.
     routes: Vec<Route>,

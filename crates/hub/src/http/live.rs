@@ -1,8 +1,8 @@
-//! The live counters and pictures of one node. A node sends them only while somebody holds a lease, which expires by
-//! itself, so that a closed page or a stopped hub does not cost the node anything for long.
+//! Serves the live counters and pictures of one node. A node sends them only while somebody holds a lease. The lease
+//! expires by itself, so a closed page or a stopped hub costs the node nothing for long.
 
-use super::HubView;
 use super::nodes::unknown;
+use super::{HubView, attached};
 use crate::presence::Notifier;
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, NodeKeys};
@@ -24,18 +24,18 @@ use zenoh::query::{Reply, ReplyError};
 
 /// Most readers of live counters at a time.
 pub(super) const MOST_LIVE: usize = 64;
-/// How long a lease lasts.
+/// The duration of a lease.
 const LEASE: Duration = Duration::from_secs(30);
 /// Time between two renewals of a lease.
 const RENEW: Duration = Duration::from_secs(10);
-/// How long a picture may take: a node on a mobile link first has to learn of its lease.
+/// Time limit of a picture: a node on a mobile link first has to learn of its lease.
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
 /// Messages that wait for a slow reader. Further ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
-/// What the hub reaches nodes through.
+/// The session and the notifier through which the hub reaches nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct Reach {
     pub(crate) session: Session,
@@ -45,7 +45,7 @@ pub(crate) struct Reach {
 impl HubView {
     /// The session and the keys to reach a known node.
     fn way_to(&self, node: &str) -> Result<(Reach, NodeKeys), Problem> {
-        let reach = self.reach()?.clone();
+        let reach = attached(&self.reaches, "the Zenoh session is not open yet")?.clone();
         self.fleet.view(node).ok_or_else(|| unknown(node))?;
         let keys = NodeKeys::new(&self.prefix, node).map_err(|_| unknown(node))?;
         Ok((reach, keys))
@@ -85,9 +85,10 @@ impl Watching {
     }
 }
 
-/// The counters of one node's cameras, once a second, as server-sent events
+/// The counters of one node's cameras, once per second, as server-sent events
 ///
-/// The node sends them only while this stream is read, and for half a minute after. There is one event `counters` per camera and second.
+/// The node sends them only while this stream is read, and for 30 s after that. There is one event `counters` per
+/// camera and second.
 /// `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
 #[utoipa::path(
     get, operation_id = "watch_node", path = "/api/v1/nodes/{node}/live", tag = "nodes", params(("node" = String, Path, description = "Its name")),
@@ -131,12 +132,12 @@ pub(super) async fn live(
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
 
-/// The problem document of an error of Zenoh's.
+/// The problem document of a Zenoh error.
 fn unavailable(error: zenoh::Error) -> Problem {
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
 }
 
-/// True if Zenoh itself ended the query, because no reply came in time.
+/// Returns true if Zenoh itself ended the query because it got no reply in time.
 fn timed_out(reply: &Reply) -> bool {
     let ended = |error: &ReplyError| &*error.payload().to_bytes() == b"Timeout";
     reply.result().is_err_and(ended)

@@ -1,4 +1,4 @@
-//! Metrics for Prometheus.
+//! Serves metrics for Prometheus.
 
 use super::HubView;
 use crate::presence::PresenceState;
@@ -24,12 +24,12 @@ pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
     let mut page = MetricsPage::default();
     page.gauges(
         "albireo_hub_build_info",
-        "The program that runs, always 1",
+        "The running program, always 1",
         [([("version", env!("CARGO_PKG_VERSION"))], 1.0)],
     );
     page.gauge(
         "albireo_hub_ready",
-        "Whether reports are taken and committed",
+        "Whether reports are accepted and committed",
         f64::from(u8::from(view.readiness.reasons().is_empty())),
     );
     page.process();
@@ -52,12 +52,12 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
     let tallies = view.fleet.tallies(|node| view.desires.of(node).revision);
     page.gauge(
         "albireo_hub_nodes_behind",
-        "Nodes that are heard and have not taken yet what is desired of them",
+        "Online or degraded nodes that do not have their desired setting yet",
         tallies.behind as f64,
     );
     page.gauge(
         "albireo_hub_nodes_drifted",
-        "Nodes whose value was changed at the node, away from what is desired",
+        "Nodes whose setting was changed at the node and differs from the desired one",
         view.tuner().map_or(0, |tuner| tuner.drift().len()) as f64,
     );
     page.gauge(
@@ -79,28 +79,28 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
     let targets = TargetStatus::ALL.into_iter().zip(tallies.targets);
     page.gauges(
         "albireo_hub_targets",
-        "Nodes that are heard and hold a target, by its status",
+        "Online or degraded nodes that hold a target, by its status",
         targets.map(|(status, nodes)| ([("status", status.name())], nodes as f64)),
     );
     let count = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed) as f64;
     page.counter(
         "albireo_hub_statuses_total",
-        "Status messages taken",
+        "Status messages received",
         view.fleet.statuses() as f64,
     );
     page.counter(
         "albireo_hub_statuses_overrun_total",
-        "Status messages that found their queue full",
+        "Status messages and liveliness tokens that were dropped because the queue was full",
         count(&view.listen.overrun),
     );
     page.counter(
         "albireo_hub_statuses_unreadable_total",
-        "Status messages that cannot be read",
+        "Status messages that cannot be read, or are too large",
         count(&view.listen.unreadable),
     );
     page.counter(
         "albireo_hub_pulls_total",
-        "Questions of nodes for what is desired",
+        "Pulls of nodes for their desired setting",
         count(&view.listen.pulls),
     );
 }
@@ -117,7 +117,7 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     );
     page.counters(
         "albireo_hub_audit_frames_total",
-        "Skipped frames of the clips written that the audit drew, by what became of them",
+        "Skipped frames of the clips written that the audit drew, by result",
         [
             ([("result", "compared")], counts.audit_frames as f64),
             ([("result", "missed")], counts.audit_missed as f64),
@@ -129,8 +129,8 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     ];
     page.counters(
         "albireo_hub_audit_boxes_total",
-        "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: what had been \
-         published) and by whether one of the other side is paired with it. Against the detector, not the truth",
+        "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: the published) and by \
+         result (paired with a box of the other side, or unpaired). Against the detector, not the truth",
         sides.into_iter().flat_map(|(side, all)| {
             let (paired, rest) = (counts.audit_paired, all.saturating_sub(counts.audit_paired));
             [("paired", paired), ("unpaired", rest)]
@@ -139,7 +139,7 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     );
     page.counters(
         "albireo_hub_batches_refused_total",
-        "Batches not taken, by reason",
+        "Batches refused, by reason",
         [
             ("busy", counts.refused_busy),
             ("unavailable", counts.refused_unavailable),
@@ -149,17 +149,17 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     );
     page.gauge(
         "albireo_hub_acknowledged_after_p99_seconds",
-        "99th percentile of the time from a batch's arrival to its acknowledgement, of the last ones",
+        "99th percentile of the time from a batch's arrival to its acknowledgement, over the most recent batches",
         view.ingest.acknowledged_after.p99_s(),
     );
     page.gauge(
         "albireo_hub_commit_p99_seconds",
-        "99th percentile of the time a transaction took, of the last ones",
+        "99th percentile of the duration of a transaction, over the most recent ones",
         view.ingest.committed_in.p99_s(),
     );
     page.gauge(
         "albireo_hub_queue_batches",
-        "Batches that came and are not answered yet",
+        "Batches that were received and are not answered yet",
         view.ingest.queued() as f64,
     );
     page.gauge(

@@ -1,4 +1,5 @@
-//! The nodes: the list, which the hub sorts, filters and cuts, so that a client holds only what it shows; one node; forgetting one.
+//! Lists the nodes, shows one node, and forgets one. The hub sorts, filters and pages the list, so that a client holds
+//! only what it shows.
 
 use super::HubView;
 use super::body::unusable;
@@ -15,10 +16,10 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most nodes of one answer.
+/// Most nodes per answer.
 const MOST: usize = 1000;
 
-/// What rows are sorted by; those that are equal, by name.
+/// The sort order of rows; equal rows are in the order of their names.
 #[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum Order {
@@ -27,9 +28,9 @@ enum Order {
     Name,
     /// State: online, degraded, silent, offline.
     State,
-    /// How long it has that state, the longest first.
+    /// Time in that state, the longest first.
     Since,
-    /// When it was last heard, the longest ago first.
+    /// Time of the last status, the oldest first.
     Heard,
     /// Reports that wait in its outbox, the fewest first.
     Waiting,
@@ -37,46 +38,46 @@ enum Order {
     Joules,
 }
 
-/// Which rows.
+/// Selects and sorts nodes.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// Of these states only, separated by commas: `degraded,silent`.
+    /// Only nodes in these states, separated by commas: `degraded,silent`.
     state: Option<String>,
-    /// With this text in the name.
+    /// Only nodes with this text in the name.
     search: Option<String>,
-    /// Chosen by names, globs and labels, separated by commas: `cam-*,region=north`.
+    /// Only nodes that match these names, globs and labels, separated by commas: `cam-*,region=north`.
     select: Option<String>,
-    /// What they are sorted by.
+    /// The sort order.
     #[serde(default)]
     #[param(inline)]
     sort: Order,
-    /// The other way round.
+    /// Reverses the order.
     #[serde(default)]
     down: bool,
-    /// Rows left out before the first one.
+    /// The number of rows to skip.
     #[serde(default)]
     offset: usize,
-    /// At most this many, 100 by default, 1000 at most.
+    /// Maximum number, up to 1000; 100 by default.
     limit: Option<usize>,
 }
 
-/// Nodes by state.
+/// The number of nodes by state.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Counts {
-    /// All its parts work.
+    /// Nodes that send status messages, and whose every part works.
     pub online: u64,
-    /// Something of it is impaired.
+    /// Nodes that send status messages, and of which a part does not work.
     pub degraded: u64,
-    /// Nothing was heard for a while.
+    /// Nodes that sent no status for a while.
     pub silent: u64,
-    /// It is gone.
+    /// Nodes that sent no status for long, or whose liveliness token disappeared.
     pub offline: u64,
 }
 
 impl HubView {
-    /// Nodes by state.
+    /// The number of nodes by state.
     pub(super) fn counts(&self) -> Counts {
         let [online, degraded, silent, offline] = self.fleet.by_state();
         Counts {
@@ -88,16 +89,16 @@ impl HubView {
     }
 }
 
-/// Nodes of the fleet.
+/// A page of nodes.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct NodeList {
-    /// Nodes of the whole fleet by state.
+    /// The number of nodes in the whole fleet, by state.
     pub counts: Counts,
     /// Reports that wait in the outboxes of the whole fleet.
     pub waiting: u64,
-    /// Rows there are of this selection.
+    /// The number of selected rows, on all pages.
     pub total: usize,
-    /// Place of the first row of this answer among them.
+    /// The number of rows before this page.
     pub offset: usize,
     /// The rows.
     pub nodes: Vec<NodeView>,
@@ -149,7 +150,7 @@ pub(super) async fn list(
             found.push((key, Arc::clone(name)));
         }
     });
-    // They come by name, and the sort keeps that among equals.
+    // The nodes are in the order of their names, which the sort keeps among equal ones.
     match (selection.sort, selection.down) {
         (Order::Name, true) => found.reverse(),
         (_, true) => found.sort_by_key(|(key, _)| Reverse(*key)),
@@ -168,18 +169,18 @@ pub(super) async fn list(
     }))
 }
 
-/// A node with what is known of its reports.
+/// A node with the counts of its reports.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct NodeDetail {
     /// The node.
     #[serde(flatten)]
     pub node: NodeView,
-    /// What is known of its reports; absent where none came.
+    /// The counts of its reports; absent if none was received.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reports: Option<ReportCounts>,
 }
 
-/// One node with what is known of its reports
+/// One node with the counts of its reports
 ///
 /// `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
@@ -199,14 +200,14 @@ pub(super) async fn one(
 }
 
 pub(super) fn unknown(node: &str) -> Problem {
-    let detail = format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
+    let detail = format!("there is no node `{node}`; /api/v1/nodes lists all");
     Problem::new(StatusCode::NOT_FOUND, detail)
 }
 
-/// Forget a node
+/// Forgets a node
 ///
-/// It leaves the lists, and what is desired of it is dropped; its clips, sums and history stay. A node that is online or degraded, or takes
-/// part in a rollout or trial, is not forgotten. One that comes back is a new node.
+/// It is removed from the lists, and its desired setting is dropped; its clips, sums and history stay. A node that is
+/// online or degraded, or takes part in a rollout or trial, is not forgotten. A node that comes back is a new node.
 ///
 /// `curl -X DELETE http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
@@ -220,7 +221,9 @@ pub(super) async fn forget(
 ) -> Result<StatusCode, Problem> {
     let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     let still_online = || {
-        let detail = format!("`{node}` is heard and would be back at once: stop it first");
+        let detail = format!(
+            "`{node}` is online or degraded and would come back immediately: stop it first"
+        );
         Problem::new(StatusCode::CONFLICT, detail)
     };
     if known.state.is_heard() {

@@ -1,4 +1,4 @@
-//! Rollouts and trials.
+//! Serves rollouts and trials, and their commands.
 
 use super::HubView;
 use super::body;
@@ -17,7 +17,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most rollouts or trials of one answer.
+/// Most rollouts or trials per answer.
 const MOST: i64 = 200;
 
 impl From<RunError> for Problem {
@@ -195,7 +195,7 @@ pub(super) async fn command_rollout(
     Path((id, command)): Path<(i64, String)>,
 ) -> Result<Json<RunView>, Problem> {
     let command = Command::named(&command).ok_or_else(|| {
-        let detail = format!("a rollout cannot be asked to `{command}`");
+        let detail = format!("`{command}` is not a command of rollouts");
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
     view.tuner()?
@@ -251,7 +251,7 @@ pub(super) async fn one_trial(
 
 /// Ends a trial before its time
 ///
-/// What was measured until now is its result; the old values return.
+/// The measurements until now are its result; the old values return.
 #[utoipa::path(
     post, operation_id = "end_trial", path = "/api/v1/trials/{id}/end", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
     responses((status = 200, body = RunView))

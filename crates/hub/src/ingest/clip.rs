@@ -1,4 +1,5 @@
-//! Turns a report into the row of a clip, and checks every figure: whole microjoules, microseconds and millionths.
+//! Converts a report into the row of a clip, in whole microjoules, microseconds and millionths, and checks every
+//! figure.
 
 use super::plan::Present;
 use crate::store::row::{Row, text};
@@ -14,13 +15,13 @@ const MOST_MS: f64 = 1e9;
 const MOST_AUDITED: f64 = 1e13;
 /// The largest number of frames, and of anything else that is counted.
 const MOST_COUNT: f64 = 1e7;
-/// The range of an energy-delay product; a database can store the square.
+/// The range of energy-delay products that are stored; a database can store their squares.
 const EDP: std::ops::RangeInclusive<f64> = 1e-9..=1e12;
 /// Longest text, bytes.
 const LONGEST_TEXT: usize = 256;
-/// A clip that claims to begin this long after its receipt has a wrong clock, milliseconds.
+/// The clock of a node is wrong if a clip claims to begin this long after its receipt, milliseconds.
 const FUTURE_MS: i64 = 3_600_000;
-/// A clip that claims to begin this long before its receipt has a wrong clock, milliseconds.
+/// The clock of a node is wrong if a clip claims to begin this long before its receipt, milliseconds.
 const PAST_MS: i64 = 400 * 86_400_000;
 
 /// The figures of a report, before its camera and setup have row ids.
@@ -49,7 +50,7 @@ impl Figure {
     /// The number to store.
     ///
     /// # Errors
-    /// Why it cannot be, in words.
+    /// The reason that it cannot be stored.
     fn whole(self, column: &str) -> Result<Value, String> {
         let (value, most, unit) = match self {
             Self::Count(count) => (Some(count as f64), MOST_COUNT, 1.0),
@@ -70,7 +71,7 @@ impl Figure {
 /// Reads the figures of a report.
 ///
 /// # Errors
-/// Which figure cannot be, in words: the report is then set aside.
+/// The figure that cannot be stored, and the reason: the report is then set aside.
 pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord, String> {
     use Figure::{Audited, Count, Joules, Ms};
     let (at_ms, clock) = filed_under(report.started_ns, present);
@@ -78,9 +79,9 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
     let skipped = states.e.saturating_add(states.p);
     let avoided_calls = skipped.saturating_sub(report.degraded_frames);
-    // Where the node does not know what a call costs, nothing was avoided only without such calls.
+    // If the node does not know the cost of a call, the avoided energy is known only without avoided calls: it is 0.
     let none_avoided = (avoided_calls == 0).then_some(0.0);
-    // A domain is the whole node's; the clip has the same share of it as of the total.
+    // The energy of a domain is the whole node's; the clip has the same share of it as of the total.
     let share = match (energy.joules, energy.node_joules) {
         (Some(own), Some(node)) if node > 0.0 => (own / node).clamp(0.0, 1.0),
         _ => 1.0,
@@ -152,7 +153,7 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     if states.frames() != report.frames {
         let (frames, added) = (report.frames, states.frames());
         return Err(format!(
-            "frames is {frames}, and the five states add up to {added}"
+            "frames is {frames}, but the five states add up to {added}"
         ));
     }
     let sums = report.audit.as_ref().map(|audit| &audit.sums);
@@ -218,11 +219,13 @@ fn filed_under(started_ns: u64, present: Present) -> (i64, bool) {
     }
 }
 
-/// A text that both databases can store.
+/// Converts a text to a form that both databases can store, and checks its length.
 fn name(what: &str, given: &str) -> Result<String, String> {
     if given.len() > LONGEST_TEXT {
         let length = given.len();
-        return Err(format!("{what} has {length} bytes, above {LONGEST_TEXT}"));
+        return Err(format!(
+            "{what} has {length} bytes, more than {LONGEST_TEXT}"
+        ));
     }
     Ok(text(given))
 }

@@ -1,4 +1,4 @@
-//! Counters of ingest.
+//! Counts what ingest does.
 
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Times over which a percentile is taken.
+/// The number of times over which a percentile is taken.
 const KEPT: usize = 4096;
 
 macro_rules! counts {
@@ -28,43 +28,33 @@ macro_rules! counts {
         impl IngestCounts {
             /// Name, help and value of the counters that are metrics.
             pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> {
-                let all = [$((metric!($($metric)?), $help, self.$name),)+];
-                all.into_iter().filter(|(name, ..)| !name.is_empty())
+                [$($(($metric, $help, self.$name),)?)+].into_iter()
             }
         }
-    };
-}
-
-macro_rules! metric {
-    () => {
-        ""
-    };
-    ($name:literal) => {
-        $name
     };
 }
 
 counts! {
     batches "Batches acknowledged" "albireo_hub_batches_total";
     clips "Clips written" "albireo_hub_clips_total";
-    again "Reports that were there already" "albireo_hub_reports_again_total";
-    set_aside "Reports that make no sense" "albireo_hub_reports_set_aside_total";
-    missing "Running counts of nodes found missing" "albireo_hub_reports_missing_total";
-    too_old "Reports refused because they are older than identities are known" "albireo_hub_reports_too_old_total";
-    resets "Running counts that began again: the node's state was new, older or a copy" "albireo_hub_count_resets_total";
-    clock_off "Clips of nodes whose clock is off" "albireo_hub_clock_off_total";
+    again "Reports that were stored already" "albireo_hub_reports_again_total";
+    set_aside "Invalid reports" "albireo_hub_reports_set_aside_total";
+    missing "Reports found missing by the running counts of nodes" "albireo_hub_reports_missing_total";
+    too_old "Reports refused because they are older than the identities that are kept" "albireo_hub_reports_too_old_total";
+    resets "Running counts that restarted: the node's state was new, older or a copy" "albireo_hub_count_resets_total";
+    clock_off "Clips of nodes whose clock is wrong" "albireo_hub_clock_off_total";
     commits "Commits" "albireo_hub_commits_total";
     frames "Frames of the clips written" "albireo_hub_frames_total";
     frames_skipped "Frames of the clips written that skipped the detector" "albireo_hub_frames_skipped_total";
     database_errors "Transactions that failed" "albireo_hub_database_errors_total";
     answers_lost "Answers that could not be sent" "albireo_hub_answers_lost_total";
     audit_frames "Skipped frames that were drawn and compared by the audit, in the clips written";
-    audit_missed "Those that were drawn and that the detector was too busy for";
-    audit_detected "Boxes that the detector found in them";
-    audit_shown "Boxes that were shown in them";
-    audit_paired "Pairs of both";
+    audit_missed "Skipped frames that were drawn while the detector was too busy";
+    audit_detected "Boxes that the detector found in the compared frames";
+    audit_shown "Boxes that were shown in the compared frames";
+    audit_paired "Pairs of a detected and a shown box";
     energy_uj "Energy of the clips written that have a figure, microjoules";
-    refused_busy "Batches refused because too many wait, or their node has sent more than its share";
+    refused_busy "Batches refused because too many were waiting, or their node had used up its share";
     refused_unavailable "Batches refused because the database could not be written";
     refused_unreadable "Batches refused because they cannot be read";
 }
@@ -111,12 +101,12 @@ impl IngestCounters {
         self.counts.lock().answers_lost += 1;
     }
 
-    /// Notes when the batch that is being written arrived; `None` once all are written.
+    /// Notes when the batch being written arrived; `None` once all are written.
     pub(crate) fn writing(&self, since: Option<Instant>) {
         *self.writing_since.lock() = since;
     }
 
-    /// How long the batch that is being written has waited: an estimate of how long a batch that arrives now will wait.
+    /// The time that the batch being written has waited: an estimate of the wait of a batch that arrives now.
     pub(crate) fn waited(&self) -> Duration {
         let since = *self.writing_since.lock();
         since.map_or(Duration::ZERO, |since| since.elapsed())

@@ -1,4 +1,5 @@
-//! Parses a batch: each report with its figures, or why it is not stored. No database, network or clock.
+//! Parses a batch into reports with their figures, or with the reason that they are not stored. It uses no database,
+//! network or clock.
 
 use super::clip::{ClipRecord, record};
 use super::plan::{Present, key};
@@ -8,7 +9,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-/// Most bytes that are kept of an invalid report.
+/// Most bytes of an invalid report that are kept.
 const KEPT: usize = 2 << 10;
 
 /// A parsed batch.
@@ -28,26 +29,26 @@ pub(crate) struct Received {
     /// Its identity, if it has one.
     pub(crate) id: Option<Uuid>,
     pub(crate) count: Option<u64>,
-    pub(crate) content: Result<Taken, NotTaken>,
+    pub(crate) content: Result<Accepted, Rejected>,
 }
 
 /// A report to store, unless it is stored already.
 #[derive(Debug)]
-pub(crate) struct Taken {
+pub(crate) struct Accepted {
     pub(crate) key: ReportKey,
     pub(crate) record: Box<ClipRecord>,
 }
 
-/// Why a report is not stored.
+/// The reason that a report is not stored.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum NotTaken {
+pub(crate) enum Rejected {
     /// It is older than the identities that the hub keeps.
     TooOld(String),
-    /// It is invalid; with the beginning of its text.
-    Senseless { cause: String, body: String },
+    /// It is invalid. `body` is the beginning of its text.
+    Invalid { cause: String, body: String },
 }
 
-/// A batch with unparsed reports: one that is invalid does not make its batch invalid.
+/// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
 #[derive(Deserialize)]
 struct RawBatch<'a> {
     node: String,
@@ -59,20 +60,20 @@ struct RawBatch<'a> {
 /// Parses the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
 ///
 /// # Errors
-/// Why the whole batch is refused. An invalid report in it does not make the batch invalid.
+/// The reason that the whole batch is refused. An invalid report in it is no reason.
 pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
     let json = decompress_batch(payload).map_err(|error| error.to_string())?;
     let batch: RawBatch<'_> = albireo_wire::read(&json).map_err(|error| error.to_string())?;
     if batch.node != node {
         let of = batch.node;
         return Err(format!(
-            "it came on the key of node `{node}` and says that it is of node `{of}`"
+            "the batch was sent on the key of node `{node}` but names node `{of}`"
         ));
     }
     match batch.reports.len() {
-        0 => return Err("no reports".to_owned()),
+        0 => return Err("the batch has no reports".to_owned()),
         1..=MOST_REPORTS => {}
-        many => return Err(format!("{many} reports, above {MOST_REPORTS}")),
+        many => return Err(format!("{many} reports, more than {MOST_REPORTS}")),
     }
     let present = Present {
         hub_ms,
@@ -83,12 +84,12 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
         node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: reports.map(|raw| take(node, raw.get(), present)).collect(),
+        reports: reports.map(|raw| parse(node, raw.get(), present)).collect(),
     })
 }
 
-/// Parses one report; of an invalid one at least its identity and count, if it has them.
-fn take(node: &str, raw: &str, present: Present) -> Received {
+/// Parses one report. If it is invalid, at least its identity and count are read, where it has them.
+fn parse(node: &str, raw: &str, present: Present) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]
     struct Known {
@@ -102,17 +103,17 @@ fn take(node: &str, raw: &str, present: Present) -> Received {
             return Received {
                 id: known.id,
                 count: known.count,
-                content: Err(senseless(error.to_string(), raw)),
+                content: Err(invalid(error.to_string(), raw)),
             };
         }
     };
     let content = check(node, &report)
         .and_then(|()| record(&report, present))
-        .map_err(|cause| senseless(cause, raw))
+        .map_err(|cause| invalid(cause, raw))
         .and_then(|record| {
-            let key = key(report.id, present).map_err(NotTaken::TooOld)?;
+            let key = key(report.id, present).map_err(Rejected::TooOld)?;
             let record = Box::new(record);
-            Ok(Taken { key, record })
+            Ok(Accepted { key, record })
         });
     Received {
         id: Some(report.id),
@@ -123,19 +124,19 @@ fn take(node: &str, raw: &str, present: Present) -> Received {
 
 fn check(node: &str, report: &ClipReport) -> Result<(), String> {
     if report.v != VERSION {
-        return Err(format!("version {} is not known here", report.v));
+        return Err(format!("version {} is not known, only {VERSION}", report.v));
     }
     if report.node != node {
         let other = &report.node;
         return Err(format!(
-            "it is of node `{other}`, in a batch of node `{node}`"
+            "the report names node `{other}`, in a batch of node `{node}`"
         ));
     }
     check_segment("camera name", &report.camera).map_err(|error| error.to_string())
 }
 
-fn senseless(cause: String, raw: &str) -> NotTaken {
+fn invalid(cause: String, raw: &str) -> Rejected {
     let body = raw[..raw.floor_char_boundary(KEPT)].to_owned();
     let cause = cause[..cause.floor_char_boundary(KEPT)].to_owned();
-    NotTaken::Senseless { cause, body }
+    Rejected::Invalid { cause, body }
 }

@@ -1,4 +1,4 @@
-//! Limits on what one node may send.
+//! Limits what one node may send.
 
 use crate::per_node::{PerNode, Place};
 use crate::store::tables::EventRow;
@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 /// Most batches of a node that may wait: it sends one at a time, and one may be left from before a restart.
 const MOST_WAITING: usize = 2;
 
-/// The least that a batch is charged, bytes: many small batches are no less work.
+/// The lowest charge for a batch, bytes: many small batches are as much work as few large ones.
 const LEAST_COST: usize = 1 << 10;
 
-/// When a node that is answered "busy" may try again.
+/// The time after which a node that is answered "busy" may retry.
 pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
 
 /// The longest wait for a node that has used up its share.
@@ -25,7 +25,7 @@ const DAY_S: f64 = 86_400.0;
 const MINUTE_MS: i64 = 60_000;
 const DAY_MS: i64 = 86_400_000;
 
-/// The share of each node: how much it may still send.
+/// The share of each node: the bytes that it may still send.
 #[derive(Debug)]
 pub(crate) struct NodeLimits {
     /// Bytes of reports per day and camera.
@@ -36,7 +36,7 @@ pub(crate) struct NodeLimits {
 
 #[derive(Debug)]
 struct Share {
-    /// Cameras of the node.
+    /// The number of the node's cameras.
     cameras: f64,
     /// Bytes that it may still send; may be negative after a large batch.
     left: f64,
@@ -52,10 +52,10 @@ impl NodeLimits {
         }
     }
 
-    /// A place for a batch of `node`.
+    /// Takes a place for a batch of `node`.
     ///
     /// # Errors
-    /// How long to wait before the next attempt, and why.
+    /// The time to wait before the next attempt, and the reason.
     pub(crate) fn admit(
         &self,
         node: &str,
@@ -74,10 +74,10 @@ impl NodeLimits {
             let wait = (LEAST_COST as f64 - share.left) * DAY_S / most;
             let wait = Duration::try_from_secs_f64(wait).unwrap_or(LONGEST_WAIT);
             let wait = wait.clamp(BUSY_RETRY, LONGEST_WAIT);
-            return Err((wait, "the node has sent more than its share of today"));
+            return Err((wait, "the node has used up its share for today"));
         }
         let place = self.waiting.place(node);
-        place.ok_or((BUSY_RETRY, "batches of this node wait already"))
+        place.ok_or((BUSY_RETRY, "batches of this node are waiting already"))
     }
 
     /// Charges a batch to the share of `node`.
@@ -87,7 +87,7 @@ impl NodeLimits {
         }
     }
 
-    /// Notes how many cameras a node has; each new one adds a camera's share.
+    /// Notes the number of a node's cameras; each new one adds a camera's share.
     pub(crate) fn has_cameras(&self, node: &str, cameras: usize) {
         if let Some(share) = self.shares.lock().get_mut(node) {
             let more = cameras as f64 - share.cameras;
@@ -99,7 +99,8 @@ impl NodeLimits {
     }
 }
 
-/// Limits what is written for a node: one event of each kind per minute, and some invalid reports per day.
+/// Limits what is written about a node: one event of each kind per minute, and [`SET_ASIDE_PER_DAY`] invalid reports
+/// per day.
 #[derive(Debug, Default)]
 pub(crate) struct EventLimits {
     events: Counted,
@@ -114,7 +115,7 @@ struct Counted {
 }
 
 impl Counted {
-    /// Counts one more, and returns how many there are.
+    /// Counts one more, and returns the new count.
     fn add(&mut self, node: &str, kind: &'static str, span: i64) -> u32 {
         if std::mem::replace(&mut self.span, span) != span {
             self.counts.clear();
@@ -152,17 +153,17 @@ impl EventLimits {
     }
 }
 
-/// Decides if the hub may trust its clock to say that rows are too old. A clock that jumped, or that was wrong from the
-/// start, deletes nothing: the clocks of the nodes are compared with it.
+/// Decides whether the hub may trust its clock to delete old rows. A clock that jumped, or that was wrong from the
+/// start, must delete nothing, so the clocks of the nodes are compared with it.
 #[derive(Debug)]
 pub(crate) struct ClockCheck {
     began: Instant,
     began_ms: i64,
-    /// The most recent nodes, and whether their clocks agree with the hub's.
+    /// The most recent nodes, with true if their clock agrees with the hub's.
     votes: VecDeque<(String, bool)>,
 }
 
-/// Nodes whose clocks are compared.
+/// The number of nodes whose clocks are compared.
 const CLOCKS: usize = 64;
 
 impl ClockCheck {
@@ -174,7 +175,7 @@ impl ClockCheck {
         }
     }
 
-    /// Notes if a node's clock agrees.
+    /// Notes whether a node's clock agrees.
     pub(crate) fn note(&mut self, node: &str, agrees: bool) {
         self.votes.retain(|(name, _)| name != node);
         self.votes.push_back((node.to_owned(), agrees));

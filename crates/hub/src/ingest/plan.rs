@@ -1,4 +1,5 @@
-//! Decides under which key a report is stored, and keeps the running counts of a node. No clock, no database.
+//! Decides under which key a report is stored, and keeps the running counts of a node. It uses no clock and no
+//! database.
 
 use crate::store::ReportKey;
 use crate::store::row::json_text;
@@ -11,16 +12,17 @@ const DAY_MS: i64 = 86_400_000;
 /// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
 const FIRST_MS: i64 = 1_767_225_600_000;
 
-/// How far a node's clock may be ahead of the hub's and still be believed.
+/// Most days that a node's clock may be ahead of the hub's and still be believed.
 const MOST_BEHIND_DAYS: i64 = 366;
 
-/// Most ranges of missing counts that are kept per node; beyond that the oldest are forgotten.
+/// Most ranges of missing counts that are kept per node. A new gap then replaces the oldest range, and a range that is
+/// split displaces the newest.
 const MOST_RANGES: usize = 32;
 
 /// Larger counts are ignored.
 const LARGEST_COUNT: u64 = 1 << 53;
 
-/// The present by the clocks of the hub and of the node that sent a batch, milliseconds since the Unix epoch.
+/// The present time by the clocks of the hub and of the node that sent a batch, milliseconds since the Unix epoch.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Present {
     pub(crate) hub_ms: i64,
@@ -28,18 +30,18 @@ pub(crate) struct Present {
 }
 
 impl Present {
-    /// True if both clocks agree to a day.
+    /// True if the clocks differ by one day at most.
     pub(crate) const fn clocks_agree(self) -> bool {
         self.hub_ms.saturating_sub(self.node_ms).saturating_abs() <= DAY_MS
     }
 }
 
-/// The key under which a report is stored. The day is that of the identity itself, unless its clock cannot be believed:
+/// Returns the key under which a report is stored. Its day is the day of the identity, unless that cannot be believed:
 /// then it is the day of receipt by the later of both clocks. With the earlier one, a hub whose clock was behind would
-/// forget the identity as soon as its clock is right.
+/// delete the identity as soon as its clock is right.
 ///
 /// # Errors
-/// When it is older than the identities that the hub keeps, in words: it may have been stored before.
+/// When the report is older than the identities that the hub keeps: it may have been stored before.
 pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     let today = present.hub_ms.div_euclid(DAY_MS);
     // The first 48 bits of a UUID of version 7 are its time.
@@ -65,50 +67,51 @@ pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     }
     if present.clocks_agree() {
         return Err(format!(
-            "made {age} days ago: whether a report older than {IDENTITY_DAYS} days was stored before is not known any more"
+            "made {age} days ago: the hub no longer knows whether a report older than {IDENTITY_DAYS} days was stored before"
         ));
     }
     Ok(undated)
 }
 
-/// What the running count of a report says about the reports of its node.
+/// The meaning of a report's running count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Seen {
-    /// It is the next, or one that was missing.
+    /// It is the next count, or one that was missing.
     Expected,
-    /// Reports with these counts did not come: the first and the last.
+    /// Reports are missing: the first and the last of their counts.
     Gap(u64, u64),
-    /// Another report had it: the node's state is new, older or a copy. Missing reports are counted from here.
+    /// Another report has the same count: the node's state is new, older or a copy. Missing reports are counted from
+    /// here.
     Reset,
 }
 
 /// The running counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Counts {
-    /// The first count that came; 0 before it. The hub does not know if reports with lower counts exist.
+    /// The first count that was received; 0 before. The hub does not know whether reports with lower counts exist.
     base: u64,
     /// The highest count since then.
     highest: u64,
-    /// Ranges of counts that did not come, also below `base`: a database restored from a backup made before the node's first
-    /// report lacks those.
+    /// Ranges of counts that were not received, also below `base`: a database that was restored from a backup made
+    /// before the node's first report lacks those.
     #[serde(with = "json_text")]
     missing: Vec<(u64, u64)>,
 }
 
 impl Counts {
-    /// The number of missing counts since the first one that came.
+    /// The number of missing counts since the first one that was received.
     pub(crate) fn missing(&self) -> u64 {
         let since = self.missing.iter().filter(|(first, _)| *first >= self.base);
         since.map(|(first, last)| last - first + 1).sum()
     }
 
-    /// The counts that the node should send again, in ranges (first, last): the missing ones, and those before the first
-    /// that came.
+    /// The counts that the node should send again, as ranges (first, last): all missing ones, also before the first
+    /// that was received.
     pub(crate) fn wanted(&self) -> &[(u64, u64)] {
         &self.missing
     }
 
-    /// Takes the count of a report, which was `new` or stored already.
+    /// Notes the count of a report, which was `new` or stored already.
     pub(crate) fn see(&mut self, count: u64, new: bool) -> Seen {
         if count == 0 || count > LARGEST_COUNT {
             return Seen::Expected;

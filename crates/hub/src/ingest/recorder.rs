@@ -1,7 +1,7 @@
-//! Writes groups of batches, each in one transaction, and builds their answers. No thread, network or clock.
+//! Writes groups of batches, each in one transaction, and builds their answers. It uses no thread, network or clock.
 
 use super::counters::IngestCounts;
-use super::decode::{Batch, NotTaken, Taken};
+use super::decode::{Accepted, Batch, Rejected};
 use super::limits::{ClockCheck, EventLimits};
 use super::plan::Seen;
 use crate::config::HistoryConfig;
@@ -21,7 +21,7 @@ use uuid::Uuid;
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// The tables of sums, and the length of their spans, seconds; days are in UTC.
+/// The tables of sums, with the length of their spans in seconds; days are in UTC.
 const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
 
 const DAY_MS: i64 = 86_400_000;
@@ -48,14 +48,14 @@ pub struct Recorded {
     pub answers: Vec<ReportAnswer>,
     /// The number of cameras of each batch's node, in order.
     pub(crate) cameras: Vec<usize>,
-    /// What it adds to the counters.
+    /// The additions to the counters.
     pub(crate) counts: IngestCounts,
     /// The events that it wrote.
     pub(crate) events: Vec<EventRow>,
 }
 
 impl Recorder {
-    /// Connects at the first use.
+    /// Creates a recorder, which connects at its first use.
     pub fn new(store: &Store, history: &HistoryConfig, now: Now) -> Self {
         Self {
             store: store.clone(),
@@ -81,7 +81,7 @@ impl Recorder {
     /// Stores batches and `news` in one transaction. If `retention` is due, first deletes some old rows.
     ///
     /// # Errors
-    /// When the database refuses it: then nothing was stored.
+    /// When the database refuses the transaction: then nothing is stored.
     pub fn record(
         &mut self,
         batches: &[Batch],
@@ -91,7 +91,7 @@ impl Recorder {
     ) -> Result<Recorded, StoreError> {
         if retention {
             let more = self.retain(now).unwrap_or_else(|error| {
-                tracing::warn!(%error, "old rows were not deleted; the next try is in a minute");
+                tracing::warn!(%error, "old rows were not deleted; trying again in a minute");
                 false
             });
             let pause = if more { Duration::ZERO } else { RETENTION };
@@ -149,24 +149,27 @@ impl Recorder {
         let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
         let names: Vec<&str> = names.into_iter().collect();
         let mut nodes = database.reporting_nodes(&names, now_ms)?;
-        let taken = batches.iter().flat_map(|batch| {
+        let accepted = batches.iter().flat_map(|batch| {
             let contents = batch.reports.iter().map(|report| report.content.as_ref());
-            contents.flatten().map(|taken| (batch.node.as_str(), taken))
+            contents
+                .flatten()
+                .map(|accepted| (batch.node.as_str(), accepted))
         });
-        let mut new = database.new_reports(&taken.clone().map(|(_, taken)| taken.key).collect())?;
-        let taken: Vec<_> = taken
-            .filter(|(_, taken)| new.contains(&taken.key.id))
+        let mut new =
+            database.new_reports(&accepted.clone().map(|(_, accepted)| accepted.key).collect())?;
+        let accepted: Vec<_> = accepted
+            .filter(|(_, accepted)| new.contains(&accepted.key.id))
             .collect();
-        let setups = taken.iter().map(|(_, taken)| &taken.record.setup);
+        let setups = accepted.iter().map(|(_, accepted)| &accepted.record.setup);
         let setups = database.setups(&setups.collect())?;
-        let wanted = taken.iter().map(|(node, taken)| {
+        let wanted = accepted.iter().map(|(node, accepted)| {
             let node = nodes.get(*node).ok_or_else(|| lost("a node"))?;
-            Ok((node.node_id, taken.record.camera.as_str()))
+            Ok((node.node_id, accepted.record.camera.as_str()))
         });
         let wanted = wanted.collect::<Result<BTreeSet<_>, StoreError>>()?;
         let cameras = cameras(database, &names, wanted)?;
 
-        let too_many = NotTaken::Senseless {
+        let too_many = Rejected::Invalid {
             cause: format!("the node has {MOST_CAMERAS} cameras already"),
             body: String::new(),
         };
@@ -176,41 +179,41 @@ impl Recorder {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
             let node_cameras = cameras.get(&node.node_id);
             let mut answer = ReportAnswer::new(database_id);
-            let (mut senseless, mut clocks_off) = (0, 0);
+            let (mut invalid, mut clocks_off) = (0, 0);
             for report in &batch.reports {
                 let mut is_new = false;
-                let not_taken = match &report.content {
+                let rejected = match &report.content {
                     // It was stored before, or earlier in this group.
-                    Ok(taken) if !new.remove(&taken.key.id) => {
+                    Ok(accepted) if !new.remove(&accepted.key.id) => {
                         counts.again += 1;
                         None
                     }
-                    Ok(taken) => {
+                    Ok(accepted) => {
                         is_new = true;
-                        match node_cameras.and_then(|all| all.get(&taken.record.camera)) {
+                        match node_cameras.and_then(|all| all.get(&accepted.record.camera)) {
                             None => Some(&too_many),
                             Some(camera) => {
-                                let setup = setups.get(&taken.record.setup);
+                                let setup = setups.get(&accepted.record.setup);
                                 let setup = setup.ok_or_else(|| lost("a setup"))?;
-                                clips.push(clip(taken, *camera, *setup, now_ms));
-                                *counts += counted(&taken.record.row);
-                                clocks_off += u64::from(!taken.record.clock);
+                                clips.push(clip(accepted, *camera, *setup, now_ms));
+                                *counts += counted(&accepted.record.row);
+                                clocks_off += u64::from(!accepted.record.clock);
                                 node.stored += 1;
                                 None
                             }
                         }
                     }
-                    Err(not_taken) => Some(not_taken),
+                    Err(rejected) => Some(rejected),
                 };
-                if let Some(not_taken) = not_taken {
-                    let reason = match not_taken {
-                        NotTaken::TooOld(reason) => {
+                if let Some(rejected) = rejected {
+                    let reason = match rejected {
+                        Rejected::TooOld(reason) => {
                             counts.too_old += 1;
                             node.refused += 1;
                             reason
                         }
-                        NotTaken::Senseless { cause, body } => {
-                            senseless += 1;
+                        Rejected::Invalid { cause, body } => {
+                            invalid += 1;
                             if limits.may_set_aside(&batch.node, now_ms) {
                                 aside.push(json!({
                                     "node_id": node.node_id,
@@ -226,7 +229,7 @@ impl Recorder {
                     let reason = reason.clone();
                     let refused = report.id.map(|id| RefusedReport { id, reason });
                     answer.refused.extend(refused);
-                    // A report that is not stored counts as one that never came.
+                    // A report that is not stored counts as missing.
                     continue;
                 }
                 let seen = report.count.map(|count| node.counts.see(count, is_new));
@@ -244,12 +247,12 @@ impl Recorder {
                 };
                 limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
             }
-            counts.set_aside += senseless;
+            counts.set_aside += invalid;
             counts.clock_off += clocks_off;
-            node.set_aside += i64::try_from(senseless).unwrap_or(i64::MAX);
+            node.set_aside += i64::try_from(invalid).unwrap_or(i64::MAX);
             node.last_ms = now_ms.max(node.last_ms);
             for (kind, what, count) in [
-                ("set_aside", "reports", senseless),
+                ("set_aside", "reports", invalid),
                 ("clock_off", "clips", clocks_off),
             ] {
                 if count > 0 {
@@ -274,7 +277,8 @@ fn lost(what: &str) -> StoreError {
     StoreError::Statement(format!("{what} has no id after it was written"))
 }
 
-/// The ids of the cameras of these nodes, by node and name. New cameras of `wanted` are added, up to the limit per node.
+/// Returns the ids of the cameras of these nodes, by node and name. Adds new cameras of `wanted`, up to the limit per
+/// node.
 fn cameras(
     database: &mut dyn Database,
     nodes: &[&str],
@@ -289,7 +293,7 @@ fn cameras(
     for (node, name) in wanted {
         let known = cameras.entry(node).or_default();
         if known.len() < MOST_CAMERAS && !known.contains_key(name) {
-            // The database gives the id below.
+            // A placeholder: the database assigns the id below.
             known.insert(name.to_owned(), 0);
             new.push((node, name));
         }
@@ -302,24 +306,24 @@ fn cameras(
 }
 
 /// The row of a clip.
-fn clip(taken: &Taken, camera: i64, setup: i64, now_ms: i64) -> Row {
-    let day = match taken.key.day > 0 {
-        true => taken.key.day,
+fn clip(accepted: &Accepted, camera: i64, setup: i64, now_ms: i64) -> Row {
+    let day = match accepted.key.day > 0 {
+        true => accepted.key.day,
         false => now_ms.div_euclid(DAY_MS),
     };
-    let mut row = taken.record.row.clone();
+    let mut row = accepted.record.row.clone();
     for (column, number) in [("day", day), ("camera_id", camera), ("setup_id", setup)] {
         row.insert(column.to_owned(), number.into());
     }
     row
 }
 
-/// A number of a clip; null counts as 0.
+/// A column of a clip; null counts as 0.
 fn number(clip: &Row, column: &str) -> i64 {
     clip.get(column).and_then(Value::as_i64).unwrap_or(0)
 }
 
-/// What a stored clip adds to the counters.
+/// The additions to the counters for a stored clip.
 fn counted(clip: &Row) -> IngestCounts {
     let count = |column: &str| number(clip, column).unsigned_abs();
     IngestCounts {

@@ -1,4 +1,4 @@
-//! Sends answers on a separate thread: a reply to a slow network may block for seconds.
+//! Sends answers on a separate thread, because a reply over a slow network may block for seconds.
 
 use super::IngestCounters;
 use crate::per_node::{PerNode, Place};
@@ -11,9 +11,9 @@ use std::time::Duration;
 use zenoh::Wait;
 use zenoh::query::Query;
 
-/// Most answers that may wait. A further one is dropped: the node gets no answer, and asks again.
+/// Most answers that may wait. A further one is dropped: the node gets no answer, and sends its query again.
 const QUEUE: usize = 16_384;
-/// Most answers to one node that may wait: one that does not read its answers cannot fill the queue of the others.
+/// Most answers that may wait per node: a node that does not read its answers cannot fill the queue.
 const MOST_OF_A_NODE: usize = 16;
 
 struct Reply {
@@ -55,7 +55,7 @@ impl Replies {
         self.hand_over(query, answer, false);
     }
 
-    /// Refuses a query; the node may repeat it after `wait`.
+    /// Refuses a query; the node may retry after `wait`.
     pub(crate) fn refuse(
         &self,
         query: Query,

@@ -1,4 +1,4 @@
-//! The threads of ingest: one parses batches, the other commits them and sends the answers.
+//! Runs the threads of ingest: one parses batches, the other commits them and queues the answers.
 
 use super::counters::IngestCounts;
 use super::decode::{Batch, decode};
@@ -16,28 +16,28 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// Longest time between two looks for changes of presence, also without reports.
+/// Longest time between two checks for changes of presence, also without reports.
 const IDLE: Duration = Duration::from_millis(250);
 
-/// Pause after a failure of the database.
+/// Pause after an error of the database.
 const DATABASE_PAUSE: Duration = Duration::from_millis(500);
 
 /// Most parsed batches that wait to be committed.
 const READY: usize = 16;
 
-/// What a node is charged for an unreadable batch, bytes.
+/// The charge to a node for an unreadable batch, bytes.
 const UNREADABLE_COST: usize = 64 << 10;
 
-/// When a node may try again after a failure of the database.
+/// The time after which a node may retry after an error of the database.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(5);
 
-/// Most reports of one commit.
+/// Most reports per commit.
 const COMMIT_REPORTS: usize = 4000;
 
-/// Most bytes of JSON of one commit.
+/// Most bytes of JSON per commit.
 const COMMIT_BYTES: usize = 16 << 20;
 
-/// Starts the threads, which end once the queue is dropped and empty. The returned future is ready then.
+/// Starts the threads. They end once the queue is dropped and empty; then the returned future completes.
 ///
 /// # Errors
 /// When a thread cannot be started.
@@ -79,7 +79,7 @@ pub(crate) fn start(
     Ok((queue, ended))
 }
 
-/// A thread whose end can be awaited.
+/// Starts a thread whose end can be awaited.
 fn thread(
     name: &str,
     run: impl FnOnce() + Send + 'static,
@@ -128,7 +128,7 @@ impl Reader {
     }
 }
 
-/// Commits batches, and changes of presence.
+/// Commits batches and changes of presence.
 struct Writer {
     recorder: Recorder,
     /// Shortest time between two commits.
@@ -166,10 +166,10 @@ impl Writer {
         }
     }
 
-    /// Commits a group of batches; if the database refuses the group, each batch by itself.
+    /// Commits a group of batches. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let retention = self.recorder.retention_is_due(Instant::now());
-        // Until a first transaction has succeeded, an empty one is tried: that finds a read-only database at the start.
+        // Until a transaction has succeeded, an empty one is tried, which detects a read-only database at the start.
         if self.recorder.is_proven()
             && batches.is_empty()
             && !retention
@@ -183,7 +183,7 @@ impl Writer {
                 self.acknowledge(waiting, batches, committed);
             }
             Err(error) if !error.passes() && batches.len() > 1 => {
-                tracing::error!(%error, "a group of batches is refused; each is tried alone");
+                tracing::error!(%error, "the database refused a group of batches; each is tried separately");
                 for (waiting, batch) in waiting.into_iter().zip(batches) {
                     let (waiting, alone) = (vec![waiting], std::slice::from_ref(batch));
                     match self.transaction(alone, false) {

@@ -1,4 +1,4 @@
-//! The hub's state of one node.
+//! Keeps what the hub knows of one node.
 
 use super::fleet::NodeView;
 use super::state::PresenceState;
@@ -35,12 +35,12 @@ pub(crate) struct Entry {
     pub(super) why: String,
     pub(super) heard: Option<Instant>,
     pub(crate) heard_ms: Option<i64>,
-    /// True if its liveliness token disappeared, and no status came since.
+    /// True if its liveliness token disappeared, and no status was received since.
     pub(super) token_gone: bool,
     pub(super) run: Option<Run>,
-    /// The run before the present one, and when its last status came.
+    /// The run before the present one, and when its last status was received.
     other: Option<(Run, Instant)>,
-    /// Why several nodes seem to use the name, and until when that counts.
+    /// The reason to assume that several nodes use the name, and the end of that assumption.
     pub(super) identity: Option<(String, Instant)>,
     pub(super) seq: u64,
     pub(super) health: HealthState,
@@ -55,12 +55,12 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
-    /// A node that sent no status yet.
+    /// Creates the entry of a node that has sent no status yet.
     pub(super) fn new(now_ms: i64) -> Self {
         Self {
             state: PresenceState::Silent,
             since_ms: now_ms,
-            why: "no status has come yet".to_owned(),
+            why: "no status was received yet".to_owned(),
             heard: None,
             heard_ms: None,
             token_gone: false,
@@ -79,7 +79,7 @@ impl Entry {
         }
     }
 
-    /// A node as the database has it.
+    /// Creates the entry of a node from its row.
     pub(super) fn remembered(node: NodeRow, now: Instant) -> Self {
         let mut entry = Self::new(node.since_ms);
         entry.state = PresenceState::named(&node.state).unwrap_or(PresenceState::Silent);
@@ -100,7 +100,8 @@ impl Entry {
         entry
     }
 
-    /// True if the node should be asked for a full status: the status is missing, and the last notice was a while ago.
+    /// Returns true if the node should be asked for a full status now: it is missing, and the last notice is not
+    /// recent.
     pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
         let due = |notified: Instant| now.saturating_duration_since(notified) >= NOTIFY_EVERY;
         let notice = self.needs_full && self.notified.is_none_or(due);
@@ -110,8 +111,8 @@ impl Entry {
         notice
     }
 
-    /// Notes another run than before. A new run is a restart; a run that comes back after another one means that two nodes
-    /// have this name.
+    /// Notes a run that differs from the present one. A new run is a restart; a run that comes back after another one
+    /// means that two nodes have this name.
     pub(super) fn another_run(&mut self, run: Run, now: Instant, silent: Duration) {
         let Some(before) = self.run.replace(run) else {
             return;
@@ -129,7 +130,7 @@ impl Entry {
         self.other = Some((before, self.heard.unwrap_or(now)));
     }
 
-    /// Stores a full status. Returns true if it differs from the last.
+    /// Stores a full status. Returns true if it differs from the previous one.
     pub(super) fn take_status(&mut self, status: &NodeStatus) -> bool {
         let reasons: Vec<String> = status
             .health

@@ -1,4 +1,4 @@
-//! The states of all nodes, in memory.
+//! Keeps the states of all nodes in memory.
 
 use super::entry::{Entry, Run};
 use super::news::News;
@@ -34,7 +34,7 @@ pub struct NodeView {
     pub since_ms: i64,
     /// The reason for the state; empty when online.
     pub why: String,
-    /// When the last status came, milliseconds since the Unix epoch.
+    /// When the last status was received, milliseconds since the Unix epoch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heard_ms: Option<i64>,
     /// Reports that wait in its outbox.
@@ -49,7 +49,7 @@ pub struct NodeView {
     pub status: Option<serde_json::Value>,
 }
 
-/// Counts over all nodes, beside those of their states.
+/// Counts over all nodes, except those by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FleetTallies {
     /// Names that more than one node uses.
@@ -89,8 +89,8 @@ impl Fleet {
         }
     }
 
-    /// Loads the nodes from the database, and returns their number. A node that was online has the silent limit from `now` on
-    /// to send a status again.
+    /// Loads the nodes from the database, and returns their number. The time limits of a node that was online begin at
+    /// `now`.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -109,7 +109,7 @@ impl Fleet {
         }
     }
 
-    /// Takes a status. Returns true if the node should be asked for a full status.
+    /// Applies a status. Returns true if the node should be asked for a full status.
     pub fn apply_status(
         &self,
         node: &str,
@@ -144,8 +144,8 @@ impl Fleet {
         })
     }
 
-    /// Takes a heartbeat, which repeats the last status of its run but for its numbers. Returns true if the node should be
-    /// asked for a full status.
+    /// Applies a heartbeat, which repeats the last status of its run except for its numbers. Returns true if the node
+    /// should be asked for a full status.
     pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
         self.heard(node, now, now_ms, |entry| {
             if entry.run.is_none_or(|run| run.number != heartbeat.run) {
@@ -164,7 +164,7 @@ impl Fleet {
     }
 
     /// Updates a node's entry by `take`, which returns whether the row has to be written, or `None` if the message says
-    /// nothing of the present run. Returns true if the node should be asked for a full status.
+    /// nothing new of a known run. Returns true if the node should be asked for a full status.
     fn heard(
         &self,
         node: &str,
@@ -205,7 +205,8 @@ impl Fleet {
         }
     }
 
-    /// Drops a node, unless it is online or degraded: it would be back at once. Returns true if it was dropped.
+    /// Removes a node, unless it is online or degraded: its next status would add it again. Returns true if it was
+    /// removed.
     pub(crate) fn forget(&self, node: &str) -> bool {
         let mut nodes = self.nodes.write();
         if nodes.get(node).is_some_and(|entry| entry.state.is_heard()) {
@@ -240,14 +241,14 @@ impl Fleet {
         }
     }
 
-    /// Gives every node `time` more, during which the hub could receive nothing.
+    /// Extends the time limits of every node by `time`, during which the hub could receive nothing.
     pub(crate) fn pass_over(&self, time: Duration) {
         for entry in self.nodes.write().values_mut() {
             entry.heard = entry.heard.map(|heard| heard + time);
         }
     }
 
-    /// Judges a node's state, and notes a change of it.
+    /// Judges a node's state, and notes a change.
     fn settle(&self, name: &Arc<str>, entry: &mut Entry, now: Instant, now_ms: i64) {
         if entry
             .identity
@@ -259,7 +260,8 @@ impl Fleet {
         let heard_ago = match (entry.heard, entry.heard_ms) {
             (Some(heard), _) => Some(now.saturating_duration_since(heard)),
             (None, None) => None,
-            // It was silent or offline when the hub started, and sent nothing since: a silent one can become offline.
+            // It was silent or offline when the hub started, and has sent nothing since: a silent node can become
+            // offline.
             (None, Some(_)) if entry.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
                 let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
@@ -309,7 +311,7 @@ impl Fleet {
         !self.dirty.lock().is_empty() || !self.events.lock().is_empty()
     }
 
-    /// Takes the rows that wait, at most as many as one transaction may have.
+    /// Takes the waiting rows, at most as many as one transaction may have.
     pub fn take_news(&self) -> News {
         let nodes = self.nodes.read();
         let mut dirty = self.dirty.lock();
@@ -321,7 +323,7 @@ impl Fleet {
         }
     }
 
-    /// Takes back rows that were not written.
+    /// Queues rows again that were not written.
     pub fn give_back(&self, news: News) {
         let names = news.nodes.into_iter().map(|node| node.name.into());
         self.dirty.lock().extend(names);
@@ -359,7 +361,7 @@ impl Fleet {
         tallies
     }
 
-    /// Status messages taken since the start.
+    /// The number of status messages received since the start.
     pub(crate) fn statuses(&self) -> u64 {
         self.statuses.load(Ordering::Relaxed)
     }

@@ -30,15 +30,16 @@ use zenoh::{Session, Wait};
 
 /// Most messages that may wait.
 const QUEUE: usize = 65_536;
-/// Most messages of one node that may wait: it sends one every half a minute, and a few when it starts.
+/// Most waiting messages per node: a node sends one every 30 s, and a few when it starts.
 const MOST_OF_A_NODE: usize = 16;
-/// Largest status, bytes: with as many cameras as a node may have it is half of that.
+/// Largest status, bytes: twice the size of a status with as many cameras as a node may have.
 const LARGEST_STATUS: usize = 64 << 10;
-/// Most notices that may wait. Further ones are dropped: the node's next status or report leads to the same answer.
+/// Most notices that may wait. Further ones are dropped: later notices, and the answers to reports, have the same
+/// effect.
 const NOTICES: usize = 65_536;
 /// Interval at which the nodes are checked.
 const SWEEP: Duration = Duration::from_secs(1);
-/// Pause after this many notices: the hub must not make thousands of nodes ask at once.
+/// The number of notices after which there is a pause: thousands of nodes must not pull at the same time.
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 
@@ -63,7 +64,7 @@ struct Inbox {
 }
 
 impl Inbox {
-    /// Queues a message, or drops it when there is no place. Never waits.
+    /// Queues a message, or drops it if there is no place. Never waits.
     fn put(&self, node: &str, what: What) {
         let message = self.places.place(node).map(|place| Message {
             node: node.to_owned(),
@@ -76,7 +77,7 @@ impl Inbox {
     }
 }
 
-/// The hub's declarations; dropping them undeclares them.
+/// The hub's Zenoh declarations; dropping them undeclares them.
 pub(crate) struct Listening {
     _status: Subscriber<()>,
     _tokens: Option<Subscriber<()>>,
@@ -106,7 +107,7 @@ impl Notifier {
 /// Counters of messages from nodes.
 #[derive(Debug, Default)]
 pub struct ListenCounters {
-    /// Status messages that found their queue full.
+    /// Status messages and tokens that were dropped because the queue was full.
     pub overrun: AtomicU64,
     /// Status messages that cannot be read, or are too large.
     pub unreadable: AtomicU64,
@@ -114,7 +115,7 @@ pub struct ListenCounters {
     pub pulls: AtomicU64,
 }
 
-/// Declares everything. Also returns the task that handles the messages until the shutdown.
+/// Declares the subscribers and the queryable. Also returns the task that handles the messages until the shutdown.
 pub(crate) async fn listen(
     config: &HubConfig,
     view: &HubView,
@@ -123,8 +124,9 @@ pub(crate) async fn listen(
 ) -> Result<(Listening, impl Future<Output = ()> + Send + use<>), HubError> {
     let keys = config.keys()?;
     let (sender, messages) = mpsc::channel(QUEUE);
-    let notifier = start_notifier(session.clone(), config.hub.prefix.clone())
-        .map_err(HubError::at("the thread of notices cannot be started"))?;
+    let notifier = start_notifier(session.clone(), config.hub.prefix.clone()).map_err(
+        HubError::at("the thread that sends notices cannot be started"),
+    )?;
     let is_client = config.zenoh.mode == ZenohMode::Client;
     let receiver = Receiver {
         messages,
@@ -151,7 +153,7 @@ pub(crate) async fn listen(
                 unreadable.fetch_add(1, Ordering::Relaxed);
                 return;
             }
-            // A copy, so that what waits holds no buffers of the network.
+            // A copy, so that a waiting status holds no network buffers.
             let payload = Bytes::copy_from_slice(&sample.payload().to_bytes());
             statuses.put(node, What::Status(payload));
         })
@@ -164,7 +166,7 @@ pub(crate) async fn listen(
             .history(true)
             .callback(move |sample| {
                 if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-                    // A token that is dropped costs only time: the age of the status decides without it.
+                    // A dropped token only costs time: without it the age of the last status decides.
                     inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
                 }
             })
@@ -204,7 +206,7 @@ pub(crate) async fn listen(
     Ok((listening, receiver.run(view.shutdown.clone())))
 }
 
-/// A thread that sends notices, since a put may block; it ends when the last sender is dropped.
+/// Starts a thread that sends notices, because a put may block. It ends when the last sender is dropped.
 fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier> {
     let (sender, notices) = sync_channel::<(String, u64)>(NOTICES);
     std::thread::Builder::new()
@@ -248,7 +250,8 @@ struct Receiver {
     notifier: Notifier,
     /// The session, if all nodes are reached through one router.
     router: Option<Session>,
-    /// Nodes whose token disappeared since the last sweep. When the router is lost all tokens do, which says nothing about the nodes.
+    /// Nodes whose token disappeared since the last sweep. If the router is lost, all tokens disappear, which says
+    /// nothing about the nodes.
     tokens_gone: HashSet<String>,
     /// When the router was lost.
     alone_since: Option<Instant>,
@@ -279,7 +282,7 @@ impl Receiver {
         }
     }
 
-    /// Finds nodes that became silent or offline; none does while the router is away.
+    /// Finds nodes that became silent or offline; no node does while the router is lost.
     async fn sweep(&mut self) {
         let (now, now_ms) = (Instant::now(), unix_milliseconds());
         let gone = std::mem::take(&mut self.tokens_gone);
@@ -290,7 +293,9 @@ impl Receiver {
         match (is_alone, self.alone_since) {
             (true, since) => {
                 if since.is_none() {
-                    tracing::warn!("the router is lost: no node can be reached until it is back");
+                    tracing::warn!(
+                        "the router is lost; no node can be reached until it is connected again"
+                    );
                     self.alone_since = Some(now);
                 }
                 self.view
@@ -326,7 +331,7 @@ impl Receiver {
             What::Status(payload) => {
                 self.tokens_gone.remove(&node);
                 let ask_for_full = if Heartbeat::is_one(&payload) {
-                    Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
+                    Heartbeat::read(&payload).map(|beat| fleet.alive(&node, beat, now, now_ms))
                 } else {
                     albireo_wire::read::<StatusMessage>(&payload)
                         .map(|message| fleet.apply_status(&node, &message, now, now_ms))

@@ -1,4 +1,4 @@
-//! Changes of presence that wait to be stored: rows of nodes, and events.
+//! Stores changes of presence: rows of nodes, and events.
 
 use super::PresenceState;
 use crate::store::row::read_all;
@@ -16,8 +16,8 @@ pub struct News {
 }
 
 impl News {
-    /// Writes the nodes, and returns the events to write with them. If several hubs see the same change of a node, one
-    /// of them writes the event.
+    /// Writes the nodes, and returns the events to write with them. If several hubs see the same change of a node, only
+    /// one of them writes the event.
     pub(crate) fn write(&self, database: &mut dyn Database) -> Result<Vec<EventRow>, StoreError> {
         #[derive(Deserialize)]
         struct Before {
@@ -35,7 +35,7 @@ impl News {
         let before: HashMap<&str, &Before> = (before.iter())
             .map(|node| (node.name.as_str(), node))
             .collect();
-        // A node that was forgotten meanwhile stays forgotten.
+        // A node that was forgotten since then stays forgotten.
         let stays = |row: &&NodeRow| {
             (before.get(row.name.as_str()))
                 .is_none_or(|node| node.state != "forgotten" || node.since_ms < row.since_ms)
@@ -44,7 +44,7 @@ impl News {
         database.insert(
             "nodes",
             &rows,
-            // Columns that are not known now keep their values.
+            // Columns without a new value keep their old one.
             "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
              since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
              why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \

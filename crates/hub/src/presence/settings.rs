@@ -1,4 +1,4 @@
-//! The settings of a node, from its last full status.
+//! Reads the settings of a node from its last full status.
 
 use super::entry::Entry;
 use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
@@ -27,7 +27,7 @@ impl NodeSettings {
         }
     }
 
-    /// True if it ever sent a full status.
+    /// True if it has sent a full status.
     pub(crate) const fn is_known(&self) -> bool {
         self.status.is_some()
     }
@@ -74,20 +74,20 @@ impl NodeSettings {
         target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
     }
 
-    /// Why it no longer holds a target, in the node's words.
+    /// The node's reason why it no longer holds a target.
     pub(crate) fn target_off(&self) -> Option<String> {
         self.status.as_ref()?.target_off.clone()
     }
 
-    /// The revision that it refused, and why.
+    /// The revision that it refused, and the reason.
     pub(crate) fn refused(&self) -> Option<(u64, String)> {
         let refused = self.status.as_ref()?.refused.as_ref()?;
         Some((refused.revision, refused.reason.clone()))
     }
 
-    /// Why it cannot hold a target, as far as its status shows.
+    /// The reason that it cannot hold a target, as far as its status shows.
     pub(crate) fn cannot_hold(&self) -> Option<String> {
-        // Until its cameras have reported, only the node itself knows.
+        // Until its cameras have reported a threshold, only the node itself knows.
         let name = self.threshold_name()?;
         let policy = &self.status.as_ref()?.policy;
         (!matches!(name.as_str(), "u" | "lambda"))

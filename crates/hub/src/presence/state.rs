@@ -1,4 +1,4 @@
-//! Judges the state of a node. docs/fleet.md has the same rules in words.
+//! Judges the state of a node. docs/fleet.md describes the rules.
 
 use crate::named::named;
 use albireo_wire::HealthState;
@@ -25,37 +25,38 @@ impl PresenceState {
     }
 }
 
-/// What is known of a node.
+/// The facts by which the state of a node is judged.
 #[derive(Clone, Copy, Debug)]
 pub struct PresenceInput<'a> {
-    /// Time since the last status; `None` if none ever came.
+    /// Time since the last status; `None` if none was received.
     pub heard_ago: Option<Duration>,
-    /// True if its liveliness token disappeared, and no status came since.
+    /// True if its liveliness token disappeared, and no status was received since.
     pub token_gone: bool,
     /// The health in the last status.
     pub health: HealthState,
-    /// The reasons for that health, in words; may be empty while the full status is on its way.
+    /// The reasons for that health; may be empty until the full status arrives.
     pub reasons: &'a str,
-    /// Why several nodes seem to use the name.
+    /// The reason to assume that several nodes use the name.
     pub identity: Option<&'a str>,
 }
 
-/// The time without a status after which a node is silent or offline.
+/// The times without a status after which a node is silent or offline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Silent after.
+    /// The time after which it is silent.
     pub silent: Duration,
-    /// Offline after.
+    /// The time after which it is offline.
     pub offline: Duration,
 }
 
-/// The state of a node, and why.
+/// Returns the state of a node, and the reason.
 pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, String) {
     let Some(ago) = facts.heard_ago else {
-        return (PresenceState::Silent, "no status has come yet".to_owned());
+        let why = "no status was received yet";
+        return (PresenceState::Silent, why.to_owned());
     };
     if facts.token_gone {
-        let why = "its liveliness token went: it stopped, or its link broke";
+        let why = "its liveliness token disappeared: it stopped, or its connection broke";
         return (PresenceState::Offline, why.to_owned());
     }
     let quiet = |limit: Duration| format!("no status for {} s", limit.as_secs_f64());

@@ -39,9 +39,9 @@ fn the_state_is_what_the_table_in_the_documentation_says() {
         token_gone: true,
         ..well(1)
     };
-    let gone = "its liveliness token went: it stopped, or its link broke";
+    let gone = "its liveliness token disappeared: it stopped, or its connection broke";
     for (input, state, why) in [
-        (unheard, Silent, "no status has come yet"),
+        (unheard, Silent, "no status was received yet"),
         (well(0), Online, ""),
         (well(94), Online, ""),
         (well(95), Silent, "no status for 95 s"),

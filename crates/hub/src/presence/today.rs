@@ -8,15 +8,15 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 use utoipa::ToSchema;
 
-/// Pause between two reads: at least this long, and this many times as long as a read, so that a large fleet is read
-/// less often.
+/// Pause between two reads: at least this long, and at least this many times as long as the last read, so that a large
+/// fleet is read less often.
 const PAUSE: Duration = Duration::from_secs(10);
 const PAUSE_TIMES: u32 = 50;
 
 /// The energy and skip rate of a node's clips of today. Measured and estimated energy are never added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TodaysEnergy {
-    /// Joules read from a meter, also where it covers only part of the time.
+    /// Joules read from a meter, even if it covers only part of the time.
     pub measured_joules: f64,
     /// Joules computed from utilisation.
     pub estimated_joules: f64,
@@ -36,14 +36,14 @@ impl TodaysEnergy {
 }
 
 impl Fleet {
-    /// Reads the energy of this day's clips (UTC), again and again.
+    /// Reads the energy of today's clips (UTC) periodically.
     pub(crate) async fn follow_today(&self, store: &Store) {
         loop {
             let begun = Instant::now();
             let day = unix_milliseconds().div_euclid(86_400_000);
             match store.today(day * 86_400).await {
                 Ok(today) => self.set_today(today),
-                Err(error) => tracing::debug!(%error, "what nodes used today was not read"),
+                Err(error) => tracing::debug!(%error, "the energy of today was not read"),
             }
             sleep(PAUSE.max(begun.elapsed() * PAUSE_TIMES)).await;
         }

@@ -1,4 +1,4 @@
-//! One connection to a database, and what ingest writes over it.
+//! Defines a connection to a database, and the statements of ingest.
 
 use super::row::{Row, read_all, row};
 use super::tables::{LARGEST_SUM, ReportCountsRow, SUM_KEY, SUMMED, SetupKey};
@@ -9,14 +9,15 @@ use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
 
-/// A connection to a database. Dropped, it rolls back what it has begun.
+/// A connection to a database. Dropping it rolls back an open transaction.
 pub(crate) trait Database: Send {
     fn kind(&self) -> Kind;
 
-    /// True if it can be used again: a server that restarted has closed it.
+    /// True if it can still be used: a server that restarts closes it.
     fn is_open(&mut self) -> bool;
 
-    /// Begins a transaction that writes. Only one does at a time, across all hubs: two would wait for each other's rows.
+    /// Begins a transaction that writes. Only one writes at a time, across all hubs: two would wait for each other's
+    /// rows.
     fn begin(&mut self) -> Result<(), StoreError>;
 
     /// Commits. The rows then survive a power loss.
@@ -32,7 +33,7 @@ pub(crate) trait Database: Send {
     /// Runs several statements without parameters.
     fn script(&mut self, text: &'static str) -> Result<(), StoreError>;
 
-    /// The whole number that a statement returns, if any.
+    /// Runs a statement and returns the whole number in its first row, if any.
     fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
         let rows = self.query(text, values)?;
         Ok((rows.first()).and_then(|row| row.values().next()?.as_i64()))
@@ -42,12 +43,13 @@ pub(crate) trait Database: Send {
 /// The unique key of a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub(crate) struct ReportKey {
-    /// The day it is stored under: that of its identity, or the day of receipt, negative, if the identity's is not believed.
+    /// The day under which it is stored: the identity's own day, or the negative day of receipt if that is not
+    /// believed.
     pub(crate) day: i64,
     /// Its identity.
     #[serde(with = "uuid::serde::compact")]
     pub(crate) id: Uuid,
-    /// The day of the identity's own time, believed or not.
+    /// The identity's own day, believed or not.
     pub(crate) own_day: i64,
 }
 
@@ -72,7 +74,7 @@ impl dyn Database + '_ {
         self.insert_rows(table, rows, rest)
     }
 
-    /// As [`insert`](Self::insert); all rows have the same columns.
+    /// Does the same as [`insert`](Self::insert) for rows, which must all have the same columns.
     pub(crate) fn insert_rows(
         &mut self,
         table: &str,
@@ -95,7 +97,7 @@ impl dyn Database + '_ {
         )
     }
 
-    /// Runs a query that ends with a text column and `IN`, for these texts.
+    /// Runs a query that ends with a text column and `IN`, for the given texts.
     pub(crate) fn among(&mut self, query: &str, texts: &[&str]) -> Result<Vec<Row>, StoreError> {
         let list = match self.kind() {
             Kind::Sqlite => "(SELECT value FROM json_each($1))",
@@ -107,7 +109,7 @@ impl dyn Database + '_ {
         )
     }
 
-    /// The report counts of nodes, by name; new nodes are added.
+    /// Returns the report counts of nodes, by name. Adds new nodes.
     pub(crate) fn reporting_nodes(
         &mut self,
         names: &[&str],
@@ -119,7 +121,7 @@ impl dyn Database + '_ {
                 "first_seen_ms": now_ms,
                 "state": PresenceState::Silent,
                 "since_ms": now_ms,
-                "why": "no status has come yet",
+                "why": "no status was received yet",
             })
         };
         let new: Vec<Value> = names.iter().map(new).collect();
@@ -151,7 +153,7 @@ impl dyn Database + '_ {
         read_all(self.insert("cameras", &new, "RETURNING id, node_id, name")?)
     }
 
-    /// The ids of setups; new setups are added.
+    /// Returns the ids of setups. Adds new setups.
     pub(crate) fn setups(
         &mut self,
         setups: &BTreeSet<&SetupKey>,
@@ -220,7 +222,7 @@ impl dyn Database + '_ {
     }
 }
 
-/// `column, column`, each after a prefix.
+/// Joins column names with commas, each after a prefix.
 fn list<'a>(columns: impl Iterator<Item = &'a str>, prefix: &str) -> String {
     let columns = columns.map(|column| format!("{prefix}{column}"));
     columns.collect::<Vec<_>>().join(", ")

@@ -1,16 +1,16 @@
-//! Errors of the database.
+//! Defines the errors of the database.
 
 /// An error of the database.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// It holds other data, or was written by a newer program.
+    /// It holds other data, or was written by another version of the program.
     #[error("{0}")]
     Refused(String),
     /// It cannot be reached or written now: it is absent, full, locked or read-only.
     #[error("{0}")]
     Unavailable(String),
-    /// It refuses a statement.
-    #[error("the database refuses a statement: {0}")]
+    /// It refused a statement.
+    #[error("the database refused a statement: {0}")]
     Statement(String),
 }
 
@@ -21,20 +21,16 @@ impl StoreError {
     }
 }
 
-/// Classes of PostgreSQL's error codes that concern its state and not the statement: connection, transaction rollback,
-/// resources, operator intervention, system, and a read-only transaction.
-const STATES: [&str; 6] = ["08", "40", "53", "57", "58", "25"];
-/// A lock that could not be had in time.
-const LOCKED: [&str; 1] = ["55P03"];
+/// Beginnings of PostgreSQL's error codes that concern its state and not the statement: connection, transaction rollback,
+/// resources, operator intervention, system, a read-only transaction, and a lock that was not free in time.
+const STATES: [&str; 7] = ["08", "40", "53", "57", "58", "25", "55P03"];
 
 impl From<sqlx::Error> for StoreError {
     fn from(error: sqlx::Error) -> Self {
         match &error {
             sqlx::Error::Database(database) => {
                 let code = database.code().unwrap_or_default();
-                let passes = STATES.iter().any(|class| code.starts_with(class))
-                    || LOCKED.contains(&code.as_ref());
-                if passes {
+                if STATES.iter().any(|state| code.starts_with(state)) {
                     Self::Unavailable(format!("the database cannot be used now: {database}"))
                 } else {
                     Self::Statement(format!("{database} (code {code})"))
@@ -67,8 +63,7 @@ impl From<rusqlite::Error> for StoreError {
                 | Code::OperationInterrupted,
             ) => Self::Unavailable(format!("the database cannot be used now: {error}")),
             Some(Code::NotADatabase) => Self::Refused(
-                "the file is not an SQLite database and was left as it is: set another file in \
-                 database.url"
+                "the file is not an SQLite database and was not changed: set another file in database.url"
                     .to_owned(),
             ),
             _ => Self::Statement(error.to_string()),

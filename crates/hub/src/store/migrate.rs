@@ -1,17 +1,17 @@
-//! Creates the tables. A database of something else, or of another version, is refused and left as it is.
+//! Creates the tables. A database of another program or of another version is refused and not changed.
 
 use super::row::{read, read_all};
 use super::{Database, Kind, StoreError};
 use serde::Deserialize;
 use uuid::Uuid;
 
-/// The version of the tables. Version 5 was that of albireo 0.1.0; 6 to 8 were never released.
+/// The version of the tables. albireo 0.1.0 had version 5; 6 to 8 were never released.
 const VERSION: i64 = 9;
 
 /// The program's name in the table `hub_meta` of a hub's database.
 const MARK: &str = "albireo-hub";
 
-/// Creates the tables where there are none.
+/// Creates the tables if there are none.
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
     if tables(database)?.is_empty() {
@@ -34,7 +34,7 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
 /// The identity of the database, which a copy of it keeps.
 ///
 /// # Errors
-/// [`StoreError::Refused`] if it is not a hub's, or of another version.
+/// [`StoreError::Refused`] if the database is not a hub's, or has another version.
 pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> {
     #[derive(Default, Deserialize)]
     struct Meta {
@@ -44,8 +44,7 @@ pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> 
     }
     let stranger = |what: String| {
         StoreError::Refused(format!(
-            "the database is not a hub's ({what}); nothing of it was changed: give the hub an empty one in \
-             database.url"
+            "the database is not a hub's ({what}) and was not changed: set an empty one in database.url"
         ))
     };
     let names = tables(database)?;
@@ -72,13 +71,13 @@ pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> 
             .identity
             .ok_or_else(|| stranger("it has no id".to_owned())),
         ..VERSION => Err(StoreError::Refused(
-            "the database was written by albireo 0.1.0, whose tables this one does not read: give the hub another \
+            "the database was written by albireo 0.1.0, whose tables this version does not read: set another one in \
              database.url"
                 .to_owned(),
         )),
         _ => Err(StoreError::Refused(format!(
-            "the database has version {found} of the tables, written by a newer albireo; this one knows version \
-             {VERSION}: run the newer program, or give this one another database.url"
+            "the tables of the database have version {found}, written by a newer albireo; this version reads only \
+             {VERSION}: run the newer program, or set another database in database.url"
         ))),
     }
 }

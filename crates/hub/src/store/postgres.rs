@@ -1,4 +1,4 @@
-//! A connection to PostgreSQL; every statement has a time limit.
+//! Connects to PostgreSQL. Every statement has a time limit.
 
 use super::row::{Row, bytes, text};
 use super::{Database, Kind, StoreError};
@@ -44,7 +44,7 @@ impl PostgresServer {
     pub(super) fn open(url: &str, timeout_ms: u64, runtime: Handle) -> Result<Self, StoreError> {
         let waiter = Waiter {
             runtime,
-            // The server itself ends a statement after four times the limit of a lock.
+            // The server itself ends a statement after four times the lock timeout.
             limit: Duration::from_millis(timeout_ms.saturating_mul(5)),
         };
         let connection = waiter.wait(async move {
@@ -78,7 +78,7 @@ impl Database for PostgresServer {
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {
-        // The number is this program's own.
+        // The number is arbitrary, and the same in every hub.
         self.script("BEGIN; SELECT pg_advisory_xact_lock(169546976)")
     }
 
@@ -116,14 +116,14 @@ fn bound<'q>(
     }
 }
 
-/// Any number of rows as one parameter.
+/// Converts any number of rows to one parameter.
 fn recordset(rows: Vec<Row>) -> String {
     let storable = |row: Row| row.into_iter().map(|(name, value)| (name, storable(value)));
     let rows = rows.into_iter().map(|row| storable(row).collect());
     Value::Array(rows.map(Value::Object).collect()).to_string()
 }
 
-/// A value in the server's form: texts without NUL, bytes as hexadecimal digits.
+/// Converts a value to the server's form: texts without NUL, bytes as hexadecimal digits.
 fn storable(value: Value) -> Value {
     match value {
         Value::String(given) if given.contains('\0') => text(&given).into(),
@@ -159,7 +159,9 @@ fn cell(row: &PgRow, at: usize) -> Result<Value, StoreError> {
         "TEXT" => row.try_get::<String, _>(at)?.into(),
         "BYTEA" => row.try_get::<Vec<u8>, _>(at)?.into(),
         kind => {
-            return Err(StoreError::Statement(format!("a column is of type {kind}")));
+            return Err(StoreError::Statement(format!(
+                "a column has the unknown type {kind}"
+            )));
         }
     })
 }

@@ -1,4 +1,4 @@
-//! Reads, on connections of their own.
+//! Queries the database on the connections for reading.
 
 mod audit;
 mod energy;
@@ -16,13 +16,13 @@ use serde::Deserialize;
 use std::collections::HashMap;
 
 impl Store {
-    /// Every node as it was known last.
+    /// The last known state of every node.
     pub(crate) async fn nodes(&self) -> Result<Vec<NodeRow>, StoreError> {
         let text = "SELECT * FROM nodes WHERE state <> 'forgotten'";
         read_all(self.query(text, Vec::new()).await?)
     }
 
-    /// What the clips of the day that begins at `since_s` used, by node.
+    /// The energy and skip rate of the clips of the day that begins at `since_s`, by node.
     pub(crate) async fn today(
         &self,
         since_s: i64,

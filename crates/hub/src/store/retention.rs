@@ -1,12 +1,12 @@
 //! Deletes old rows: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never waits
-//! long for it.
+//! long.
 
 use super::row::Row;
 use super::{Database, Kind, StoreError};
 use crate::config::HistoryConfig;
 use albireo_wire::IDENTITY_DAYS;
 
-/// Most rows of one step.
+/// Most rows per step.
 pub(crate) const STEP: usize = 2000;
 
 const DAY_MS: i64 = 86_400_000;
@@ -24,8 +24,8 @@ const ORDERS: &str = "DELETE FROM orders WHERE revision IN (SELECT o.revision FR
 const SET_ASIDE: &str = "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
     AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2) RETURNING 1 AS gone";
 
-/// Clips, identities of reports, identities without a day of their own, five-minute sums. The ids of clips grow in the
-/// order of receipt, and a clip's day is at most a day after that.
+/// The statements for clips, identities of reports, identities under their day of receipt, and five-minute sums. The
+/// ids of clips grow in the order of receipt, and a clip's day is at most one day after its receipt.
 const BY_DAY_SQLITE: [&str; 4] = [
     "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE day < $1 \
      AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2) RETURNING 1 AS gone",
@@ -62,12 +62,12 @@ pub(crate) fn retain(
         true => today - i64::from(days),
         false => NO_DAY,
     };
-    // A report of the day before is still accepted.
+    // One day more, because a report of the day before is still accepted.
     let (clips, ids) = (first(history.clips_days), first(IDENTITY_DAYS + 1));
     let sums = first(history.five_minutes_days);
     if database.kind() == Kind::Postgres {
-        // Creating or dropping a partition locks its table for a moment. One table at a time, so that nobody waits for one
-        // table while holding another.
+        // Creating or dropping a partition locks its table for a moment. Each table has its own transaction, so that
+        // none waits for one table while holding another.
         for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
             database.begin()?;
             // A long read delays the drop of a partition, and a waiting drop blocks everything else.

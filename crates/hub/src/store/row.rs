@@ -1,4 +1,4 @@
-//! Rows as JSON objects, the same for both databases; structs are read from them and written to them by `serde`.
+//! Represents rows as JSON objects, the same for both databases; `serde` converts structs from and to them.
 
 use super::StoreError;
 use serde::de::DeserializeOwned;
@@ -18,11 +18,11 @@ pub(crate) fn read_all<T: DeserializeOwned>(rows: Vec<Row>) -> Result<Vec<T>, St
     rows.into_iter().map(read).collect()
 }
 
-/// A struct as a row.
+/// Converts a struct to a row.
 pub(crate) fn row(of: &impl Serialize) -> Result<Row, StoreError> {
     match serde_json::to_value(of)? {
         Value::Object(row) => Ok(row),
-        other => Err(StoreError::Statement(format!("{other} is no row"))),
+        other => Err(StoreError::Statement(format!("{other} is not a row"))),
     }
 }
 
@@ -32,12 +32,12 @@ pub(super) fn bytes(numbers: &[Value]) -> Vec<u8> {
     numbers.iter().filter_map(byte).collect()
 }
 
-/// Text without NUL characters, which PostgreSQL cannot store.
+/// Replaces NUL characters, which PostgreSQL cannot store.
 pub(crate) fn text(text: &str) -> String {
     text.replace('\0', "\u{fffd}")
 }
 
-/// A text column that holds JSON.
+/// Reads and writes a text column that holds JSON.
 pub(crate) mod json_text {
     use super::*;
 
@@ -57,7 +57,7 @@ pub(crate) mod json_text {
         serde_json::from_str(text).map_err(serde::de::Error::custom)
     }
 
-    /// Reads a value from such a column, or from a message that holds it as it is.
+    /// Reads a value from such a column, or from a message that contains the value itself.
     pub(crate) fn or_value<'de, D: Deserializer<'de>, T: DeserializeOwned>(
         from: D,
     ) -> Result<T, D::Error> {
@@ -69,7 +69,7 @@ pub(crate) mod json_text {
     }
 }
 
-/// A whole number that the database summed as a floating-point number.
+/// Reads a whole number that the database summed as a floating-point number.
 pub(crate) fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i64, D::Error> {
     f64::deserialize(from).map(|number| number as i64)
 }

@@ -1,4 +1,4 @@
-//! A connection to SQLite.
+//! Connects to SQLite.
 
 use super::row::Row;
 use super::{Database, Kind, StoreError};
@@ -14,7 +14,7 @@ pub(crate) enum Access {
     Create,
     /// Writing.
     Write,
-    /// Reading; a query that takes too long is ended.
+    /// Reading; a query that takes too long is interrupted.
     Read,
 }
 
@@ -67,7 +67,7 @@ impl Sqlite {
         mut take: impl FnMut(Row) -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
         let mut statement = self.connection.prepare(text)?;
-        found(&mut statement, &mut take)
+        for_each_row(&mut statement, &mut take)
     }
 }
 
@@ -81,11 +81,11 @@ impl Database for Sqlite {
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {
-        // SQLite also begins a transaction on a read-only file; it only refuses the first statement that writes.
+        // SQLite begins a transaction even on a read-only file, and refuses only the first statement that writes.
         if self.connection.is_readonly(MAIN_DB)? {
-            return Err(StoreError::Unavailable("the database is readonly".into()));
+            return Err(StoreError::Unavailable("the database is read-only".into()));
         }
-        // A transaction that begins by reading and then writes fails at once when another wrote in between.
+        // A transaction that reads first fails at its first write if another transaction wrote in between.
         Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
     }
 
@@ -104,7 +104,7 @@ impl Database for Sqlite {
             values.get(name.parse::<usize>().ok()?.checked_sub(1)?)
         })?;
         let mut rows = Vec::new();
-        found(&mut statement, &mut |row| {
+        for_each_row(&mut statement, &mut |row| {
             rows.push(row);
             Ok(())
         })?;
@@ -116,7 +116,7 @@ impl Database for Sqlite {
         let mut returned = Vec::new();
         for row in rows {
             bind(&mut statement, |name| row.get(name))?;
-            found(&mut statement, &mut |row| {
+            for_each_row(&mut statement, &mut |row| {
                 returned.push(row);
                 Ok(())
             })?;
@@ -145,7 +145,7 @@ fn bind<'v>(
 }
 
 /// Runs a statement whose parameters are bound, and calls `take` for each row.
-fn found(
+fn for_each_row(
     statement: &mut Statement<'_>,
     take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
@@ -173,7 +173,7 @@ fn read(value: ValueRef<'_>) -> Result<Value, StoreError> {
     })
 }
 
-/// A value of a parameter.
+/// The value of a parameter.
 struct Cell<'v>(&'v Value);
 
 impl ToSql for Cell<'_> {

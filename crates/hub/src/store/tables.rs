@@ -1,4 +1,4 @@
-//! The rows of tables, and the columns that are summed. `docs/fleet.md` lists the tables.
+//! Defines the rows of tables, and the columns that are summed. `docs/fleet.md` lists the tables.
 
 use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
@@ -41,11 +41,11 @@ pub(crate) const SUMMED: [&str; 34] = [
     "audit_shown_x",
 ];
 
-/// The columns of the key of sums: camera, 0 for the whole fleet; the beginning of the span in seconds since the Unix epoch;
-/// setup; quality.
+/// The key columns of sums: the camera, 0 for the whole fleet; the beginning of the span, seconds since the Unix epoch;
+/// the setup; the quality.
 pub(crate) const SUM_KEY: [&str; 4] = ["camera_id", "bucket_s", "setup_id", "quality"];
 
-/// The largest sum. Sums stop there, so that none is too large for its column.
+/// The largest sum. Sums saturate there, so that none is too large for its column.
 pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 
 /// An event.
@@ -101,17 +101,17 @@ pub(crate) struct NodeRow {
     pub(crate) status: Option<String>,
 }
 
-/// The setup that a clip was made with: clips with the same setup share its id. A missing text is empty.
+/// The setup that a clip was made with; clips with the same setup share its id. A missing text is empty.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub(crate) struct SetupKey {
     pub(crate) policy: String,
     /// Name of the threshold.
     pub(crate) knob: String,
-    /// Its value, in the shortest text that reads back as the same.
+    /// Its value, as the shortest text that parses to the same number.
     pub(crate) value: String,
     pub(crate) model: String,
     pub(crate) provider: String,
     pub(crate) power_source: String,
-    /// How the total energy was found.
+    /// The origin of the total energy.
     pub(crate) total_from: String,
 }

@@ -11,7 +11,7 @@ use uuid::Uuid;
 /// Rows per statement.
 const BATCH: usize = 500;
 
-/// The tables of both databases, each after those that it refers to; `hub_meta` is copied separately.
+/// The tables of both databases, each after the tables that it refers to; `hub_meta` is handled separately.
 const TABLES: [&str; 15] = [
     "nodes",
     "report_counts",
@@ -41,9 +41,9 @@ pub struct Progress {
     pub of: u64,
 }
 
-/// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports, revisions,
-/// and the identity of the database itself. It copies all or nothing. The file is locked meanwhile and stays as it is.
-/// `progress` is called after each batch. Returns the number of rows.
+/// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports,
+/// revisions, and the identity of the database itself. It copies all or nothing. The file is locked during the copy and
+/// not changed. Calls `progress` after each batch. Returns the number of rows.
 ///
 /// # Errors
 /// [`StoreError::Refused`] when `from` is not the file of a hub of this version or `to` is not an empty PostgreSQL database;
@@ -128,7 +128,7 @@ fn copy(
             }
         })?;
         send(&mut batch)?;
-        // No id is given twice, also not that of a deleted row.
+        // No id is assigned twice, not even the id of a deleted row.
         let last = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
         if let Some(last) = source.number(&last, &[])?.filter(|last| *last > 0) {
             let values: [Value; 2] = [table.into(), last.into()];

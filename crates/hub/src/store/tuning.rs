@@ -24,7 +24,7 @@ pub struct ChangeRow {
     pub who: String,
     /// The reason.
     pub why: String,
-    /// Where it came from: `hand`, `rollout 3`, `trial 4`, `drift`.
+    /// Its origin: `hand`, `rollout 3`, `trial 4`, `drift`.
     pub origin: String,
     /// The selector; empty for a rollout or trial.
     #[serde(rename = "select")]
@@ -41,12 +41,12 @@ pub struct ChangeNode {
     pub revision: i64,
     /// The node.
     pub node: String,
-    /// Its setting before, if that was known: a threshold or a target.
+    /// Its setting before, if known: a threshold or a target.
     #[serde(rename = "from", deserialize_with = "json_text::or_value")]
     pub setting_before: Option<DesiredSetting>,
     /// The outcome.
     pub outcome: Outcome,
-    /// When the hub knew the outcome, milliseconds since the Unix epoch.
+    /// When the hub learned the outcome, milliseconds since the Unix epoch.
     pub at_ms: i64,
     /// The reason, if there is one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -78,8 +78,8 @@ impl dyn Database + '_ {
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
-    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is above
-    /// that of any hub before, and above `above`.
+    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is
+    /// higher than every earlier one of any hub, and than `above`.
     pub(crate) fn order(
         &mut self,
         change: &ChangeRow,
@@ -136,7 +136,8 @@ impl dyn Database + '_ {
         Ok(())
     }
 
-    /// Stores outcomes of orders. An order that has ended meanwhile, as by forgetting its node, keeps its outcome.
+    /// Stores outcomes of orders. An order that has ended since then, for example because its node was forgotten, keeps
+    /// its outcome.
     pub(crate) fn outcomes(&mut self, nodes: &[ChangeNode]) -> Result<(), StoreError> {
         let row = |node: &ChangeNode| {
             json!({
@@ -180,8 +181,8 @@ impl dyn Database + '_ {
         Ok(id)
     }
 
-    /// Stores a rollout or trial if `driver` still drives it. With `until_ms`, `driver` drives it from now on, also if it had
-    /// ended.
+    /// Stores a rollout or trial if `driver` still drives it. With `until_ms`, `driver` drives it from now on, even if
+    /// it has ended.
     pub(crate) fn save_run(
         &mut self,
         kept: &KeptRun,
@@ -221,7 +222,7 @@ impl dyn Database + '_ {
 }
 
 impl Store {
-    /// The `free_ms` of `claim_runs` at `now_ms`. A SQLite file has only one hub, which takes all.
+    /// The `free_ms` of `claim_runs` at `now_ms`. An SQLite file has only one hub, which claims all.
     pub(crate) fn claims_free_before(&self, now_ms: i64) -> i64 {
         match self.0.kind {
             Kind::Sqlite => i64::MAX,
@@ -327,7 +328,7 @@ impl Store {
             ),
         };
         let mut found = HashMap::new();
-        // A connection that reads is not held for long.
+        // In chunks, so that a connection for reading is not held for long.
         for windows in windows.chunks(500) {
             let values = vec![serde_json::to_string(windows)?.into()];
             for row in self.query(text, values).await? {

@@ -1,4 +1,4 @@
-//! Changes by hand: a threshold or a target for selected nodes, and the outcomes.
+//! Orders changes by hand, of a threshold or a target on selected nodes, and collects the outcomes.
 
 use super::member::{Millis, Outcome};
 use super::selector::Selector;
@@ -11,13 +11,14 @@ use std::collections::{BTreeMap, HashSet};
 use tokio::time::{Instant, timeout_at};
 use utoipa::ToSchema;
 
-/// A change of selected nodes. The threshold is a further field under the policy's name for it, `"u": 5e-4`, or a target.
+/// A change of selected nodes. The setting is a further field: the threshold under the policy's name for it, such as
+/// `"u": 5e-4`, or `target`.
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct NewChange {
     /// Selects the nodes: names, globs, labels, `all`.
     #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
     pub select: Selector,
-    /// Only report which nodes would change.
+    /// True to report only which nodes would change.
     #[serde(default)]
     pub dry_run: bool,
     /// The reason, for the history.
@@ -28,7 +29,7 @@ pub struct NewChange {
     pub wait_s: Option<f64>,
 }
 
-/// A change that was ordered, or would be.
+/// A change that was ordered, or would be without `dry_run`.
 #[derive(Debug)]
 pub struct Change {
     setting: DesiredSetting,
@@ -59,7 +60,7 @@ impl Change {
 }
 
 impl Tuner {
-    /// Orders a value or a target for the selected nodes, or says who would change.
+    /// Orders a setting for the selected nodes, or only finds the nodes that would change.
     ///
     /// # Errors
     /// When the database cannot be used: then nothing is ordered.
@@ -95,7 +96,7 @@ impl Tuner {
                 None if request.dry_run => {
                     let detail = match node.reachable {
                         true => "",
-                        false => "out of reach: on its return",
+                        false => "out of reach: it would change when it returns",
                     };
                     change.add(&node.name, Outcome::WouldChange, from, detail);
                 }
@@ -106,7 +107,7 @@ impl Tuner {
         }
         for name in request.select.named() {
             if known.insert(name.to_owned()) {
-                let detail = "there is no node of that name";
+                let detail = "no node has that name";
                 change.add(name, Outcome::Refused, None, detail);
             }
         }
@@ -156,9 +157,7 @@ impl Tuner {
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
     fn has_it(&self, node: &NodeSettings, setting: DesiredSetting) -> bool {
-        let desired = self
-            .desired_value(&node.name)
-            .map(|desired| desired.setting);
+        let desired = (self.desires.get(&node.name)).map(|desired| desired.setting);
         let wanted = match setting {
             DesiredSetting::Target(None) => {
                 !matches!(desired, Some(DesiredSetting::Target(Some(_))))
@@ -169,7 +168,7 @@ impl Tuner {
     }
 }
 
-/// Why the node cannot have the setting, according to its status; `None` if it can.
+/// The reason that the node cannot have the setting, according to its status; `None` if it can.
 fn unable(node: &NodeSettings, setting: DesiredSetting) -> Option<String> {
     match setting {
         DesiredSetting::Threshold(wanted) => {

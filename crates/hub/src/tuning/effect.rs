@@ -29,7 +29,7 @@ pub(crate) const FEWEST_NODES: usize = 8;
 /// Share of a group's nodes that is left out at each end.
 const TRIMMED: f64 = 0.2;
 
-/// How the change of one node is computed.
+/// The scale on which the change of one node is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// `ln(after / before)`.

@@ -1,4 +1,4 @@
-//! Gates: bounds on what a change may cost, and their verdicts.
+//! Judges gates, the bounds on what a change may cost.
 //!
 //! A gate bounds the change of a metric: `joules<=+5%` (relative), `skip_rate>=-0.05` (absolute). The change is estimated as
 //! [`effect`](super::effect) describes. If its whole interval is within the bound, the gate passes; if it is beyond the

@@ -1,4 +1,4 @@
-//! The nodes of a rollout or trial: what each is asked for, and the outcome.
+//! Follows the nodes of a rollout or trial: the orders to each, and the outcomes.
 
 use crate::named::named;
 use crate::presence::NodeSettings;
@@ -15,9 +15,9 @@ pub(crate) type Millis = i64;
 named! {
     /// The outcome of an order at a node.
     pub enum Outcome {
-        /// Nothing was asked of it.
+        /// It got no order.
         Untouched = "untouched",
-        /// It was asked and has not answered yet.
+        /// It got the order and has not answered yet.
         Pending = "pending",
         /// It is out of reach; it gets the setting when it returns.
         Waiting = "waiting",
@@ -33,7 +33,7 @@ named! {
         Superseded = "superseded",
         /// It has the setting already.
         Unchanged = "unchanged",
-        /// It would be asked without `dry_run`.
+        /// It would get the order without `dry_run`.
         WouldChange = "would_change",
     }
 }
@@ -41,7 +41,7 @@ named! {
 /// The number of nodes by outcome.
 pub(crate) type Counts = BTreeMap<Outcome, usize>;
 
-/// Counts nodes by outcome, without those that were asked nothing.
+/// Counts nodes by outcome, without those that got no order.
 pub(crate) fn counts(outcomes: impl IntoIterator<Item = Outcome>) -> Counts {
     let mut counts = Counts::new();
     for outcome in outcomes {
@@ -69,7 +69,7 @@ pub struct Ask {
 }
 
 impl Ask {
-    /// An order of `asked_ms`, with that revision.
+    /// Creates an order that was given at `asked_ms`, with that revision.
     pub(crate) const fn new(revision: u64, asked_ms: Millis, outcome: Outcome) -> Self {
         Self {
             revision,
@@ -80,7 +80,7 @@ impl Ask {
         }
     }
 
-    /// Updates the outcome of an order for `wanted` by the node's state. Returns true if it changed.
+    /// Updates the outcome of an order for `wanted` from the node's state. Returns true if it changed.
     pub(crate) fn observe(
         &mut self,
         node: &NodeSettings,
@@ -93,7 +93,7 @@ impl Ask {
             return false;
         }
         let has_it = node.revision >= self.revision && node.has(wanted);
-        // A node whose policy has no targets takes the revision and ignores the target.
+        // A node whose policy has no targets accepts the revision and ignores the target.
         let unable = match wanted {
             DesiredSetting::Target(Some(_)) if node.reachable => node.cannot_hold(),
             _ => None,
@@ -132,7 +132,7 @@ pub struct Member {
     pub group: usize,
     /// Its value at the beginning.
     pub before: Threshold,
-    /// The value that it should have; absent if nothing is asked of it.
+    /// The value that it should have; absent if it gets no order.
     pub wanted: Option<Threshold>,
     /// The value of the last order.
     pub asked: Option<Threshold>,
@@ -146,7 +146,7 @@ pub struct Member {
 }
 
 impl Member {
-    /// A node that is asked nothing.
+    /// Creates a member that gets no order.
     pub(crate) const fn new(node: String, before: Threshold, reachable: bool) -> Self {
         Self {
             node,
@@ -167,7 +167,7 @@ impl Member {
         self.ask.outcome = Outcome::Pending;
     }
 
-    /// Returns it to its value before. A node that was never asked keeps what it has.
+    /// Returns it to its old value. A node that never got an order keeps its value.
     pub(crate) fn give_back(&mut self) {
         if self.asked.is_some() {
             self.wanted = Some(self.before);
@@ -176,13 +176,13 @@ impl Member {
         }
     }
 
-    /// Asks nothing of it any more.
+    /// Excludes it from further orders.
     pub(crate) fn leave(&mut self) {
         (self.wanted, self.asked) = (None, None);
         self.ask.outcome = Outcome::Untouched;
     }
 
-    /// The value that it has to be asked for, if any, and true if that is its old value.
+    /// The value to order next, if any, and true if that is its old value.
     pub(crate) fn due(&self) -> Option<(Threshold, bool)> {
         let wanted = self.wanted.filter(|_| self.wanted != self.asked)?;
         Some((wanted, self.asked.is_some() && wanted == self.before))
@@ -191,7 +191,7 @@ impl Member {
     /// Notes that it was asked.
     pub(crate) fn asked(&mut self, revision: u64, now: Millis) {
         self.asked = self.wanted;
-        // A node that missed its order stays listed as such.
+        // A node that missed its order remains listed as missed.
         let outcome = match self.ask.outcome {
             Outcome::Missed => Outcome::Missed,
             _ => Outcome::Pending,
@@ -199,7 +199,7 @@ impl Member {
         self.ask = Ask::new(revision, now, outcome);
     }
 
-    /// Updates the outcome by the node's state. Returns true if it changed.
+    /// Updates the outcome from the node's state. Returns true if it changed.
     pub(crate) fn observe(
         &mut self,
         node: &NodeSettings,
@@ -255,7 +255,7 @@ pub(crate) fn due(members: &[Member]) -> Vec<Order> {
     orders
 }
 
-/// Shuffles a list as `seed` says: Fisher and Yates.
+/// Shuffles a list by the algorithm of Fisher and Yates, seeded with `seed`.
 pub(crate) fn shuffle<T>(list: &mut [T], seed: u64) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     for i in (1..list.len()).rev() {

@@ -1,4 +1,4 @@
-//! The figures of clips that gates bound and trials compare, per node.
+//! Defines the figures of clips that gates bound and trials compare, per node.
 
 use super::effect::Scale;
 use crate::named::named;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 named! {
-    /// What a gate bounds.
+    /// A metric that a gate bounds.
     pub enum Metric {
         /// Share of a clip's frames that skipped the detector.
         SkipRate = "skip_rate",
@@ -43,7 +43,7 @@ impl Metric {
 }
 
 named! {
-    /// A number that clips have. Energy that was metered over only a part of the clip is in no figure.
+    /// A figure of clips. Energy that was metered over only a part of the clip is in no figure.
     pub enum Figure {
         /// Share of frames that skipped the detector.
         SkipRate = "skip_rate",
@@ -67,7 +67,7 @@ named! {
 }
 
 impl Figure {
-    /// How a node's change is measured: as a difference for shares, else as a ratio.
+    /// The scale of a node's change: a difference for shares, a ratio for the others.
     pub const fn scale(self) -> Scale {
         match self {
             Self::SkipRate | Self::Degraded | Self::Recall | Self::Precision => Scale::Absolute,

@@ -1,4 +1,4 @@
-//! The plans of rollouts and trials.
+//! Defines and checks the plans of rollouts and trials.
 
 use super::gate::Gate;
 use super::selector::Selector;
@@ -77,7 +77,7 @@ impl fmt::Display for StageSize {
 
 as_text!(StageSize);
 
-/// What a rollout does when a gate fails.
+/// The reaction of a rollout to a failed gate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFailure {
@@ -141,12 +141,12 @@ pub struct RolloutPlan {
     pub soak_s: f64,
     /// Further time that a stage soaks if its gates are undecided at the end of the soak, seconds.
     pub patience_s: f64,
-    /// The gates: what the change may cost.
+    /// The gates, which bound what the change may cost.
     #[schema(value_type = Vec<String>)]
     pub gates: Vec<Gate>,
-    /// What a rollout does when a gate fails.
+    /// The reaction to a failed gate.
     pub on_failure: OnFailure,
-    /// How long the rollout is held for a person to decide before the old value returns, seconds.
+    /// Time that the rollout is held for a person to decide before the old value returns, seconds.
     pub held_for_s: f64,
     /// Share of a stage's reachable nodes that must report the value; with fewer the stage fails.
     pub fewest_applied: f64,
@@ -267,7 +267,7 @@ impl TrialPlan {
         }
         for (i, value) in self.values.iter().enumerate() {
             if self.values[..i].contains(value) {
-                return Err(format!("values: {value} is named twice"));
+                return Err(format!("values: {value} is listed twice"));
             }
             if value.name != self.values[0].name {
                 return Err("values: must be values of one threshold".to_owned());

@@ -1,8 +1,10 @@
-//! A rollout, which gives a value to more and more nodes, or a trial, which gives values to random groups at the same time.
+//! Runs a rollout, which gives a value to more and more nodes, or a trial, which gives values to random groups at the
+//! same time.
 //!
-//! It is a state machine without clock, network or database. The caller passes in the nodes' states ([`Run::observe`]), the
-//! time ([`Run::tick`]), measurements that were requested ([`Run::measured`]) and commands ([`Run::command`]), and gets the
-//! orders that are due ([`Run::due`]). The whole state is serialised; a run that is read from the database continues.
+//! A [`Run`] is a state machine without clock, network or database. The caller passes in the nodes' states
+//! ([`Run::observe`]), the time ([`Run::tick`]), measurements that were requested ([`Run::measured`]) and commands
+//! ([`Run::command`]), and gets the orders that are due ([`Run::due`]). The whole state is serialised; a run that is
+//! read from the database continues.
 
 mod measured;
 mod record;
@@ -24,8 +26,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use utoipa::ToSchema;
 
-/// How often a stage's gates are judged at most: half-way (when they can only fail), at the end of the soak, and at the end
-/// of the patience.
+/// Most times that a stage's gates are judged: half-way (when they can only fail), at the end of the soak, and at the
+/// end of the patience.
 const LOOKS: u8 = 3;
 /// Failed measurements after which a rollout is held, and a trial ends without a result.
 const ATTEMPTS: u8 = 20;
@@ -66,15 +68,15 @@ impl Phase {
 named! {
     /// A command to a rollout.
     pub enum Command {
-        /// Its time stops.
+        /// Stops its clock.
         Pause = "pause",
         /// Resumes the clock; a held stage soaks again.
         Resume = "resume",
-        /// The next stage now, whatever the gates say.
+        /// Begins the next stage now, regardless of the gates.
         Next = "next",
-        /// All nodes get their old values back.
+        /// Gives all nodes their old values back.
         Return = "return",
-        /// It ends, and every node keeps what it has.
+        /// Ends it; every node keeps its value.
         Stop = "stop",
     }
 }
@@ -110,7 +112,7 @@ pub(crate) type Measured = HashMap<String, BeforeAfter>;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kind {
-    /// A change in stages, each gated on what was measured.
+    /// A change in stages, each gated on measurements.
     Rollout {
         /// The new value.
         to: Threshold,
@@ -225,7 +227,7 @@ impl Run {
             Kind::Rollout { plan, .. } => {
                 members.extend(far);
                 if members.is_empty() {
-                    return Err("select: no node that can take the value is selected".to_owned());
+                    return Err("select: no selected node can take part".to_owned());
                 }
                 let ends = plan.stage_ends(members.len());
                 for (place, member) in members.iter_mut().enumerate() {
@@ -237,7 +239,7 @@ impl Run {
                 let (nodes, values) = (members.len(), plan.values.len());
                 if nodes < values * FEWEST_NODES {
                     return Err(format!(
-                        "select: {nodes} nodes in reach are too few for {values} values: each needs {FEWEST_NODES} at least"
+                        "select: {nodes} nodes in reach are too few for {values} values: each needs at least {FEWEST_NODES}"
                     ));
                 }
                 for (place, member) in members.iter_mut().enumerate() {
@@ -269,7 +271,7 @@ impl Run {
 
     /// The orders that are due. The caller calls [`Run::asked`] once an order is in the database.
     pub(crate) fn due(&self) -> Vec<Order> {
-        // Also after its end: nodes that missed their deadline get the old value.
+        // There are orders even after its end: nodes that missed their deadline get the old value.
         if self.paused_ms.is_some() || self.phase == Phase::Stopped {
             return Vec::new();
         }
@@ -301,7 +303,7 @@ impl Run {
 
     /// Updates the members by the states of their nodes.
     pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeSettings>) {
-        // Time stops in a pause: later reports count as of its beginning.
+        // Time stops in a pause: reports during it count as if they came at its beginning.
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();
         for member in &mut self.members {
@@ -336,7 +338,7 @@ impl Run {
                 );
             }
             Phase::Held if waited >= self.lasts() => {
-                self.go_back("no decision came in time".to_owned(), now);
+                self.go_back("nobody decided in time".to_owned(), now);
             }
             _ => {}
         }
@@ -365,12 +367,12 @@ impl Run {
             if applied == 0 && failed == 0 {
                 // There is no node to measure.
                 if waited >= milliseconds(plan.offline_deadline_s) {
-                    self.hold(format!("no node of stage {stage} came back in time"), now);
+                    self.hold(format!("no node of stage {stage} returned in time"), now);
                 }
                 return;
             }
             if f64::from(applied) < plan.fewest_applied * f64::from(applied + failed) {
-                let reason = format!("too few nodes of stage {stage} took the value: {counts}");
+                let reason = format!("too few nodes of stage {stage} applied the value: {counts}");
                 self.fail(reason, now);
                 return;
             }
@@ -388,7 +390,7 @@ impl Run {
         self.enter(phase, now);
     }
 
-    /// How long the phase lasts, or how long until the next measurement.
+    /// The duration of the phase, or the time from its beginning to the next measurement.
     fn lasts(&self) -> Millis {
         match (&self.kind, self.phase) {
             (Kind::Trial { plan }, Phase::Running) => milliseconds(plan.duration_s),
@@ -447,7 +449,7 @@ impl Run {
         }
     }
 
-    /// Takes the requested measurements: a rollout advances, returns or waits; a trial ends.
+    /// Applies the requested measurements: a rollout advances, returns or waits; a trial ends.
     pub(crate) fn measured(&mut self, found: &Measured, now: Millis) {
         self.failed_attempts = 0;
         match &self.kind {
@@ -484,10 +486,10 @@ impl Run {
         }
     }
 
-    /// Follows a command to a rollout.
+    /// Executes a command on a rollout.
     ///
     /// # Errors
-    /// Why it is not possible in this phase.
+    /// The reason that it is not possible in this phase.
     pub(crate) fn command(
         &mut self,
         command: Command,
@@ -513,7 +515,7 @@ impl Run {
                 None => self.phase.name(),
             };
             return Err(format!(
-                "a rollout that is {phase} cannot be asked to {command}"
+                "a rollout that is {phase} does not accept `{command}`"
             ));
         }
         self.noted(now, what).who = Some(who.to_owned());
@@ -531,7 +533,7 @@ impl Run {
         Ok(())
     }
 
-    /// Ends a pause: moves the times of all that began before it by its length.
+    /// Ends a pause: moves all times before it by its length.
     fn wake(&mut self, now: Millis) {
         let Some(paused) = self.paused_ms.take() else {
             return;
@@ -602,7 +604,7 @@ impl Run {
             _ => What::Done,
         };
         self.noted(now, what).text = match names.as_slice() {
-            [] => "every node reported it".to_owned(),
+            [] => "every node reported its value".to_owned(),
             names => format!("without {}", list(names)),
         };
     }
@@ -613,7 +615,8 @@ impl Run {
         self.unsaved = true;
     }
 
-    /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since.
+    /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since
+    /// then.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
         let asked = self.members.iter_mut().filter(|m| m.asked.is_some());
         asked.filter(|m| changed_since(m)).for_each(Member::leave);

@@ -13,7 +13,7 @@ use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
 use utoipa::ToSchema;
 
-/// How long a claim holds.
+/// The duration of a claim.
 const CLAIM_MS: Millis = 20_000;
 /// Time between two claims.
 const CLAIM_EVERY_MS: Millis = 4_000;
@@ -32,7 +32,7 @@ pub struct KeptRun {
     /// The rollout or trial.
     #[serde(flatten)]
     pub run: Run,
-    /// Selected nodes that take no part; only in the answer that begins it.
+    /// Selected nodes that take no part; only in the answer to the request that begins it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
 }
@@ -76,7 +76,7 @@ impl Runs {
     }
 }
 
-/// Why a rollout or trial cannot be begun or commanded.
+/// The reason that a rollout or trial cannot be begun or commanded.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The plan is invalid.
@@ -101,7 +101,7 @@ impl RunError {
 }
 
 impl Tuner {
-    /// The nodes that take part in a rollout or trial of any hub, with its name.
+    /// The nodes that take part in a rollout or trial of any hub, with its kind and number.
     pub(super) async fn taken(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut taken = HashMap::new();
         for KeptRun { id, run, .. } in self.store.open_runs().await? {
@@ -120,7 +120,7 @@ impl Tuner {
     /// # Errors
     /// While it takes part in a rollout or trial, and when the database cannot be written.
     pub(crate) async fn forget(&self, node: &str, who: &str, now: Millis) -> Result<(), RunError> {
-        // Held to the end, so that nothing begins with the node meanwhile.
+        // Held to the end, so that no rollout or trial begins with the node before it is forgotten.
         let _runs = self.runs.lock().await;
         if self.taken().await?.contains_key(node) {
             return Err(RunError::taken(node));
@@ -192,7 +192,8 @@ impl Tuner {
         Ok(kept.into_iter().map(|kept| runs.as_it_is(kept)).collect())
     }
 
-    /// A run that a person wants to change: one that this hub drives, or an ended rollout, which can still be returned.
+    /// The run that a person wants to change: this hub drives it, or it is an ended rollout, which can still be
+    /// returned.
     async fn own(
         &self,
         runs: &Runs,
@@ -216,13 +217,13 @@ impl Tuner {
             return Err(RunError::taken(&member.node));
         }
         kept.run.leave_out(|member| {
-            (self.desired_value(&member.node))
+            (self.desires.get(&member.node))
                 .is_some_and(|desired| desired.revision != member.ask.revision)
         });
         Ok(kept)
     }
 
-    /// Follows a command to a rollout.
+    /// Executes a command on a rollout.
     ///
     /// # Errors
     /// When it is not possible in its phase, another hub drives it, or the database cannot be written.
@@ -271,13 +272,13 @@ impl Tuner {
         }
         let mut failed = None;
         for kept in runs.running.values_mut() {
-            // One that fails does not stop the others; what it did before is saved.
-            let went = self.go_on(kept, now).await;
+            // A failed run does not stop the others; its progress is saved.
+            let advanced = self.advance(kept, now).await;
             let saved = match kept.run.unsaved {
                 true => self.save(kept, false, now).await,
                 false => Ok(()),
             };
-            failed = went.and(saved).err().or(failed);
+            failed = advanced.and(saved).err().or(failed);
         }
         (runs.running).retain(|_, kept| kept.run.unsaved || !kept.run.has_ended());
         failed.map_or(Ok(()), Err)
@@ -302,7 +303,6 @@ impl Tuner {
                     runs.running.insert(key, kept);
                 }
                 Ok(None) => {}
-                // It does not stop the others.
                 Err(error) => {
                     tracing::error!(%error, kind = key.kind, id = key.id, "cannot be resumed");
                 }
@@ -312,7 +312,7 @@ impl Tuner {
     }
 
     /// Advances one run.
-    async fn go_on(&self, kept: &mut KeptRun, now: Millis) -> Result<(), StoreError> {
+    async fn advance(&self, kept: &mut KeptRun, now: Millis) -> Result<(), StoreError> {
         let KeptRun { id, who, run, .. } = kept;
         for order in run.due() {
             let change = ChangeRow {
@@ -376,7 +376,7 @@ impl Tuner {
     }
 }
 
-/// The present value of a node that can take part; else why it cannot.
+/// The present value of a node that can take part; else the reason that it cannot.
 fn able(
     node: &NodeSettings,
     kind: &Kind,

@@ -63,7 +63,7 @@ impl Selector {
         self.0.iter().any(|term| parts(term).all(holds))
     }
 
-    /// The plain names in it: a caller who names a node wants to know if no node has that name.
+    /// The plain names in it: a caller who names a node gets an error if no node has that name.
     pub fn named(&self) -> impl Iterator<Item = &str> {
         let plain = |term: &&String| *term != "all" && !term.contains(['*', '?', '=', '!', '&']);
         self.0.iter().filter(plain).map(String::as_str)
@@ -110,8 +110,8 @@ impl Part<'_> {
     }
 }
 
-/// True if `text` matches `pattern`, where `*` matches any characters and `?` matches one. It takes time linear in the
-/// product of the lengths, whatever the pattern.
+/// Returns true if `text` matches `pattern`, where `*` matches any characters and `?` matches one. Its time is at most
+/// proportional to the product of the lengths.
 fn glob(pattern: &str, text: &str) -> bool {
     let text = text.as_bytes();
     // `matches[n]`: the pattern so far matches the first `n` bytes of the text.

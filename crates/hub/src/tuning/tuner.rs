@@ -2,7 +2,7 @@
 
 use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
-use crate::config::TuningConfig;
+use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, Notifier};
 use crate::store::tables::EventRow;
@@ -23,14 +23,14 @@ use utoipa::ToSchema;
 /// Time after which a node that did not react to a notice is notified again.
 const NOTIFY_AGAIN_MS: Millis = 5_000;
 
-/// How often a node is set back at most after one change, so that two people do not fight over a value for ever.
+/// Most times that a node is set back after one change, so that hub and node do not fight over a value for ever.
 const SET_BACK_TIMES: u32 = 3;
 
 /// The origin of the order that sets a node back.
 const SET_BACK: &str = "drift";
 
-/// How far a node's revision may be beyond those of this database. A restored or empty database lacks revisions that nodes
-/// have; but a node that reports nonsense must not use up the numbers.
+/// The most by which a node's revision may exceed those of this database. A restored or empty database lacks revisions
+/// that nodes have, but a node that reports nonsense must not use up the numbers.
 const FARTHEST_AHEAD: u64 = 1 << 32;
 
 /// The outcome of an order at one node.
@@ -40,7 +40,7 @@ pub struct OutcomeLine {
     pub node: String,
     /// The outcome.
     pub outcome: Outcome,
-    /// Its setting before, if that was known: a threshold or a target.
+    /// Its setting before, if known: a threshold or a target.
     pub from: Option<DesiredSetting>,
     /// The ordered setting: a threshold or a target.
     pub to: DesiredSetting,
@@ -74,7 +74,7 @@ impl OpenOrder {
     }
 }
 
-/// A node that took its desired setting, and has another one now.
+/// A node that applied its desired setting, and has another one now.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Drift {
     /// The node.
@@ -85,7 +85,7 @@ pub struct Drift {
     pub desired: DesiredSetting,
     /// The setting in force; absent if the cameras differ.
     pub in_force: Option<DesiredSetting>,
-    /// Why it no longer holds its target, in the node's words.
+    /// The node's reason why it no longer holds its target.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
     /// How often it was set back.
@@ -98,13 +98,13 @@ pub struct Tuner {
     pub(super) store: Store,
     pub(super) fleet: Arc<Fleet>,
     /// The desired settings that answers to nodes contain.
-    desires: Arc<Desires>,
+    pub(super) desires: Arc<Desires>,
     notifier: Notifier,
     pub(super) config: TuningConfig,
     /// The name of this hub among several on one database.
     pub(super) driver: String,
-    /// The highest revision that was read from the database. Orders of this hub do not count: other hubs may have given lower
-    /// ones meanwhile.
+    /// The highest revision that was read from the database. Orders of this hub do not count: there may be lower
+    /// revisions of other hubs that were not read yet.
     learned: AtomicU64,
     /// The last order to each node, as far as this hub knows.
     open: Mutex<HashMap<String, OpenOrder>>,
@@ -116,7 +116,7 @@ pub struct Tuner {
 
 /// Interval at which the nodes' reports are read.
 const LOOK: Duration = Duration::from_millis(250);
-/// Checks of rollouts, trials and other hubs' orders, and of drift: once in so many intervals.
+/// Checks of rollouts, trials and other hubs' orders, and of drift: once per this number of intervals.
 const DRIVE_EVERY: u64 = 4;
 const DRIFT_EVERY: u64 = 20;
 
@@ -186,7 +186,7 @@ impl Tuner {
             let desired = tuner.desires.get(&row.node);
             if let Some(desired) = desired.filter(|desired| desired.revision == revision) {
                 let order = OpenOrder {
-                    // Its time begins again: no hub listened meanwhile.
+                    // Its time limit begins again, because no hub was listening.
                     ask: Ask::new(revision, now, Outcome::Pending),
                     setting: desired.setting,
                     from: row.setting_before,
@@ -199,18 +199,13 @@ impl Tuner {
         Ok(tuner)
     }
 
-    /// The desired setting of a node.
-    pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
-        self.desires.get(node)
-    }
-
-    /// Why a node that reports `revision` can get no order; `None` if it can.
+    /// The reason that a node that reports `revision` gets no order; `None` if it can.
     pub(super) fn implausible(&self, revision: u64) -> Option<String> {
         let most = (self.learned.load(Ordering::Relaxed)).saturating_add(FARTHEST_AHEAD);
         (revision > most).then(|| {
             format!(
-                "it reports revision {revision}, and no hub gave one above {most}: \
-                 empty its state directory, then it takes orders again"
+                "it reports revision {revision}, but no hub gave one above {most}: \
+                 empty its state directory so that it accepts orders again"
             )
         })
     }
@@ -341,7 +336,7 @@ impl Tuner {
         Ok(())
     }
 
-    /// Finds nodes that drifted: somebody changed them after they took their desired setting. Sets them back if the
+    /// Finds nodes that drifted: somebody changed them after they applied their desired setting. Sets them back if the
     /// configuration says so.
     ///
     /// # Errors
@@ -356,7 +351,7 @@ impl Tuner {
                 && settings.revision == desired.revision
                 && !settings.has(desired.setting);
             if !drifted {
-                // A node that was set back stays listed until it has taken the value again.
+                // A node that was set back stays listed until it has applied the value again.
                 if settings.revision >= desired.revision {
                     self.drift.lock().remove(&node);
                 }
@@ -385,9 +380,9 @@ impl Tuner {
                 .write(move |writing| writing.insert("events", &events, ""))
                 .await?;
         }
-        // Only after the event is stored: after an error it is found again.
+        // Only after the events are stored: after an error the next call finds the drift again.
         self.list_drift(&found);
-        if self.config.local_change.is_set_back() {
+        if self.config.local_change == LocalChange::SetBack {
             found.retain(|drift| drift.set_back < SET_BACK_TIMES);
             found.sort_by_cached_key(|drift| drift.desired.to_string());
             for alike in found.chunk_by_mut(|a, b| a.desired == b.desired) {
@@ -415,7 +410,7 @@ impl Tuner {
         };
         let nodes = drifted.iter().map(|d| (d.node.clone(), d.in_force));
         self.order(change, nodes.collect()).await?;
-        // Ordering forgets the drift; the nodes stay listed until they have the value again.
+        // An order removes the drift; the nodes stay listed until they have the value again.
         drifted.iter_mut().for_each(|drift| drift.set_back += 1);
         self.list_drift(drifted);
         Ok(())

@@ -1,4 +1,4 @@
-//! The list of the certificates that an authority has issued.
+//! Keeps the list of the certificates that an authority has issued.
 
 use super::{read, write_private};
 use crate::error::{RouterError, at};
@@ -110,7 +110,7 @@ impl List {
         if stored.v != VERSION {
             let found = stored.v;
             return Err(at(&file)(format!(
-                "version {found} is not known; this program knows {VERSION}"
+                "version {found} is not known, only {VERSION}"
             )));
         }
         Ok(Self {
@@ -139,7 +139,7 @@ impl List {
         self.of(role, name)
             .find(|entry| entry.revoked_s.is_none())
             .ok_or_else(|| {
-                let reason = format!("{role} `{name}` has no certificate that is good");
+                let reason = format!("{role} `{name}` has no valid certificate");
                 RouterError::Other(reason)
             })
     }

@@ -208,10 +208,10 @@ fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
         let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
         decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).map(|_| ())
     };
-    assert_eq!(of(json!([])).unwrap_err(), "no reports");
+    assert_eq!(of(json!([])).unwrap_err(), "the batch has no reports");
     let zeros = vec![0; 200_000];
     let error = of(json!(zeros)).unwrap_err();
-    assert_eq!(error, "200000 reports, above 1000");
+    assert_eq!(error, "200000 reports, more than 1000");
     let mut other = report(1);
     other["node"] = "car-2".into();
     let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": [other] });

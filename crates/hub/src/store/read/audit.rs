@@ -1,4 +1,4 @@
-//! The audit's counts of a clip, or of a row of sums.
+//! Reads the audit's counts from the row of a clip or of sums.
 
 use crate::store::row::Row;
 use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
@@ -16,7 +16,7 @@ pub struct AuditCounts {
 }
 
 impl AuditCounts {
-    /// The counts of a row with these columns; null counts as 0.
+    /// The counts of a row with the audit's columns; null counts as 0.
     pub(super) fn of(row: &Row) -> Self {
         let number = |name: &str| row.get(name).and_then(Value::as_f64).unwrap_or(0.0) as u64;
         let sums = AuditSums {

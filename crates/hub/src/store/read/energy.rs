@@ -1,4 +1,4 @@
-//! Sums over time and fleet. Measured, partial and estimated energy are never added.
+//! Reads sums over time and fleet. Measured, partial and estimated energy are never added.
 
 use super::audit::AuditCounts;
 use crate::store::row::{read, whole};
@@ -9,7 +9,7 @@ use serde_json::json;
 use std::ops::Range;
 use utoipa::{IntoParams, ToSchema};
 
-/// How sums are grouped.
+/// The grouping of sums.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EnergyBy {
@@ -24,9 +24,9 @@ pub enum EnergyBy {
     Day,
     /// Policy.
     Policy,
-    /// Policy and value of its knob.
+    /// Policy and value of its threshold.
     Knob,
-    /// Camera and name of the clip: the parts of a long clip are added. Only clips that are still kept one by one.
+    /// Camera and name of the clip; the parts of a long clip are added. Only clips that are still kept individually.
     Clip,
 }
 
@@ -51,7 +51,7 @@ pub enum Sort {
     Joules,
 }
 
-/// Selects clips, and says how they are grouped.
+/// Selects clips and their grouping.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -59,13 +59,13 @@ pub struct EnergyQuery {
     /// `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`.
     #[serde(default)]
     pub by: EnergyBy,
-    /// Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default.
+    /// Only clips that began at this time or later, milliseconds since the Unix epoch; seven days ago by default.
     pub since_ms: Option<i64>,
-    /// Clips begun before this time; now by default.
+    /// Only clips that began before this time; now by default.
     pub until_ms: Option<i64>,
     /// Only of this node.
     pub node: Option<String>,
-    /// `group`, or `joules`: the groups with the most energy first. A group has a line for each quality.
+    /// `group`, or `joules` for the groups with the most energy first. A group has one entry for each quality.
     #[serde(default)]
     pub sort: Sort,
     /// Maximum number of groups, up to 10000; 1000 by default.
@@ -131,8 +131,8 @@ const CAMERAS_OF_NODE: &str =
     "(SELECT c.id FROM cameras c JOIN nodes o ON o.id = c.node_id WHERE o.name = $6)";
 
 impl Store {
-    /// The sums of spans that begin within `seconds` since the Unix epoch. Sums of the fleet and of one node read rows of
-    /// their own.
+    /// The sums of spans that begin within `seconds` since the Unix epoch. Sums over the whole fleet are read from
+    /// their own rows.
     ///
     /// # Errors
     /// When the database cannot be read.

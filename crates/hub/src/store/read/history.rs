@@ -19,9 +19,9 @@ pub struct ClipQuery {
     pub node: Option<String>,
     /// Only of this camera of that node.
     pub camera: Option<String>,
-    /// Begun at this time or later, milliseconds since the Unix epoch.
+    /// Only clips that began at this time or later, milliseconds since the Unix epoch.
     pub since_ms: Option<i64>,
-    /// Begun before this time, milliseconds since the Unix epoch.
+    /// Only clips that began before this time, milliseconds since the Unix epoch.
     pub until_ms: Option<i64>,
     /// `next` of the previous page.
     pub cursor: Option<i64>,
@@ -83,9 +83,9 @@ pub struct StoredClip {
     pub detector_mean_ms: f64,
     /// Policy.
     pub policy: String,
-    /// Name of its knob; empty without one.
+    /// Name of its threshold; empty without one.
     pub knob: String,
-    /// The knob's value at the end of the clip.
+    /// The threshold's value at the end of the clip.
     #[serde(deserialize_with = "json_text::deserialize")]
     pub value: Option<f64>,
     /// Detector model.
@@ -151,9 +151,9 @@ pub struct StoredSetAside {
 /// Counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportCounts {
-    /// When the first batch came, milliseconds since the Unix epoch.
+    /// When the first batch was received, milliseconds since the Unix epoch.
     pub first_ms: i64,
-    /// When the last batch came.
+    /// When the last batch was received.
     pub last_ms: i64,
     /// Reports stored.
     pub stored: i64,
@@ -161,9 +161,9 @@ pub struct ReportCounts {
     pub set_aside: i64,
     /// Reports refused, because they were too old.
     pub refused: i64,
-    /// Running counts that never came.
+    /// Reports that were never received, by their running counts.
     pub missing: u64,
-    /// How often the running count began again: the node's state was new, older or a copy.
+    /// How often the running count restarted: the node's state was new, older or a copy.
     pub resets: i64,
 }
 
@@ -245,7 +245,7 @@ impl Store {
         read_all(self.query(text, values).await?)
     }
 
-    /// Counts of a node's reports; `None` if none came.
+    /// Counts of a node's reports; `None` if none was received.
     ///
     /// # Errors
     /// When the database cannot be read.

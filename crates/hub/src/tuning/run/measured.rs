@@ -76,7 +76,7 @@ impl Run {
         );
         let (changed, unchanged) = (silence(&changed), silence(&unchanged));
         let lost = changed.by_chance(unchanged) < rates.fail;
-        // If too few nodes can be measured, a stage passes when its nodes took the value and are alive.
+        // If too few nodes can be measured, a stage passes when its nodes applied the value and at most half fell silent.
         let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
         let verdict = match overall(&results) {
             _ if lost => Verdict::Failed,
@@ -89,7 +89,7 @@ impl Run {
         );
         let text = match verdict {
             Verdict::Passed => "all gates passed".to_owned(),
-            Verdict::NotMeasured => format!("took the value and are alive; {silent}"),
+            Verdict::NotMeasured => format!("too few nodes to measure; {silent}"),
             _ if lost || !alive => format!("{verdict}: {silent}"),
             _ => format!("{verdict}: {}", named(&results, verdict)),
         };

@@ -1,4 +1,4 @@
-//! The record of a rollout or trial.
+//! Defines the record of a rollout or trial.
 
 use super::super::gate::{GateResult, Verdict};
 use super::super::member::Millis;
@@ -52,7 +52,7 @@ pub struct Entry {
     /// Who ordered it; absent if the hub did it by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
-    /// Details, in words.
+    /// Details, as text.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text: String,
     /// The verdict of all gates together.

@@ -516,7 +516,7 @@ fn commands_that_make_no_sense_are_refused() {
     let error = rollout.command(Command::Return, "ops", 0).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "a rollout that is returned cannot be asked to return"
+        "a rollout that is returned does not accept `return`"
     );
 }
 
