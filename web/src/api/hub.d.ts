@@ -243,9 +243,9 @@ export interface paths {
                     node?: string;
                     /** @description Only of this camera of that node. */
                     camera?: string;
-                    /** @description Begun at this time or later, milliseconds since the Unix epoch. */
+                    /** @description Only clips that began at this time or later, milliseconds since the Unix epoch. */
                     since_ms?: number;
-                    /** @description Begun before this time, milliseconds since the Unix epoch. */
+                    /** @description Only clips that began before this time, milliseconds since the Unix epoch. */
                     until_ms?: number;
                     /** @description `next` of the previous page. */
                     cursor?: number;
@@ -300,8 +300,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The same clips as CSV, all of them, or `limit`
-         * @description They are read and sent in pages: the file may be larger than the memory. Without the audit's figures.
+         * Clips as CSV: all of them, or at most `limit`
+         * @description The hub reads and sends them in pages, so the file may be larger than its memory. The audit's figures are left out.
          *     `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
          */
         get: {
@@ -311,9 +311,9 @@ export interface paths {
                     node?: string;
                     /** @description Only of this camera of that node. */
                     camera?: string;
-                    /** @description Begun at this time or later, milliseconds since the Unix epoch. */
+                    /** @description Only clips that began at this time or later, milliseconds since the Unix epoch. */
                     since_ms?: number;
-                    /** @description Begun before this time, milliseconds since the Unix epoch. */
+                    /** @description Only clips that began before this time, milliseconds since the Unix epoch. */
                     until_ms?: number;
                     /** @description `next` of the previous page. */
                     cursor?: number;
@@ -369,8 +369,9 @@ export interface paths {
         };
         /**
          * Diagnostics as one tar archive
-         * @description Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
-         *     changes, the last lines of the log. What is missing (a database that is away) is named instead.
+         * @description The archive contains versions, the configuration with its secrets masked, readiness, the nodes that are not online,
+         *     metrics, the last events and changes, and the last lines of the log. If the database cannot be read, the error is in
+         *     place of events and changes.
          *     `curl -O -J http://127.0.0.1:8090/api/v1/diag`
          */
         get: {
@@ -425,7 +426,7 @@ export interface paths {
         };
         /**
          * Nodes whose setting differs from the desired one
-         * @description These nodes took the desired setting, and somebody changed it at the node since.
+         * @description These nodes applied the desired setting, and somebody changed it at the node since then.
          */
         get: {
             parameters: {
@@ -478,7 +479,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Energy over time and fleet: measured, partial and estimated apart, and against vanilla
+         * Energy over time and fleet, separately measured, partial and estimated, and compared with vanilla
          * @description `curl 'http://127.0.0.1:8090/api/v1/energy?by=policy'`
          */
         get: {
@@ -486,13 +487,13 @@ export interface paths {
                 query?: {
                     /** @description `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`. */
                     by?: components["schemas"]["EnergyBy"];
-                    /** @description Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default. */
+                    /** @description Only clips that began at this time or later, milliseconds since the Unix epoch; seven days ago by default. */
                     since_ms?: number;
-                    /** @description Clips begun before this time; now by default. */
+                    /** @description Only clips that began before this time; now by default. */
                     until_ms?: number;
                     /** @description Only of this node. */
                     node?: string;
-                    /** @description `group`, or `joules`: the groups with the most energy first. A group has a line for each quality. */
+                    /** @description `group`, or `joules` for the groups with the most energy first. A group has one entry for each quality. */
                     sort?: components["schemas"]["Sort"];
                     /** @description Maximum number of groups, up to 10000; 1000 by default. */
                     limit?: number;
@@ -546,14 +547,14 @@ export interface paths {
         };
         /**
          * The fleet's events, as server-sent events
-         * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node),
-         *     `forgotten`, and `resync`: more was missed, so read the present state again.
+         * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed
+         *     at the node), `forgotten`, and `resync`: too many events were missed, so read the present state again.
          *     `curl -N http://127.0.0.1:8090/api/v1/events`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Number of the last event that the reader has; the header `Last-Event-ID` does the same. */
+                    /** @description Number of the last event that the reader has; the header `Last-Event-ID` takes precedence. */
                     last_event_id?: number;
                     /** @description Only these kinds, separated by commas; all kinds by default. */
                     types?: string;
@@ -612,19 +613,19 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description Of these states only, separated by commas: `degraded,silent`. */
+                    /** @description Only nodes in these states, separated by commas: `degraded,silent`. */
                     state?: string;
-                    /** @description With this text in the name. */
+                    /** @description Only nodes with this text in the name. */
                     search?: string;
-                    /** @description Chosen by names, globs and labels, separated by commas: `cam-*,region=north`. */
+                    /** @description Only nodes that match these names, globs and labels, separated by commas: `cam-*,region=north`. */
                     select?: string;
-                    /** @description What they are sorted by. */
+                    /** @description The sort order. */
                     sort?: "name" | "state" | "since" | "heard" | "waiting" | "joules";
-                    /** @description The other way round. */
+                    /** @description Reverses the order. */
                     down?: boolean;
-                    /** @description Rows left out before the first one. */
+                    /** @description The number of rows to skip. */
                     offset?: number;
-                    /** @description At most this many, 100 by default, 1000 at most. */
+                    /** @description Maximum number, up to 1000; 100 by default. */
                     limit?: number;
                 };
                 header?: never;
@@ -675,7 +676,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * One node with what is known of its reports
+         * One node with the counts of its reports
          * @description `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
          */
         get: {
@@ -719,9 +720,9 @@ export interface paths {
         put?: never;
         post?: never;
         /**
-         * Forget a node
-         * @description It leaves the lists, and what is desired of it is dropped; its clips, sums and history stay. A node that is online or degraded, or takes
-         *     part in a rollout or trial, is not forgotten. One that comes back is a new node.
+         * Forgets a node
+         * @description It is removed from the lists, and its desired setting is dropped; its clips, sums and history stay. A node that is
+         *     online or degraded, or takes part in a rollout or trial, is not forgotten. A node that comes back is a new node.
          *
          *     `curl -X DELETE http://127.0.0.1:8090/api/v1/nodes/car-7`
          */
@@ -836,8 +837,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The counters of one node's cameras, once a second, as server-sent events
-         * @description The node sends them only while this stream is read, and for half a minute after. There is one event `counters` per camera and second.
+         * The counters of one node's cameras, once per second, as server-sent events
+         * @description The node sends them only while this stream is read, and for 30 s after that. There is one event `counters` per
+         *     camera and second.
          *     `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
          */
         get: {
@@ -1103,8 +1105,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Reports that could not be read, and why
-         * @description The hub acknowledges them, so that they do not hold up the reports behind them, and keeps them here.
+         * Invalid reports, with the reasons
+         * @description The hub acknowledges them, so that they do not hold up later reports, and keeps them here.
          *     `curl http://127.0.0.1:8090/api/v1/set-aside`
          */
         get: {
@@ -1167,8 +1169,8 @@ export interface paths {
         get?: never;
         /**
          * Sets a target on selected nodes instead of a threshold
-         * @description A node has the target when it **reports** the target; its status says how well it is met. A threshold that is set later,
-         *     here or at the node, switches the target off. Otherwise this works as `/api/v1/threshold`.
+         * @description A node has the target once it **reports** the target; its status says whether the target is met. A threshold that is
+         *     set later, here or at the node, switches the target off. Otherwise this works like `/api/v1/threshold`.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
          */
         put: {
@@ -1227,9 +1229,9 @@ export interface paths {
         get?: never;
         /**
          * Sets a value on selected nodes
-         * @description A node has the value when it **reports** the value. `Accept: application/x-ndjson` streams the outcome of each node; otherwise
-         *     the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it returns. The value switches
-         *     off a node's target.
+         * @description A node has the value once it **reports** the value. With `Accept: application/x-ndjson` the outcome of each node is
+         *     streamed; otherwise the answer waits a few seconds for the nodes. A node that is out of reach gets the value when it
+         *     returns. The value switches off a node's target.
          *     `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
          */
         put: {
@@ -1441,7 +1443,7 @@ export interface paths {
         put?: never;
         /**
          * Ends a trial before its time
-         * @description What was measured until now is its result; the old values return.
+         * @description The measurements until now are its result; the old values return.
          */
         post: {
             parameters: {
@@ -1603,7 +1605,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether the hub takes reports: the database can be written, the Zenoh session is open
+         * Whether the hub accepts reports: the database can be written, and the Zenoh session is open
          * @description `curl http://127.0.0.1:8090/readyz`
          */
         get: {
@@ -1697,7 +1699,7 @@ export interface components {
             /** @description The value. */
             value: components["schemas"]["Threshold"];
         };
-        /** @description A page of reports that could not be read, the latest first. */
+        /** @description A page of invalid reports, the latest first. */
         AsidePage: {
             /**
              * Format: int64
@@ -1855,7 +1857,7 @@ export interface components {
         ChangeNode: {
             /**
              * Format: int64
-             * @description When the hub knew the outcome, milliseconds since the Unix epoch.
+             * @description When the hub learned the outcome, milliseconds since the Unix epoch.
              */
             at_ms: number;
             /** @description The reason, if there is one. */
@@ -1878,7 +1880,7 @@ export interface components {
              * @description When, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description Where it came from: `hand`, `rollout 3`, `trial 4`, `drift`. */
+            /** @description Its origin: `hand`, `rollout 3`, `trial 4`, `drift`. */
             origin: string;
             /**
              * Format: int64
@@ -1972,26 +1974,26 @@ export interface components {
             /** @description Current power by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
-        /** @description Nodes by state. */
+        /** @description The number of nodes by state. */
         Counts: {
             /**
              * Format: int64
-             * @description Something of it is impaired.
+             * @description Nodes that send status messages, and of which a part does not work.
              */
             degraded: number;
             /**
              * Format: int64
-             * @description It is gone.
+             * @description Nodes that sent no status for long, or whose liveliness token disappeared.
              */
             offline: number;
             /**
              * Format: int64
-             * @description All its parts work.
+             * @description Nodes that send status messages, and whose every part works.
              */
             online: number;
             /**
              * Format: int64
-             * @description Nothing was heard for a while.
+             * @description Nodes that sent no status for a while.
              */
             silent: number;
         };
@@ -2012,7 +2014,7 @@ export interface components {
              */
             watts: number;
         };
-        /** @description A node that took its desired setting, and has another one now. */
+        /** @description A node that applied its desired setting, and has another one now. */
         Drift: {
             /** @description The desired setting: a threshold or a target. */
             desired: components["schemas"]["DesiredSetting"];
@@ -2026,7 +2028,7 @@ export interface components {
             set_back: number;
             /** @description When the hub noticed, milliseconds since the Unix epoch. */
             since_ms: components["schemas"]["i64"];
-            /** @description Why it no longer holds its target, in the node's words. */
+            /** @description The node's reason why it no longer holds its target. */
             why?: string | null;
         };
         /** @description Frames that were not processed, by kind. */
@@ -2091,7 +2093,7 @@ export interface components {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description One entry for each group and quality. */
             groups: components["schemas"]["EnergyGroup"][];
-            /** @description The spans that were summed: days where the requested times are whole days, else five minutes. */
+            /** @description The spans that were summed: days if the requested times are whole days, else five minutes. */
             resolution: components["schemas"]["Resolution"];
             /**
              * Format: int64
@@ -2105,7 +2107,7 @@ export interface components {
             until_ms: number;
         };
         /**
-         * @description How sums are grouped.
+         * @description The grouping of sums.
          * @enum {string}
          */
         EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob" | "clip";
@@ -2198,7 +2200,7 @@ export interface components {
             gates?: components["schemas"]["GateResult"][];
             /** @description The stage, from 1. */
             stage: number;
-            /** @description Details, in words. */
+            /** @description Details, as text. */
             text?: string;
             verdict?: components["schemas"]["Verdict"] | null;
             /** @description Its kind. */
@@ -2207,7 +2209,7 @@ export interface components {
             who?: string | null;
         };
         /**
-         * @description A number that clips have. Energy that was metered over only a part of the clip is in no figure.
+         * @description A figure of clips. Energy that was metered over only a part of the clip is in no figure.
          * @enum {string}
          */
         Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "recall" | "precision";
@@ -2285,18 +2287,18 @@ export interface components {
         };
         /** @description [`HubReadiness`] as a problem document. */
         HubNotReady: components["schemas"]["Problem"] & components["schemas"]["HubReadiness"];
-        /** @description Whether the hub takes and commits reports. */
+        /** @description The readiness of the hub to accept and commit reports. */
         HubReadiness: {
             /** @description True if every part works. */
             ready: boolean;
-            /** @description Why each broken part does not work: `database`, `zenoh`. */
+            /** @description The reason of each part that does not work: `database`, `zenoh`. */
             reasons: {
                 [key: string]: string;
             };
         };
         /** @description Service, version and list of routes. */
         Index: {
-            /** @description Where the full description is. */
+            /** @description The path of the full description. */
             openapi: string;
             /** @description All routes. */
             routes: components["schemas"]["Route"][];
@@ -2333,7 +2335,7 @@ export interface components {
              * @description Its number, among those of its kind.
              */
             id: number;
-            /** @description Selected nodes that take no part; only in the answer that begins it. */
+            /** @description Selected nodes that take no part; only in the answer to the request that begins it. */
             left_out?: components["schemas"]["LeftOut"][];
             /** @description Who began it. */
             who: string;
@@ -2419,9 +2421,12 @@ export interface components {
             /** @description True if it was in reach when the present stage began. */
             was_reachable: boolean;
         };
-        /** @description A change of selected nodes. The threshold is a further field under the policy's name for it, `"u": 5e-4`, or a target. */
+        /**
+         * @description A change of selected nodes. The setting is a further field: the threshold under the policy's name for it, such as
+         *     `"u": 5e-4`, or `target`.
+         */
         NewChange: {
-            /** @description Only report which nodes would change. */
+            /** @description True to report only which nodes would change. */
             dry_run?: boolean;
             /** @description Selects the nodes: names, globs, labels, `all`. */
             select: string[];
@@ -2433,23 +2438,23 @@ export interface components {
             /** @description The reason, for the history. */
             why?: string;
         };
-        /** @description A target that selected nodes are to hold. */
+        /** @description A target for selected nodes. */
         NewTarget: components["schemas"]["NewChange"] & {
             target: components["schemas"]["Target"] | null;
         };
-        /** @description A node with what is known of its reports. */
+        /** @description A node with the counts of its reports. */
         NodeDetail: components["schemas"]["NodeView"] & {
             reports?: components["schemas"]["ReportCounts"] | null;
         };
-        /** @description Nodes of the fleet. */
+        /** @description A page of nodes. */
         NodeList: {
-            /** @description Nodes of the whole fleet by state. */
+            /** @description The number of nodes in the whole fleet, by state. */
             counts: components["schemas"]["Counts"];
             /** @description The rows. */
             nodes: components["schemas"]["NodeView"][];
-            /** @description Place of the first row of this answer among them. */
+            /** @description The number of rows before this page. */
             offset: number;
-            /** @description Rows there are of this selection. */
+            /** @description The number of selected rows, on all pages. */
             total: number;
             /**
              * Format: int64
@@ -2503,7 +2508,7 @@ export interface components {
         NodeView: {
             /**
              * Format: int64
-             * @description When the last status came, milliseconds since the Unix epoch.
+             * @description When the last status was received, milliseconds since the Unix epoch.
              */
             heard_ms?: number | null;
             /** @description Its name. */
@@ -2532,7 +2537,7 @@ export interface components {
             why: string;
         };
         /**
-         * @description What a rollout does when a gate fails.
+         * @description The reaction of a rollout to a failed gate.
          * @enum {string}
          */
         OnFailure: "return" | "hold";
@@ -2563,7 +2568,7 @@ export interface components {
             lost: number;
             /**
              * Format: int64
-             * @description Reports that the hub refused permanently.
+             * @description Reports that a hub refused permanently or that could not be read.
              */
             undeliverable?: number;
             /**
@@ -2611,7 +2616,7 @@ export interface components {
              * @description The HTTP status.
              */
             status: number;
-            /** @description The status in words. */
+            /** @description The text of the status. */
             title: string;
             /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
@@ -2630,17 +2635,17 @@ export interface components {
         ReportCounts: {
             /**
              * Format: int64
-             * @description When the first batch came, milliseconds since the Unix epoch.
+             * @description When the first batch was received, milliseconds since the Unix epoch.
              */
             first_ms: number;
             /**
              * Format: int64
-             * @description When the last batch came.
+             * @description When the last batch was received.
              */
             last_ms: number;
             /**
              * Format: int64
-             * @description Running counts that never came.
+             * @description Reports that were never received, by their running counts.
              */
             missing: number;
             /**
@@ -2650,7 +2655,7 @@ export interface components {
             refused: number;
             /**
              * Format: int64
-             * @description How often the running count began again: the node's state was new, older or a copy.
+             * @description How often the running count restarted: the node's state was new, older or a copy.
              */
             resets: number;
             /**
@@ -2678,7 +2683,7 @@ export interface components {
              */
             fewest_applied: number;
             /**
-             * @description The gates: what the change may cost.
+             * @description The gates, which bound what the change may cost.
              * @default [
              *       "skip_rate>=-0.05",
              *       "joules<=+5%?",
@@ -2689,7 +2694,7 @@ export interface components {
             gates: string[];
             /**
              * Format: double
-             * @description How long the rollout is held for a person to decide before the old value returns, seconds.
+             * @description Time that the rollout is held for a person to decide before the old value returns, seconds.
              * @default 86400
              */
             held_for_s: number;
@@ -2700,7 +2705,7 @@ export interface components {
              */
             offline_deadline_s: number;
             /**
-             * @description What a rollout does when a gate fails.
+             * @description The reaction to a failed gate.
              * @default return
              */
             on_failure: components["schemas"]["OnFailure"];
@@ -2896,7 +2901,7 @@ export interface components {
              * @description Energy, joules.
              */
             joules?: number | null;
-            /** @description Name of its knob; empty without one. */
+            /** @description Name of its threshold; empty without one. */
             knob: string;
             /**
              * Format: double
@@ -2939,7 +2944,7 @@ export interface components {
             report_id: string;
             /**
              * Format: double
-             * @description The knob's value at the end of the clip.
+             * @description The threshold's value at the end of the clip.
              */
             value?: number | null;
         };
@@ -3078,7 +3083,7 @@ export interface components {
             estimated_joules: number;
             /**
              * Format: double
-             * @description Joules read from a meter, also where it covers only part of the time.
+             * @description Joules read from a meter, even if it covers only part of the time.
              */
             measured_joules: number;
             /**

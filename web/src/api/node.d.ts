@@ -174,7 +174,7 @@ export interface paths {
         };
         /**
          * The detections of a camera's newest frame
-         * @description The message that was published on Zenoh.
+         * @description The message as published on Zenoh.
          *     `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
          */
         get: {
@@ -197,7 +197,7 @@ export interface paths {
                         "application/json": components["schemas"]["DetectionsMessage"];
                     };
                 };
-                /** @description There is no such camera, or no frame has come from it yet. */
+                /** @description There is no such camera, or no frame has arrived from it yet. */
                 404: {
                     headers: {
                         [name: string]: unknown;
@@ -408,7 +408,7 @@ export interface paths {
                         "application/json": components["schemas"]["SkipEstimates"];
                     };
                 };
-                /** @description The policy is not turned by u, or has no record to estimate from yet. */
+                /** @description The policy's threshold is not `u`, or nothing is recorded to estimate from yet. */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -531,19 +531,19 @@ export interface paths {
         };
         /**
          * Recent clip reports, newest first
-         * @description The node keeps the newest 256 in memory. `before` and `after` take the identities of reports (`id`).
+         * @description The node keeps the newest 256 in memory. `before` and `after` take the `id` of a report.
          *     `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Only of this camera. */
+                    /** @description Only reports of this camera. */
                     camera?: string;
                     /** @description Maximum number; 50 by default. */
                     limit?: number;
-                    /** @description Only reports older than the one with this identity: the `next` of an answer, for earlier clips. */
+                    /** @description Only reports older than the one with this id: for earlier clips, the `next` of the previous answer. */
                     before?: string;
-                    /** @description Only reports newer than the one with this identity: the newest known one, for later clips. */
+                    /** @description Only reports newer than the one with this id: for later clips, the id of the newest known report. */
                     after?: string;
                 };
                 header?: never;
@@ -635,7 +635,7 @@ export interface paths {
         /**
          * The node's events, as server-sent events
          * @description First the present state (counters, thresholds, detector), then each change. A reader that is too slow
-         *     loses events; the event `lagged` has their number.
+         *     loses events; the event `lagged` reports how many.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
          */
         get: {
@@ -738,13 +738,13 @@ export interface paths {
         };
         /**
          * The last lines of the log
-         * @description The node keeps the newest 1000 in memory, from level `info` on, whatever the level of standard error. Configured secrets
-         *     are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+         * @description The node keeps the newest 1000 lines of level `info` and above in memory, regardless of the level on standard error.
+         *     Configured secrets are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
          */
         get: {
             parameters: {
                 query?: {
-                    /** @description Only lines after that number. */
+                    /** @description Only lines after the one with this number. */
                     after?: number;
                     /** @description Maximum number of lines, the newest ones, 1 to 1000; 200 by default. */
                     limit?: number;
@@ -1015,7 +1015,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether the process answers
+         * Liveness: the process answers
          * @description Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
          */
         get: {
@@ -1091,9 +1091,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether frames are processed, and by which execution provider
-         * @description 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
-         *     fails. `curl http://127.0.0.1:8080/readyz`
+         * Readiness: frames are answered, and by which execution provider
+         * @description 503 while starting and when an essential part fails; 200 with reasons when another part fails.
+         *     `curl http://127.0.0.1:8080/readyz`
          */
         get: {
             parameters: {
@@ -1446,7 +1446,7 @@ export interface components {
              * @description Clips ended since the node started.
              */
             clips: number;
-            /** @description Why no frames arrive, if none do. */
+            /** @description Reason why no frames arrive; absent while they do. */
             fault?: string | null;
             /**
              * Format: int64
@@ -1502,17 +1502,17 @@ export interface components {
         CameraSlot: {
             /**
              * Format: int64
-             * @description When it began, milliseconds since the Unix epoch.
+             * @description Its start, milliseconds since the Unix epoch.
              */
             at_ms: number;
             /**
              * Format: int32
-             * @description Frames that the detector was called for.
+             * @description Frames for which the detector was called.
              */
             calls: number;
             /**
              * Format: int32
-             * @description Of these, answered from prediction because the detector was not available.
+             * @description Frames answered from prediction because the detector was not available.
              */
             degraded: number;
             /**
@@ -1532,7 +1532,7 @@ export interface components {
             frames: number;
             /**
              * Format: int32
-             * @description Of these, without the detector: state E or P and not degraded.
+             * @description Frames that skipped the detector: state E or P and not degraded.
              */
             skipped: number;
         };
@@ -1636,10 +1636,7 @@ export interface components {
             saved_joules_estimated?: number | null;
             /** @description Source of the figures: `rapl`, `estimate`, … */
             source: string;
-            /**
-             * @description Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula in
-             *     words.
-             */
+            /** @description Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula. */
             total_from: string;
         };
         /** @description The report of one clip. */
@@ -2257,7 +2254,7 @@ export interface components {
         LogLine: {
             /**
              * Format: int64
-             * @description When, milliseconds since the Unix epoch.
+             * @description Its time, milliseconds since the Unix epoch.
              */
             at_ms: number;
             /** @description `ERROR`, `WARN`, `INFO`, `DEBUG` or `TRACE`. */
@@ -2370,7 +2367,7 @@ export interface components {
             lost: number;
             /**
              * Format: int64
-             * @description Reports that the hub refused permanently.
+             * @description Reports that a hub refused permanently or that could not be read.
              */
             undeliverable?: number;
             /**
@@ -2385,7 +2382,7 @@ export interface components {
             part: string;
             /**
              * Format: double
-             * @description Seconds that the part has been faulty, for whatever reasons.
+             * @description Seconds for which the part has been faulty, for any reason.
              */
             since_s: number;
             /** @description The name of a camera or a task, if the part has several; absent for the part itself. */
@@ -2397,7 +2394,7 @@ export interface components {
             age_ms: number[];
             /** @description Boxes reported. */
             boxes: number[];
-            /** @description Why the detector was called; null if it was not. */
+            /** @description Cause of the detector call; null if there was none. */
             cause: (components["schemas"]["CallCause"] | null)[];
             /** @description True if the detector was needed but not available. */
             degraded: boolean[];
@@ -2456,10 +2453,10 @@ export interface components {
         PowerPiece: {
             /**
              * Format: int64
-             * @description When it began, milliseconds since the Unix epoch.
+             * @description Its start, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /** @description How far to trust it: the worst during the piece. */
+            /** @description Its quality: the worst during the piece. */
             quality: components["schemas"]["EnergyQuality"];
             /** @description Mean power over the time that samples cover, watts, by domain. */
             watts: {
@@ -2478,7 +2475,7 @@ export interface components {
              * @description The HTTP status.
              */
             status: number;
-            /** @description The status in words. */
+            /** @description The text of the status. */
             title: string;
             /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
@@ -2669,7 +2666,7 @@ export interface components {
              * @description Their share of the frames.
              */
             skip_rate: number;
-            /** @description Frames that were in fact answered without the detector. */
+            /** @description Frames that were actually answered without the detector. */
             skipped: number;
             /** @description The estimate for each value, in the requested order. */
             values: components["schemas"]["ValueEstimate"][];
@@ -2838,7 +2835,7 @@ export interface components {
             /** @description The new value. */
             threshold: components["schemas"]["Threshold"];
         };
-        /** @description A threshold changed; it holds from the camera's next frame. */
+        /** @description A threshold changed; it applies from the camera's next frame. */
         ThresholdEvent: {
             /** @description Camera. */
             camera: string;
