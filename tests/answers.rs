@@ -166,7 +166,7 @@ struct Ended {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fails() {
+async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_failing() {
     let scene = pictures(100);
     let [white, dark] = [255, 36].map(|value| [grey_jpeg(value, [640, 360])]);
     let is_seen = |late: &DetectionsMessage| !late.degraded && !late.boxes.is_empty();
@@ -203,7 +203,7 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_clip_is_reported_when_its_pending_frame_has_its_final_answer() {
+async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {
     let mut config = at_once("expected-loss:0.3");
     config.cameras[0].reset_at_clip = false;
     let mut drive = Drive::start(&config).await;

@@ -150,7 +150,7 @@ fn source(address: &str, more: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
+async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, address) = (camera.port, with_login(&camera));
     let settings = source(&address, "# development: source_timeout_s=20");
@@ -197,7 +197,7 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn a_published_camera_reconnects_with_a_new_numbering() {
+async fn a_published_camera_reconnects_and_restarts_its_numbering() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, source) = (camera.port, with_login(&camera));
     let mut publisher = Publisher::start(&[&source], &ENVIRONMENT).await;
@@ -226,7 +226,7 @@ async fn a_published_camera_reconnects_with_a_new_numbering() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn motion_jpeg_is_passed_on_byte_for_byte_from_one_connection_and_within_the_limit() {
+async fn motion_jpeg_is_forwarded_unchanged_over_one_connection_within_the_rate_limit() {
     let picture = picture();
     let camera = MotionJpegCamera::start(picture.clone(), Duration::from_millis(10)).await;
     let mut publisher = Publisher::start(&[&camera.address, "--rate", "5"], &[]).await;
@@ -242,7 +242,7 @@ async fn motion_jpeg_is_passed_on_byte_for_byte_from_one_connection_and_within_t
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn motion_jpeg_by_rtsp_is_found_out_and_not_coded_again() {
+async fn motion_jpeg_over_rtsp_is_detected_and_not_encoded_again() {
     let camera = RtspCamera::start("jpeg", &[]).await;
     let arguments = [&camera.address(), "--hardware", "cuda"];
     let mut publisher = Publisher::start(&arguments, &[]).await;
@@ -253,7 +253,7 @@ async fn motion_jpeg_by_rtsp_is_found_out_and_not_coded_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs RTSP server"]
-async fn a_gstreamer_pipeline_is_a_camera_and_stands_in_where_there_is_no_ffmpeg() {
+async fn a_gstreamer_pipeline_is_a_camera_and_replaces_a_missing_ffmpeg() {
     let pipeline =
         "videotestsrc is-live=true ! video/x-raw,width=160,height=120,framerate=20/1 ! jpegenc";
     let mut publisher = Publisher::start(&[pipeline], &[]).await;
@@ -272,7 +272,7 @@ async fn a_gstreamer_pipeline_is_a_camera_and_stands_in_where_there_is_no_ffmpeg
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
-async fn a_file_is_a_camera_that_never_ends() {
+async fn a_video_file_is_a_camera_that_never_ends() {
     let folder = tempfile::tempdir().unwrap();
     let file = test_video(folder.path(), "drive 1.mp4", "rate=20:duration=1");
     let begun = Instant::now();
@@ -315,7 +315,7 @@ async fn a_sender_that_restarts_loses_no_frame() {
 #[case("rtsp://${NOBODY_SETS_THIS}@camera/stream", &["NOBODY_SETS_THIS"])]
 #[case("rtsp://camera/stream", &["ffmpeg", "gst-launch-1.0", "apt-get install ffmpeg"])]
 #[case("a ! jpegenc", &["gstreamer1.0-tools"])]
-fn a_source_that_cannot_be_opened_is_named_with_what_to_do(
+fn a_source_that_cannot_be_opened_is_named_with_a_remedy(
     #[case] source: &str,
     #[case] parts: &[&str],
 ) {
@@ -325,7 +325,7 @@ fn a_source_that_cannot_be_opened_is_named_with_what_to_do(
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_failed_source_says_why_and_when_it_is_tried_again() {
+async fn a_failed_source_reports_why_and_when_it_retries() {
     let camera = RtspCamera::start("h264", &[USER, "another"]).await;
     let password = "hid%2Fden%407%3Ax";
     let login = format!("rtsp://{USER}:{password}@");
@@ -348,7 +348,7 @@ async fn a_failed_source_says_why_and_when_it_is_tried_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
-async fn a_source_that_falls_silent_fails_when_it_is_to() {
+async fn a_silent_source_fails_after_its_timeout() {
     let script = Script::FallSilent(vec![picture(); 20]);
     let camera = MotionJpegCamera::playing(script, Duration::from_millis(10)).await;
     let timeout = "# development: source_timeout_s=3";
@@ -375,7 +375,7 @@ async fn a_source_that_falls_silent_fails_when_it_is_to() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn a_picture_that_never_ends_does_not_fill_the_memory() {
+async fn an_endless_picture_does_not_fill_the_memory() {
     let camera = MotionJpegCamera::playing(Script::EndlessPart, Duration::ZERO).await;
     let publisher = Publisher::start(&[&camera.address], &[]).await;
     let mut peak = 0.0_f64;
@@ -394,7 +394,7 @@ async fn a_picture_that_never_ends_does_not_fill_the_memory() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
+async fn a_stream_of_broken_pictures_is_not_reopened_endlessly() {
     let broken = Script::Repeat(vec![b"no picture".to_vec()]);
     let camera = MotionJpegCamera::playing(broken, Duration::from_millis(10)).await;
     let publisher = Publisher::start(&[&camera.address], &[]).await;
@@ -418,7 +418,7 @@ async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
+async fn source_options_reach_the_camera_and_its_secrets_leak_nowhere() {
     let camera = MotionJpegCamera::start(picture(), Duration::from_millis(10)).await;
     let address = camera.address.replace("http://", "http://viewer:hidden@");
     let arguments = [
@@ -462,7 +462,7 @@ async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn cameras_that_come_and_go_leave_no_memory_in_the_node() {
+async fn cameras_that_come_and_go_leak_no_memory() {
     // For figures by hand: how many, and with which setting.
     let count = std::env::var("ALBIREO_SESSIONS").map_or(200, |count| count.parse().unwrap());
     let more = std::env::var("ALBIREO_SESSIONS_NODE").unwrap_or_default();

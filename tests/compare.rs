@@ -160,7 +160,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
 #[case(["--model", "no/such.onnx"], "--detector no/such.onnx: no such file")]
 #[case(["--speed", "0"], "must be a number from 0.001")]
 #[case(["--config", "no/node.toml"], "no/node.toml")]
-fn what_cannot_be_compared_is_refused_with_what_to_do(
+fn an_invalid_comparison_is_rejected_with_a_remedy(
     #[case] arguments: [&str; 2],
     #[case] expected: &str,
 ) {

@@ -48,7 +48,7 @@ async fn node_and_camera() -> (Node, Camera, String) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn reports_reach_the_hub_once_and_are_removed_then() {
+async fn reports_reach_the_hub_once_and_are_then_removed() {
     let (node, mut camera, _) = node_and_camera().await;
     let hub = Hub::start(&node.zenoh, Manner::Honest).await;
     camera.clips(6).await;
@@ -64,7 +64,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_that_stops_in_a_pause_tries_once_more() {
+async fn a_node_that_stops_during_a_backoff_tries_once_more() {
     let (node, mut camera, _) = node_and_camera().await;
     // An hour.
     let retry_after_ms = 3_600_000;
@@ -101,7 +101,7 @@ async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
+async fn twenty_waiting_reports_survive_a_hub_that_crashes_at_once() {
     let (node, mut camera, _) = node_and_camera().await;
     camera.clips(21).await;
     wait_for(&node, "albireo_outbox_waiting", 20.0).await;
@@ -118,7 +118,7 @@ async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice() {
+async fn a_hub_that_commits_and_hangs_before_answering_gets_no_report_twice() {
     let (node, mut camera, _) = node_and_camera().await;
     let hub = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
     camera.clips(4).await;
@@ -132,7 +132,7 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
+async fn a_busy_hub_is_retried_after_the_time_it_names() {
     let (node, mut camera, _) = node_and_camera().await;
     let retry_after_ms = 700;
     let hub = Hub::start(&node.zenoh, Manner::Busy { retry_after_ms }).await;
@@ -187,7 +187,7 @@ fn median(times: &[Duration]) -> Duration {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
-async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
+async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
     let (node, mut camera, _) = node_and_camera().await;
     let without = times(&node, &mut camera, 200).await;
     let endpoint = format!("{}#so_rcvbuf=4096", node.zenoh);
@@ -207,7 +207,7 @@ async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
+async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
     let other = tempfile::tempdir().unwrap();
@@ -221,7 +221,7 @@ async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_starts_without_its_router_answers_health_and_survives_its_replacement() {
+async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_restart() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let settings = format!(
         "zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n{}",

@@ -26,7 +26,7 @@ fn assert_is_a_table(lines: &[String]) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen() {
+async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     let temporary = tempfile::tempdir().unwrap();
     // Four times as fast, so that a clip does not take long.
     let mut demo = albireo()

@@ -165,7 +165,7 @@ async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duratio
 const NOBODY: Duration = Duration::from_secs(3);
 
 #[tokio::test(flavor = "multi_thread")]
-async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
+async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
     let (fleet, hub) = Fleet::started().await;
 
     // The right ones work.
@@ -249,8 +249,7 @@ async fn members_with_a_good_certificate_work_and_every_stranger_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate()
- {
+async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
     let (mut fleet, _hub) = Fleet::started().await;
     let old = fleet.folder.path().join("old");
     std::fs::create_dir_all(old.join("node")).unwrap();
@@ -309,7 +308,7 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
 }
 
 #[test]
-fn a_router_that_asks_for_certificates_does_not_start_without_access_rules() {
+fn a_router_that_requires_certificates_does_not_start_without_access_rules() {
     let fleet = Fleet::new();
     let config = fleet.shipped("router.json5");
     let check = |more: &[&str]| {

@@ -49,7 +49,7 @@ fn scripts() -> Vec<String> {
 }
 
 #[test]
-fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
+fn every_script_parses_and_stops_at_the_first_error() {
     let scripts = scripts();
     assert!(scripts.len() >= 6, "{scripts:?}");
     for script in scripts {
@@ -64,7 +64,7 @@ fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
 }
 
 #[test]
-fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
+fn manifests_and_changelog_agree_on_the_version_and_another_tag_is_rejected() {
     let notes_of = |tag| run_command(Command::new("bash").args(["deploy/release-version.sh", tag]));
     let notes = notes_of(concat!("v", env!("CARGO_PKG_VERSION"))).succeeds();
     assert!(!notes.is_empty(), "the changelog says nothing");
@@ -72,7 +72,7 @@ fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
 }
 
 #[test]
-fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
+fn every_action_in_the_public_workflows_is_pinned_by_hash() {
     for file in ["ci", "release"] {
         let text = text(&format!(".github/workflows/{file}.yml"));
         let uses: Vec<_> = (text.lines())
@@ -90,7 +90,7 @@ fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
 
 #[test]
 #[ignore = "needs shellcheck"]
-fn shellcheck_finds_nothing_in_the_scripts() {
+fn shellcheck_accepts_the_scripts() {
     let scripts = scripts();
     let scripts: Vec<_> = scripts.iter().map(String::as_str).collect();
     let severity = ["--severity=warning"];
@@ -99,7 +99,7 @@ fn shellcheck_finds_nothing_in_the_scripts() {
 
 #[test]
 #[ignore = "needs hadolint"]
-fn hadolint_finds_nothing_in_the_images() {
+fn hadolint_accepts_the_images() {
     let images = ["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"];
     accepts("hadolint", &images);
 }
@@ -124,7 +124,7 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
 }
 
 #[test]
-fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_takes_them_away() {
+fn installing_makes_a_token_and_a_name_upgrading_keeps_them_and_purging_removes_them() {
     use std::os::unix::fs::PermissionsExt;
     for package in ["node", "hub", "router"] {
         let folder = tempfile::tempdir().unwrap();
@@ -160,7 +160,7 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
 }
 
 #[test]
-fn every_image_is_built_with_every_member_of_the_workspace() {
+fn every_image_copies_every_workspace_member() {
     let manifest: toml::Value = toml::from_str(&text("Cargo.toml")).unwrap();
     for image in ["Dockerfile", "Dockerfile.l4t"] {
         let steps = text(&format!("deploy/docker/{image}"));
@@ -172,7 +172,7 @@ fn every_image_is_built_with_every_member_of_the_workspace() {
 }
 
 #[test]
-fn every_file_a_package_or_an_image_takes_along_is_there() {
+fn every_file_of_a_package_or_image_exists() {
     let manifest: toml::Value = toml::from_str(&text("Cargo.toml")).unwrap();
     let packages = &manifest["package"]["metadata"]["deb"];
     let variants = packages["variants"].as_table().unwrap();
@@ -217,7 +217,7 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
 }
 
 #[test]
-fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
+fn the_shipped_configurations_pass_check() {
     // The file alone: the model and the token come with the package.
     says(&["check", "--file-only", "deploy/debian/node.toml"]);
     for node in ["car-1", "car-2", "car-3"] {
@@ -238,7 +238,7 @@ fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
 }
 
 #[test]
-fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
+fn zenoh_accepts_every_shipped_configuration() {
     for file in [
         "config/zenoh-router.json5",
         "deploy/docker/router.json5",
@@ -252,7 +252,7 @@ fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
 }
 
 #[test]
-fn every_command_of_the_compose_file_is_one_of_the_program() {
+fn every_command_in_the_compose_file_parses() {
     let compose = text("deploy/docker/compose.yml");
     let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
     let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
@@ -270,7 +270,7 @@ fn every_command_of_the_compose_file_is_one_of_the_program() {
 
 #[test]
 #[ignore = "needs Docker Compose"]
-fn the_compose_file_is_one() {
+fn the_compose_file_is_valid() {
     let plugin = Command::new("docker").args(["compose", "version"]).output();
     let check = ["-f", "deploy/docker/compose.yml", "config", "--quiet"];
     if plugin.is_ok_and(|ended| ended.status.success()) {
@@ -283,7 +283,7 @@ fn the_compose_file_is_one() {
 #[cfg(feature = "hub")]
 #[tokio::test]
 #[ignore = "needs Caddy and curl"]
-async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_through() {
+async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     use crate::support::fleet::{HubProcess, settings, sqlite};
     use crate::support::{free_port, until};
     let folder = tempfile::tempdir().unwrap();

@@ -42,7 +42,7 @@ fn verify(files: &[PathBuf]) -> String {
 
 #[test]
 #[ignore = "needs systemd"]
-fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
+fn systemd_accepts_the_units_and_their_drop_ins() {
     let folder = tempfile::tempdir().unwrap();
     let plain = here(folder.path(), &[]);
     assert_eq!(verify(&plain), "");
@@ -58,7 +58,7 @@ fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
 
 #[test]
 #[ignore = "needs systemd"]
-fn the_units_are_as_closed_as_promised() {
+fn the_units_are_as_restricted_as_promised() {
     let folder = tempfile::tempdir().unwrap();
     let files = here(folder.path(), &[]);
     // In tenths, as systemd counts.
@@ -71,7 +71,7 @@ fn the_units_are_as_closed_as_promised() {
 }
 
 #[test]
-fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
+fn a_drop_in_lifts_only_restrictions_with_a_stated_reason() {
     let gpu = [
         "PrivateDevices=no",
         "MemoryDenyWriteExecute=no",
@@ -188,7 +188,7 @@ async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
 
 #[cfg(feature = "hub")]
 #[tokio::test]
-async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_for() {
+async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
     let settings = behind(&router, &sqlite(folder.path()));
@@ -245,7 +245,7 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
+async fn a_node_whose_detector_never_loads_starves_its_watchdog_and_reports_why() {
     let folder = tempfile::tempdir().unwrap();
     // A pipe without a writer: loading it never ends.
     let model = folder.path().join("detector.onnx");

@@ -122,7 +122,7 @@ async fn of_a_router() -> BTreeSet<String> {
 }
 
 #[tokio::test]
-async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
+async fn every_metric_in_a_rule_or_dashboard_is_exported() {
     let mut there = of_a_node().await;
     there.extend(of_a_hub().await);
     there.extend(of_a_router().await);
@@ -184,7 +184,7 @@ fn every_alert_fires_when_it_should_and_not_before() {
 }
 
 #[test]
-fn every_alert_is_played() {
+fn every_alert_has_a_test() {
     let alerts = |file: &str, start: &str| -> BTreeSet<String> {
         text(file)
             .lines()

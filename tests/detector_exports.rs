@@ -22,7 +22,7 @@ fn named(name: &str) -> DetectorConfig {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata() {
+async fn a_dynamic_export_runs_at_the_size_in_its_metadata() {
     let network = DetectorNetwork::open(&config("yolo_open.onnx")).unwrap();
     assert_eq!(network.head(), HeadName::Yolo);
     assert_eq!(network.input_format().size, PictureSize::new(64, 32));
@@ -41,7 +41,7 @@ async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata()
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
+async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
     for name in ["yolo_float16.onnx", "yolo_bytes.onnx"] {
         let detector = started(&named(name)).await;
         assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
@@ -80,7 +80,7 @@ async fn classes_are_filtered_and_renamed_as_configured() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_reported() {
+async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_reported() {
     let detector = started(&config("end_to_end.onnx")).await;
     let found = detected(&detector, [230, 0, 0]).await;
     assert_the_box(&found, 2, 0.902);
@@ -92,7 +92,7 @@ async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_r
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_finds_only_the_impossible_is_named_and_works_again_by_itself() {
+async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_itself() {
     const DARK: [u8; 3] = [51, 0, 0];
     let detector = started(&config("dark_overflows.onnx")).await;
     // One run may be bad, and one that is not ends the row.
@@ -121,7 +121,7 @@ async fn a_model_that_finds_only_the_impossible_is_named_and_works_again_by_itse
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
+async fn boxes_above_the_cap_are_counted_and_dropped() {
     let detector = started(&config("crowd.onnx")).await;
     let found = detected(&detector, [204, 0, 0]).await;
     assert_eq!(found.detections.len(), 42);
@@ -134,7 +134,7 @@ async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the_next() {
+async fn a_changed_output_shape_fails_that_frame_and_the_next_one_works() {
     let detector = started(&config("changing.onnx")).await;
     assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
     let red = one_colour([230, 0, 0]);
@@ -150,7 +150,7 @@ async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_without_class_names_is_refused_and_so_is_another_size_than_its_own() {
+async fn a_model_without_class_names_or_with_another_input_size_is_rejected() {
     let error = refusal(&config("yolo_float16.onnx")).await;
     assert!(error.starts_with("detector.class_names"), "{error}");
     assert_says(&error, &["2 classes"]);

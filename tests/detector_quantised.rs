@@ -63,7 +63,7 @@ fn median(values: &mut [f64]) -> f64 {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_from() {
+fn a_quantised_export_is_recognised_with_the_classes_of_its_original() {
     let [float, quantised] = [
         "models/yolox_nano.onnx",
         "tests/fixtures/models/yolox_nano_int8.onnx",
@@ -80,7 +80,7 @@ fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_fr
 /// by 0.013 in the median and 0.15 at most.
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
+fn a_quantised_export_finds_what_its_original_finds() {
     let mut float = network("models/yolox_nano.onnx", FOUND);
     let mut quantised = network("tests/fixtures/models/yolox_nano_int8.onnx", FOUND);
     let mut agreement = Agreement::default();

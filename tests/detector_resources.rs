@@ -32,7 +32,7 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_whose_model_never_finishes_loading_stops_when_told() {
+async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
     let settings = format!("detector.model = {:?}\n", model("endless.onnx"));
     let node = Node::start_unready(&settings).await;
     let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
+async fn a_fitting_model_runs_on_the_pixels_of_the_picture() {
     let detector = started(&config("colours.onnx")).await;
     assert_eq!(detector.model_name(), "colours.onnx");
     assert_eq!(detector.class_names().len(), 7);
@@ -54,7 +54,7 @@ fn nothing(_: &mut DetectorConfig) {}
 #[case::one_picture_a_run("colours.onnx", |c: &mut DetectorConfig| c.batch_size = 3, &["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"])]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_cannot_be_used_is_refused_with_what_was_looked_for(
+async fn an_unusable_model_is_rejected_with_what_was_expected(
     #[case] file: &str,
     #[case] change: fn(&mut DetectorConfig),
     #[case] parts: &[&str],
@@ -92,7 +92,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
+async fn outputs_that_are_not_numbers_are_counted_and_not_reported() {
     let detector = started(&config("not_a_number.onnx")).await;
     let found = detected(&detector, [9, 9, 9]).await;
     assert!(found.detections.is_empty());
@@ -116,7 +116,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
+async fn the_screen_follows_its_class_and_colour_order_settings() {
     // The fixture calls a picture empty while the mean of its first plane is below one half.
     let screen = |color_order, empty_is_second| ScreenConfig {
         model: Some(model("screen.onnx")),
@@ -142,7 +142,7 @@ async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_is_refused_as_a_screen() {
+async fn a_detector_is_rejected_as_a_screen() {
     let config = ScreenConfig {
         model: Some(model("colours.onnx")),
         ..ScreenConfig::default()
@@ -206,7 +206,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
 /// ONNX Runtime records no runs, and so can send nothing.
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn onnx_runtime_leaves_nothing_under_the_users_home() {
+fn onnx_runtime_writes_nothing_under_the_users_home() {
     let home = tempfile::tempdir().unwrap();
     let mut detect = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
     detect

@@ -115,7 +115,7 @@ fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
 }
 
 #[test]
-fn every_command_that_is_printed_is_one_the_program_takes() {
+fn every_documented_command_parses() {
     let mut seen = 0;
     for block in blocks() {
         let commands = block.commands.iter();
@@ -148,7 +148,7 @@ fn the_pages_are_few_and_short_and_the_readme_links_each() {
 /// The targets of a page's links in its folder, and text in backticks that begins with a folder of the
 /// project, but for what `make gpu` writes.
 #[test]
-fn every_file_that_a_page_names_is_there() {
+fn every_file_named_in_a_page_exists() {
     let folders = [
         "crates/", "src/", "tests/", "benches/", "config/", "deploy/", "docs/", "models/", "web/",
     ];
@@ -190,7 +190,7 @@ fn anchors(page: &Path) -> Vec<String> {
 }
 
 #[test]
-fn every_heading_that_a_page_links_to_is_there() {
+fn every_linked_heading_exists() {
     let (mut seen, mut missing) = (0, Vec::new());
     for page in pages() {
         let text = text(&page);
@@ -233,7 +233,7 @@ fn fields(schemas: &Value, schema: &Value) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_message_reference_has_the_messages_and_fields_of_the_code() {
+fn the_message_reference_matches_the_code() {
     let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let schemas = &document["components"]["schemas"];
     let page = text("docs/messages.md");
@@ -285,7 +285,7 @@ fn event_written(example: &str) -> Result<Value, serde_json::Error> {
 
 /// An example is marked by the line before it, `<!-- example: NAME -->`.
 #[test]
-fn the_examples_of_messages_are_messages() {
+fn the_message_examples_are_valid_messages() {
     let text = text("docs/messages.md");
     let examples: Vec<_> = text.split("<!-- example: ").skip(1).collect();
     assert!(examples.len() >= 6);
@@ -359,7 +359,7 @@ async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> Str
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and curl"]
-async fn the_commands_of_the_pages_run_in_their_order() {
+async fn the_documented_commands_run_in_order() {
     let folder = workshop();
     let http = format!("127.0.0.1:{}", free_port());
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());

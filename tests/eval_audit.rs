@@ -52,7 +52,7 @@ fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
 /// all frames at least 93 times of 100, where 95 are promised: with 1000 samples the share itself is known to 1.4 points.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_audits_estimates_are_unbiased_and_its_intervals_hold_at_their_rate() {
+fn shared_audit_estimates_are_unbiased_and_their_intervals_hold_at_the_promised_rate() {
     for policy in ["albireo:5e-4", "expected-loss:0.3", "fixed-skip:3"] {
         let (cameras, all) = cameras(policy);
         for share in [0.02, 0.05, 0.1] {
@@ -79,7 +79,7 @@ fn shared_the_audits_estimates_are_unbiased_and_its_intervals_hold_at_their_rate
 /// Where crowded frames are missed, what is compared is another sample, and the interval still contains all frames.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_interval_contains_all_frames_where_the_crowded_ones_are_missed() {
+fn shared_the_interval_covers_all_frames_even_when_crowded_ones_are_missed() {
     let (cameras, all) = cameras("expected-loss:0.5");
     let truth = all.recall().expect("there are boxes").rate;
     for seed in 0..50 {

@@ -116,7 +116,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn the_reports_names_are_safe_in_its_page() {
+fn names_are_escaped_in_the_html_report() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let index = r#"{"sequences": [{"name": "<b>&", "width": 64, "height": 48, "frames": 2}]}"#;
     write(folder.path(), "sequences.json", index);
@@ -142,7 +142,7 @@ fn the_reports_names_are_safe_in_its_page() {
 #[case("recorded FOLDER --confidence 1.5", "", &["--confidence 1.5"])]
 #[case("recorded FOLDER --policy vanilla --sweep u=1e-3", "", &["no policy of this run has a setting `u`"])]
 #[case("recorded FOLDER --energy-model /nowhere.toml", "", &["cannot read /nowhere.toml"])]
-fn bad_input_ends_with_what_was_wrong_where_and_what_to_do(
+fn bad_input_is_reported_with_its_place_cause_and_remedy(
     #[case] command: &str,
     #[case] drive: &str,
     #[case] parts: &[&str],

@@ -4,7 +4,7 @@ use albireo_eval::energy_model::EnergyModel;
 use std::path::Path;
 
 #[test]
-fn every_shipped_energy_model_says_where_it_comes_from_and_how_far_it_misses() {
+fn every_shipped_energy_model_states_its_source_and_its_error() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/energy");
     let mut boards = Vec::new();
     for file in std::fs::read_dir(folder).expect("the shipped models") {

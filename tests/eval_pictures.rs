@@ -161,7 +161,7 @@ fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_against() {
+fn saved_detections_replay_with_the_same_traces_and_the_reference_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let [drive, saved, first, second] =
         ["drive", "saved", "first", "second"].map(|name| folder.path().join(name));
@@ -202,7 +202,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detections() {
+fn boxes_at_arrival_and_settled_score_the_same_from_pictures_and_stored_detections() {
     let folder = tempfile::tempdir().unwrap();
     let [sequence, saved, first, second] =
         ["boxes", "saved", "first", "second"].map(|name| folder.path().join(name));
@@ -267,7 +267,7 @@ fn write_sequence(folder: &Path, frames: u64) {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn pictures_are_judged_by_their_ground_truth() {
+fn pictures_are_scored_against_their_ground_truth() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = folder.path().join("boxes");
     write_sequence(&sequence, 40);
@@ -321,7 +321,7 @@ fn by_hand(frames: usize) -> Clip {
 }
 
 #[test]
-fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
+fn the_time_of_a_frame_is_composed_of_the_steps_it_needed() {
     let pictured = by_hand(30);
     let policies = specs(&["fixed-skip:2", "erd-only"], ScreenRule::Recorded);
     let settings = settings(0.5, ScreenRule::Recorded);
@@ -346,7 +346,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
 }
 
 #[test]
-fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
+fn vanilla_is_perfect_against_itself_and_unsure_detections_are_not_ground_truth() {
     let mut pictured = by_hand(5);
     let unsure = ScoredBox {
         confidence: 0.3,
@@ -363,7 +363,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 }
 
 #[test]
-fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
+fn only_a_policy_that_uses_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
     let asked = |policies: &[&str]| PassSettings::for_policies(&specs(policies, nonempty)).unwrap();
     assert_eq!(asked(&NO_PIXELS), PassSettings::default());

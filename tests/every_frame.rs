@@ -55,7 +55,7 @@ fn send_each(session: &zenoh::Session, camera: &'static str, picture: &[u8]) -> 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 #[ignore = "needs ONNX Runtime"]
-async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
+async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     let mut config = configuration();
     let policy: PolicyConfig = config.policy.clone();
     config.cameras = vec![CameraConfig::named(CAMERA)];
@@ -124,7 +124,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
+async fn an_unusable_frame_is_rejected_with_a_reason_and_counted() {
     let mut bench = Bench::start(&configuration()).await;
     let answer = ask(&bench.session, CAMERA, 0, b"not a picture").await;
     assert!(answer.refused.is_some());

@@ -72,7 +72,7 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_t
 /// calls the detector on less than half the frames.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_unsure_detections_pay_more_than_vanilla_with_the_same() {
+fn shared_expected_loss_with_unsure_detections_beats_vanilla_with_the_same() {
     let clips = recordings(false, 0.1);
     let vanilla = ap50(&clips.run(&clips.clips, "vanilla").expect("it runs"));
     assert!((vanilla - 0.765).abs() < 1e-3, "{}", vanilla);

@@ -233,7 +233,7 @@ impl Fleet {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
-async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_double_none() {
+async fn node_hub_router_and_database_killed_in_any_order_lose_and_duplicate_no_report() {
     // More by hand: ALBIREO_KILLS=1000; another order: ALBIREO_SEED=7.
     let kills = from_environment("ALBIREO_KILLS", 24);
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));

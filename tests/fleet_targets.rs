@@ -33,7 +33,7 @@ async fn until(car: &mut Car, wanted: impl Fn(&Value) -> bool) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_its_knob() {
+async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_by_hand() {
     let folder = tempfile::tempdir().unwrap();
     let (endpoint, configured) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&configured);

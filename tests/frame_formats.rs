@@ -69,7 +69,7 @@ fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
 }
 
 #[test]
-fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
+fn trailing_padding_of_a_ros2_message_is_ignored_and_every_truncation_is_rejected() {
     let mut payload = fixture("compressed_image_0.cdr");
     let whole = payload.len();
     payload.extend_from_slice(&[0; 3]);
@@ -144,7 +144,7 @@ fn a_ros2_image_is_read_with_and_without_row_padding() {
 }
 
 #[test]
-fn a_ros2_image_that_contradicts_itself_is_refused() {
+fn an_inconsistent_ros2_image_is_rejected() {
     for (encoding, width, height, step, bytes, kind) in [
         ("bgr8", 3, 2, 8, 18, "undecodable"),
         ("bgr8", 3, 2, 9, 17, "undecodable"),
@@ -171,7 +171,7 @@ fn a_ros2_camera_is_numbered_by_its_own_attachment() {
 }
 
 #[test]
-fn the_encoding_or_the_first_bytes_name_the_format() {
+fn the_format_comes_from_the_encoding_or_the_first_bytes() {
     let (jpeg, png) = picture_files();
     for (payload, encoding, format) in [
         (&jpeg, "image/jpeg", PictureFormat::Jpeg),
@@ -232,7 +232,7 @@ fn raw_pictures_take_their_size_from_the_attachment() {
 }
 
 #[test]
-fn an_attachment_that_cannot_be_read_is_refused_without_a_number() {
+fn an_unreadable_attachment_is_rejected_without_a_number() {
     let (jpeg, _) = picture_files();
     for attachment in [r#"{"v":2,"seq":1}"#, "seq=1"] {
         let rejected = read(&jpeg, "image/jpeg", Some(attachment)).unwrap_err();

@@ -64,10 +64,10 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
 
 /// The fixture's outputs are read as the whole detector does it.
 #[rstest]
-#[case::of_yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
-#[case::of_end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
-#[case::of_detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
-fn the_boxes_agree_with_the_vendors(
+#[case::yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
+#[case::end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
+#[case::detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
+fn the_boxes_agree_with_the_vendors_code(
     #[case] name: &str,
     #[case] expected_head: HeadName,
     #[case] least_boxes: usize,
@@ -180,13 +180,13 @@ fn input_differences(name: &str, fit: Fit, value_range: ValueRange) -> (f64, f64
 }
 
 #[test]
-fn the_input_of_yolo_models_is_that_of_ultralytics_to_two_levels() {
+fn the_input_of_yolo_models_matches_ultralytics_within_two_levels() {
     let (largest, mean) = input_differences("input_yolo", Fit::Centre(114), ValueRange::ToOne);
     assert!(largest < 2.01 && mean < 0.25, "{largest} {mean}");
 }
 
 #[test]
-fn the_input_of_rf_detr_is_its_own_to_rounding() {
+fn the_input_of_rf_detr_matches_its_own_code_up_to_rounding() {
     // Theirs is not rounded to whole levels; ours is, once for each direction.
     let (largest, mean) = input_differences("input_detr", Fit::Stretch, ValueRange::ImageNet);
     assert!(largest < 1.51 && mean < 0.5, "{largest} {mean}");

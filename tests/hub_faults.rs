@@ -15,8 +15,7 @@ use tokio_util::sync::CancellationToken;
 const NODE: &str = "car-1";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_there_is_room_again()
- {
+async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
     // A file that may not grow acts like a full disk, without a separate disk. The limit is soft, so that it
@@ -62,7 +61,7 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_can_be_written() {
+async fn a_read_only_database_is_reported_and_reports_wait_for_a_writable_one() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
     let begun = now_ns();
@@ -93,7 +92,7 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
+async fn a_hub_with_another_prefix_acknowledges_nothing_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
     settings.push(("ALBIREO_HUB__PREFIX", "fleet/north".to_owned()));
@@ -162,7 +161,7 @@ async fn flood(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_up_nobody() {
+async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     const OTHERS: usize = 100;
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
@@ -278,7 +277,7 @@ fn a_trace_with_an_answer_before_its_sync_is_caught() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs strace"]
-async fn what_is_acknowledged_was_synced_to_the_disk_before() {
+async fn reports_are_synced_to_disk_before_they_are_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let trace = folder.path().join("trace");
     let (zenoh, settings) = settings(&sqlite(folder.path()));

@@ -47,19 +47,19 @@ async fn node(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
+async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    killed_in_the_middle_of_ingest(&sqlite(folder.path())).await;
+    killed_during_ingest(&sqlite(folder.path())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
+async fn postgres_a_hub_killed_during_ingest_loses_and_duplicates_no_report() {
     let server = Postgres::start();
-    killed_in_the_middle_of_ingest(&server.url()).await;
+    killed_during_ingest(&server.url()).await;
 }
 
-async fn killed_in_the_middle_of_ingest(database: &str) {
+async fn killed_during_ingest(database: &str) {
     let (zenoh, settings) = settings(database);
     let mut hub = HubProcess::start(&settings);
     let stop = Arc::new(AtomicBool::new(false));

@@ -240,8 +240,7 @@ async fn a_predicted_frame_is_never_decoded() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_after_a_restart_and_a_bad_one_is_refused()
- {
+async fn a_threshold_over_zenoh_applies_from_the_next_frame_survives_a_restart_and_is_validated() {
     let state = tempfile::tempdir().unwrap();
     let mut config = configuration();
     config.policy.name = "albireo".to_owned();
@@ -304,8 +303,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of_the_open_clip_too()
-{
+async fn without_a_meter_every_report_even_of_the_open_clip_is_sent_before_the_node_stops() {
     const CLIPS: u64 = 40;
     let mut config = configuration();
     config.power.source = albireo_power::PowerSource::None;
@@ -332,7 +330,7 @@ async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() {
+async fn a_camera_restart_that_begins_with_a_broken_frame_resets_the_policy() {
     let mut config = configuration();
     config.policy.name = "fixed-skip".to_owned();
     config.policy.fixed_skip.n = 4.0;
@@ -371,7 +369,7 @@ pub(crate) fn rmw_attachment(seq: u64, publisher: u8) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
+async fn a_second_publisher_on_a_cameras_key_costs_it_no_frame() {
     let camera = |name: &str, format| CameraConfig {
         ring: 512,
         format,

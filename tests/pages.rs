@@ -29,7 +29,7 @@ fn current(service: &str, document: &impl serde::Serialize) {
 
 #[cfg(feature = "hub")]
 #[test]
-fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
+fn the_descriptions_behind_the_pages_are_current() {
     current("node", &albireo_node::api::http::openapi());
     current("hub", &albireo_hub::http::openapi());
 }
@@ -45,7 +45,7 @@ fn run(program: &str, arguments: &[&str]) {
 
 #[test]
 #[ignore = "needs Node.js"]
-fn the_pages_types_are_current_and_their_sums_right() {
+fn the_pages_types_are_current_and_their_own_tests_pass() {
     run("node", &["scripts/types.mjs", "--check"]);
     run("npx", &["--no-install", "tsc", "--noEmit"]);
     run("npx", &["--no-install", "vitest", "run"]);

@@ -169,7 +169,7 @@ async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
-async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
+async fn neither_frames_nor_shutdown_wait_for_a_hanging_meter() {
     let folder = tempfile::tempdir().unwrap();
     let sysfs = board(folder.path());
     let node = Node::start(&settings(&sysfs)).await;
@@ -204,7 +204,7 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
 }
 
 #[tokio::test]
-async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told() {
+async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_script() {
     let folder = tempfile::tempdir().unwrap();
     let program = fake_tegrastats(folder.path(), &json!({"curve": [[0, 20], [1, 20]]}));
     // A stand-in for sudo that notes what it was asked for and runs it.

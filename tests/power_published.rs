@@ -53,7 +53,7 @@ fn energy_delay_product(row: &Row) -> f64 {
 
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_published_energy_delay_products_and_skip_rates_come_out() {
+fn shared_the_published_energy_delay_products_and_skip_rates_are_reproduced() {
     let file = shared("data/published-results/thor/albireo/yolo26x/summary-selected-columns.csv");
     let rows: Vec<Row> = csv::Reader::from_path(file)
         .unwrap()

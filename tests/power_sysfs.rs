@@ -120,7 +120,7 @@ fn check(found: &ClipEnergy, joules: f64) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_constant_power_is_its_watts_times_the_time_across_a_counter_wrap() {
+async fn constant_power_integrates_to_watts_times_time_across_a_counter_wrap() {
     for found in &both(|_| 15.0).await {
         check(found, 120.0);
     }

@@ -69,7 +69,7 @@ fn close(found: f64, expected: f64) -> bool {
 }
 
 #[tokio::test]
-async fn a_constant_power_is_its_watts_times_the_time() {
+async fn constant_power_integrates_to_watts_times_time() {
     let running = run(&json!({"curve": [[0, 21.5], [1, 21.5]]})).await;
     let (mean, found) = running.watch(Duration::from_secs(3)).await;
     assert!(close(mean, 21.5), "{found:?}");
@@ -116,7 +116,7 @@ async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
 }
 
 #[test]
-fn a_program_that_took_long_for_its_first_line_does_not_stall() {
+fn a_slow_first_line_is_not_a_stall() {
     let task = json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]});
     let (_folder, config) = stand_in(&task);
     let mut meter = power::open(&config).unwrap();
@@ -124,7 +124,7 @@ fn a_program_that_took_long_for_its_first_line_does_not_stall() {
 }
 
 #[tokio::test]
-async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading() {
+async fn a_child_that_exits_is_restarted_and_its_partial_last_line_is_ignored() {
     let task = json!({"curve": [[0, 30], [1, 30]], "die_at": 1.5});
     let running = run(&task).await;
     let (mean, found) = running.watch(Duration::from_secs(6)).await;
@@ -140,7 +140,7 @@ async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading
 }
 
 #[test]
-fn a_program_without_rails_says_that_root_is_needed_and_another_program_is_refused() {
+fn missing_rails_are_explained_by_missing_root_rights_and_another_program_is_rejected() {
     let line = "RAM 998/15389MB (lfb 3313x4MB) CPU [4%@883] EMC_FREQ 0% GR3D_FREQ 0% cpu@56.8C";
     let denied = "permission denied; it prints no power rails for this user";
     for (line, said) in [

@@ -96,7 +96,7 @@ fn pictures(count: u32) -> tempfile::TempDir {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
+async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
     let more = "--rate 200 --clip drive --clip-seconds 0.025";
     let more: Vec<_> = more.split(' ').collect();
@@ -117,7 +117,7 @@ async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
+async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     // Far more than the rings, the queues and the sockets hold: 300 frames of 300 KB.
     let folder = tempfile::tempdir().unwrap();
     let mut noise = 1_u32;
@@ -150,7 +150,7 @@ async fn refusal(frames: u32, more: &[&str]) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_missing_subscriber_or_node_is_an_error_that_says_so() {
+async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
     let connect = ["--connect", &endpoint];
     let error = refusal(1, &[&connect[..], &["--wait-for-subscriber=1"]].concat()).await;
@@ -179,7 +179,7 @@ fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
 }
 
 #[test]
-fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
+fn video_frames_are_cut_from_the_output_of_ffmpeg_and_can_be_rewound() {
     let folder = pictures(2);
     let mut stream = Vec::new();
     for number in 0..2 {
@@ -206,7 +206,7 @@ fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
 }
 
 #[test]
-fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
+fn a_failing_ffmpeg_is_quoted_and_a_missing_one_comes_with_how_to_install_it() {
     let folder = tempfile::tempdir().unwrap();
     let programs = stand_ins(folder.path(), "echo 'moov atom not found' >&2; exit 1");
     let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
@@ -222,7 +222,7 @@ fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
 }
 
 #[test]
-fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
+fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
     let folder = tempfile::tempdir().unwrap();
     let note = folder.path().join("pid");
     let answer = format!(
@@ -255,7 +255,7 @@ fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn needs_ffmpeg_a_real_video_arrives_frame_by_frame() {
+async fn a_real_video_arrives_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
     let file = test_video(folder.path(), "test.mp4", "rate=24:duration=2");
     for encoding in ["jpeg", "png"] {

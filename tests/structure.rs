@@ -111,7 +111,7 @@ fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
 }
 
 #[test]
-fn the_crates_and_arrows_in_the_architecture_are_those_of_cargo() {
+fn the_architecture_page_has_the_crates_and_dependencies_of_cargo() {
     let there = members()
         .into_iter()
         .map(|member| (member.name.clone(), member.uses()));
@@ -133,7 +133,7 @@ fn the_method_depends_on_numbers_and_data_alone() {
 
 /// clippy (`make lint`) refuses what the standard library did not have in that version.
 #[test]
-fn the_method_asks_for_the_oldest_rust_that_its_dependencies_take() {
+fn the_method_requires_no_newer_rust_than_its_dependencies() {
     let version = cargo(&["-vV"]);
     let host = version.lines().find_map(|line| line.strip_prefix("host: "));
     let packages = metadata(&[&format!("--filter-platform={}", host.unwrap())]);
@@ -177,7 +177,7 @@ fn says(text: &str, name: &str) -> bool {
 }
 
 #[test]
-fn every_dependency_is_used_and_the_errors_of_libraries_are_typed() {
+fn every_dependency_is_used_and_libraries_have_typed_errors() {
     let mut wrong = Vec::new();
     for member in members() {
         let code = member.sources(&["src", "fuzz_targets"]);
@@ -201,7 +201,7 @@ fn every_dependency_is_used_and_the_errors_of_libraries_are_typed() {
 }
 
 #[test]
-fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() {
+fn every_ignored_test_names_needs_that_run_sh_knows() {
     let script = text("tests/run.sh");
     let mut seen = 0;
     let members = members();

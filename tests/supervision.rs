@@ -48,7 +48,7 @@ fn settings(detector: &str, more: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_frame_vanishes() {
+async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let mut bench = buggy(2).await;
     let mut reports = bench.reports().await;
     let mut changes = bench.board.readiness.subscribe();
@@ -81,7 +81,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
+async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
     let bench = buggy(0).await;
     let picture = pictures(1).remove(0);
     // Each frame that a loop takes ends it, and the pauses between two loops grow: most frames find none.
@@ -144,7 +144,7 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() {
+async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
     let first = Bench::start(&configuration()).await;
     let mut config = configuration();
     config.zenoh.connect = first.endpoints.clone();
@@ -199,7 +199,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
+async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
     let node = Node::start(&settings("colours.onnx", "")).await;
     // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one. One
     // shell sends both, since what comes a second after the first is a second request.
@@ -226,7 +226,7 @@ async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
+async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
     let session = zenoh_client(&node.zenoh).await;
     put_grey(&session, 0, 255).await;
@@ -238,7 +238,7 @@ async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_until_it_works() {
+async fn a_detector_that_returns_only_impossible_boxes_is_not_ready_until_it_recovers() {
     let mut config = configuration();
     config.detector.model = model("dark_overflows.onnx");
     let mut bench = Bench::start(&config).await;
@@ -259,7 +259,7 @@ async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_unti
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
+async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let folder = tempfile::tempdir().unwrap();
     // Who opens a pipe to write waits until somebody reads.
     let pipe = folder.path().join("lock");

@@ -32,7 +32,7 @@ fn run(command: &mut Command) -> String {
 /// is given.
 #[rstest]
 #[ignore = "needs the wheel"]
-fn the_package_keeps_its_own_tests(
+fn the_package_passes_its_own_tests(
     #[values("test_skipper", "test_results", "test_hostile")] module: &str,
 ) {
     let mut tests = Command::new(python());
@@ -44,7 +44,7 @@ fn the_package_keeps_its_own_tests(
 
 #[test]
 #[ignore = "needs the wheel"]
-fn the_types_of_the_wheel_are_what_its_stubs_say() {
+fn the_types_of_the_wheel_match_its_stubs() {
     let folder = tempfile::tempdir().unwrap();
     let checks = [
         "mypy.stubtest albireo._core",

@@ -27,7 +27,7 @@ async fn until_frames(http: &str) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
+async fn the_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
     let camera = RtspCamera::start("h264", &["viewer", "a b@c"]).await;
     let text = text("docs/cameras.md");
     let (_, config) = text.split_once("```toml\n").unwrap();
@@ -49,7 +49,7 @@ async fn a_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn the_publisher_of_the_camera_page_sends_a_camera_to_a_node_elsewhere() {
+async fn the_publisher_of_the_camera_page_sends_frames_to_a_remote_node() {
     let camera = RtspCamera::start("h264", &[]).await;
     let folder = workshop();
     let model = project("models/yolox_nano.onnx");

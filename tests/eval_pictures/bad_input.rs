@@ -41,7 +41,7 @@ fn a_missing_file_folder_or_model_is_named() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn without_ffmpeg_it_says_how_to_get_it() {
+fn a_missing_ffmpeg_comes_with_how_to_install_it() {
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("drive.mp4");
     std::fs::write(&video, b"x").unwrap();
@@ -69,7 +69,7 @@ fn a_broken_picture_and_one_of_another_size_are_named() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_detector_whose_classes_nobody_judges_is_refused() {
+fn a_detector_without_evaluated_classes_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 1);
     let names = folder.path().join("names.txt");
@@ -80,7 +80,7 @@ fn a_detector_whose_classes_nobody_judges_is_refused() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_video_without_a_frame_is_an_error_not_a_zero() {
+fn a_video_without_frames_is_an_error() {
     let mut models = ModelRunner::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();
     let folder = tempfile::tempdir().unwrap();
@@ -111,7 +111,7 @@ fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
 }
 
 #[test]
-fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
+fn ground_truth_is_found_by_name_and_rejected_for_other_frames_or_clips() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
@@ -141,7 +141,7 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
 }
 
 #[test]
-fn ground_truth_for_pictures_of_another_size_is_refused() {
+fn ground_truth_for_pictures_of_another_size_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3);
     clip.truth = Some(vec![Vec::new(); 3]);

@@ -199,14 +199,14 @@ fn assert_fixtures_alike(screen: &ScreenConfig, confidence: f64) -> u64 {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_policy_that_asks_for_itself_decides_as_its_replay_does() {
+fn a_live_policy_decides_as_its_replay_does() {
     let forced = assert_fixtures_alike(&fixture_screen(), 0.5);
     assert_eq!(forced, 0, "no run of empty frames is as long as a hundred");
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_model_is_believed_no_longer_in_the_evaluation_than_in_the_node() {
+fn the_evaluation_limits_runs_of_empty_frames_as_the_node_does() {
     let screen = ScreenConfig {
         longest_empty_run: 3,
         ..fixture_screen()

@@ -25,7 +25,7 @@ fn with_file(file: PathBuf) -> HttpConfig {
 }
 
 #[tokio::test]
-async fn with_a_token_all_but_health_and_the_page_needs_it() {
+async fn a_token_protects_everything_except_health_and_the_page() {
     let node = Served::with(with_token()).await;
     node.ready();
     let open = "/ /healthz /readyz /openapi.json /docs/ /api/v1/caller";
@@ -54,7 +54,7 @@ async fn with_a_token_all_but_health_and_the_page_needs_it() {
 #[case("Basic a-long-random-secret", 401)]
 #[case("a-long-random-secret", 401)]
 #[tokio::test]
-async fn only_the_whole_token_passes(#[case] value: &str, #[case] status: u16) {
+async fn only_the_exact_token_is_accepted(#[case] value: &str, #[case] status: u16) {
     let node = Served::with(with_token()).await;
     let request = node.request(Method::GET, "/api/v1/threshold");
     let answer = request.header("authorization", value).send().await.unwrap();
@@ -62,7 +62,7 @@ async fn only_the_whole_token_passes(#[case] value: &str, #[case] status: u16) {
 }
 
 #[tokio::test]
-async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves_the_good() {
+async fn a_token_file_is_reloaded_without_a_restart_and_an_invalid_one_keeps_the_old_token() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
     let write = |text: &str| std::fs::write(&file, text).unwrap();
@@ -101,7 +101,7 @@ async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
 }
 
 #[tokio::test]
-async fn an_address_that_others_reach_is_not_served_without_a_token_or_a_word() {
+async fn an_address_open_to_others_needs_a_token_or_explicit_permission() {
     let error = refused("0.0.0.0:0", HttpConfig::default()).await.unwrap();
     assert!(matches!(error, HttpError::Unprotected { .. }), "{error}");
     assert!(error.to_string().contains("allow_unauthenticated"));
@@ -120,10 +120,7 @@ async fn an_address_that_others_reach_is_not_served_without_a_token_or_a_word() 
 #[case::empty(Some("\n"), "token")]
 #[case::short(Some("short\n"), "fewer than 16")]
 #[tokio::test]
-async fn a_token_file_that_cannot_be_used_is_refused(
-    #[case] content: Option<&str>,
-    #[case] said: &str,
-) {
+async fn an_unusable_token_file_is_rejected(#[case] content: Option<&str>, #[case] said: &str) {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
     if let Some(content) = content {
@@ -149,10 +146,7 @@ async fn a_token_file_that_cannot_be_used_is_refused(
 #[case("localhost:80@evil", 421)]
 #[case("192.168.1.7:8080", 200)]
 #[tokio::test]
-async fn without_a_token_a_page_that_points_its_own_name_here_is_not_let_in(
-    #[case] host: &str,
-    #[case] status: u16,
-) {
+async fn without_a_token_dns_rebinding_is_rejected(#[case] host: &str, #[case] status: u16) {
     let node = Served::start().await;
     let request = node.request(Method::GET, "/api/v1/threshold");
     let answer = request.header("host", host).send().await.unwrap();
@@ -160,7 +154,7 @@ async fn without_a_token_a_page_that_points_its_own_name_here_is_not_let_in(
 }
 
 #[tokio::test]
-async fn other_web_origins_are_let_in_only_when_named() {
+async fn other_web_origins_are_allowed_only_when_configured() {
     const ALLOWED: &str = "access-control-allow-origin";
     let preflight = async |node: &Served, origin: &str| {
         let request = node.request(Method::OPTIONS, "/api/v1/threshold");

@@ -21,7 +21,7 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
 }
 
 #[tokio::test]
-async fn a_connection_that_sends_no_whole_request_is_closed() {
+async fn a_connection_without_a_complete_request_is_closed() {
     let node = served(300, 256).await;
     let begun = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n";
     // Kept open after an answer, it is closed as well.
@@ -37,7 +37,7 @@ async fn a_connection_that_sends_no_whole_request_is_closed() {
 }
 
 #[tokio::test]
-async fn idle_connections_never_shut_out_who_asks() {
+async fn idle_connections_never_block_new_requests() {
     let node = served(600_000, 8).await;
     let mut idle = Vec::new();
     for _ in 0..100 {
@@ -50,7 +50,7 @@ async fn idle_connections_never_shut_out_who_asks() {
 }
 
 #[tokio::test]
-async fn when_all_places_are_taken_the_oldest_connection_is_closed_for_a_new_one() {
+async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one() {
     let node = served(600_000, 2).await;
     let mut oldest = node.get("/api/v1/events?types=frame").await;
     let mut newer = node.get("/api/v1/events?types=frame").await;
@@ -108,7 +108,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_thousand_idle_connections_cost_neither_health_nor_descriptors() {
+async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descriptors() {
     let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
     let limited = std::process::Command::new("prlimit")
         .args(["--nofile=1024:1024", "--pid", &node.id().to_string()])

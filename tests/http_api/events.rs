@@ -53,7 +53,7 @@ impl Events {
 }
 
 #[tokio::test]
-async fn a_change_of_the_threshold_is_sent_to_listeners() {
+async fn a_threshold_change_is_sent_to_listeners() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
     // How things stand.
@@ -69,7 +69,7 @@ async fn a_change_of_the_threshold_is_sent_to_listeners() {
 }
 
 #[tokio::test]
-async fn how_things_stand_comes_first_and_then_each_event_in_order() {
+async fn the_current_state_comes_first_and_then_each_event_in_order() {
     let node = Served::start().await;
     node.front().answered(frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
@@ -96,7 +96,7 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
 }
 
 #[tokio::test]
-async fn a_reader_that_is_too_slow_is_told_how_much_it_lost() {
+async fn a_slow_reader_learns_how_many_events_it_lost() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=frame").await);
     let camera = node.front();
@@ -119,7 +119,7 @@ async fn a_stream_ends_when_the_node_stops() {
 }
 
 #[tokio::test]
-async fn wrong_wishes_and_too_many_streams_are_refused() {
+async fn invalid_filters_and_too_many_streams_are_rejected() {
     let node = Served::start().await;
     let refused = node.refused("/api/v1/events?types=frame,frames", 400).await;
     let allowed = refused["allowed"].as_array().unwrap();

@@ -86,7 +86,7 @@ fn samples(text: &str) -> BTreeMap<&str, f64> {
 
 /// That each is what it says is checked by Prometheus' own parsers, here and in `end_to_end`.
 #[tokio::test]
-async fn metrics_are_right() {
+async fn metrics_match_the_recorded_frames() {
     let node = filled().await;
     let response = node.request(Method::GET, "/metrics").send().await.unwrap();
     let media_type = response.headers()["content-type"].to_str().unwrap();
@@ -102,7 +102,7 @@ async fn metrics_are_right() {
 
 #[tokio::test]
 #[ignore = "needs promtool"]
-async fn promtool_finds_nothing_wrong() {
+async fn promtool_accepts_the_metrics() {
     let mut promtool = Command::new("promtool")
         .args(["check", "metrics"])
         .stdin(Stdio::piped())

@@ -11,7 +11,7 @@ async fn read(node: &Served) -> Value {
 }
 
 #[tokio::test]
-async fn a_bad_target_is_refused_says_what_is_allowed_and_changes_nothing() {
+async fn an_invalid_target_is_rejected_with_a_reason_and_changes_nothing() {
     let node = Served::start().await;
     let bad = r#"
 {"target": {"skip_rate": 1.0}}
@@ -36,7 +36,7 @@ async fn a_bad_target_is_refused_says_what_is_allowed_and_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
+async fn a_target_is_set_read_and_switched_off_by_null_or_a_manual_threshold() {
     let node = Served::start().await;
     let set = node.put(PATH, r#"{"target": {"skip_rate": 0.5}}"#).await;
     assert_eq!(set.status(), 200);
@@ -65,7 +65,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
 
 /// A pipe instead of the file stalls who writes it until somebody reads.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls() {
+async fn frames_and_requests_continue_while_a_change_waits_for_a_stalled_disk() {
     let directory = tempfile::tempdir().unwrap();
     let pipe = directory.path().join("settings.json.new");
     crate::support::pipe(&pipe);

@@ -46,7 +46,7 @@ const BROKEN: [&[u8]; 9] = [
 ];
 
 #[tokio::test]
-async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
+async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_nothing() {
     let node = Served::start().await;
     let bad = BAD.trim().lines().map(|body| (body.as_bytes(), 422));
     let all: Vec<_> = bad.chain(BROKEN.map(|body| (body, 400))).collect();
@@ -65,7 +65,7 @@ async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
 
 #[rstest]
 #[tokio::test]
-async fn a_threshold_of_another_content_type_is_refused(
+async fn a_threshold_of_another_content_type_is_rejected(
     #[values("text/plain", "application/jsonp", "application/json5; charset=utf-8")] media: &str,
 ) {
     let node = Served::start().await;
@@ -81,7 +81,7 @@ async fn a_threshold_of_another_content_type_is_refused(
 }
 
 #[tokio::test]
-async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
+async fn a_threshold_sent_by_plain_curl_is_accepted() {
     let node = Served::start().await;
     for (path, content_type) in [
         (PATHS[0], Some("application/x-www-form-urlencoded")),
@@ -98,7 +98,7 @@ async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
 }
 
 #[tokio::test]
-async fn a_huge_body_is_refused_without_reading_it_all() {
+async fn a_huge_body_is_rejected_without_reading_it_all() {
     let node = Served::start().await;
     let body = |length: usize| format!("{{\"u\": 5e-4{}}}", " ".repeat(length - 11));
     for path in PATHS {
@@ -110,7 +110,7 @@ async fn a_huge_body_is_refused_without_reading_it_all() {
 }
 
 #[tokio::test]
-async fn a_change_for_one_camera_leaves_the_others() {
+async fn a_change_for_one_camera_leaves_the_others_alone() {
     let node = Served::start().await;
     let response = node.put(PATHS[1], r#"{"u": 5e-4}"#).await;
     assert_eq!(response.status(), 200);
@@ -135,7 +135,7 @@ async fn a_change_for_all_reaches_every_camera_and_its_loop() {
 }
 
 #[tokio::test]
-async fn an_unknown_camera_is_refused_with_the_names_of_the_known_ones() {
+async fn an_unknown_camera_is_rejected_with_the_known_names() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/roof/threshold";
     for response in [node.get(path).await, node.put(path, r#"{"u": 5e-4}"#).await] {

@@ -135,12 +135,12 @@ async fn sums_are_exact(database: &str) {
 
 on_both!(
     sums_are_exact,
-    sums_are_those_of_the_clips_and_qualities_are_never_added,
-    postgres_sums_are_those_of_the_clips_and_qualities_are_never_added
+    sums_match_the_clips_and_never_mix_energy_qualities,
+    postgres_sums_match_the_clips_and_never_mix_energy_qualities
 );
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
+async fn a_file_that_is_no_database_is_rejected_and_left_unchanged() {
     use albireo_hub::config::DatabaseConfig;
     use albireo_hub::store::{Store, StoreError};
     let folder = tempfile::tempdir().unwrap();
@@ -162,8 +162,7 @@ async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_anew_when_it_cannot()
- {
+async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
@@ -209,7 +208,7 @@ async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
+async fn tables_of_a_newer_or_another_program_are_rejected() {
     use albireo_hub::config::DatabaseConfig;
     use albireo_hub::store::{Store, StoreError};
     for (statements, wanted) in [
@@ -235,7 +234,7 @@ async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_archive_holds_what_a_hub_tells_of_itself() {
+async fn the_diagnostic_archive_describes_the_hub() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
@@ -265,7 +264,7 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() {
+async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {
     let folder = tempfile::tempdir().unwrap();
     let file = sqlite(folder.path());
     let start = now_ns() - 90_000_000_000_000;

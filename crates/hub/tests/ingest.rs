@@ -51,12 +51,12 @@ async fn taken_once(database: &str) {
 
 on_both!(
     taken_once,
-    a_batch_that_comes_again_in_any_cut_is_stored_once,
-    postgres_a_batch_that_comes_again_in_any_cut_is_stored_once
+    a_batch_sent_again_in_any_split_is_stored_once,
+    postgres_a_batch_sent_again_in_any_split_is_stored_once
 );
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gap_is_counted_and_named_and_filled_when_its_reports_come_late() {
+async fn a_gap_is_counted_named_and_filled_by_late_reports() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
@@ -76,7 +76,7 @@ async fn a_gap_is_counted_and_named_and_filled_when_its_reports_come_late() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_report_that_cannot_be_read_is_set_aside_with_its_cause_and_refused() {
+async fn an_unreadable_report_is_set_aside_with_its_cause_and_rejected() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
@@ -123,7 +123,7 @@ fn compressed(json: &[u8]) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn state_that_goes_back_loses_and_doubles_nothing_and_is_shown() {
+async fn a_node_with_restored_state_loses_and_duplicates_nothing_and_is_shown() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let start = now_ns() - 3_600_000_000_000;
@@ -261,8 +261,8 @@ async fn covered_for_thirty_days(database: &str) {
 
 on_both!(
     covered_for_thirty_days,
-    ids_are_known_for_thirty_days_and_what_is_older_is_refused_by_name,
-    postgres_ids_are_known_for_thirty_days_and_what_is_older_is_refused_by_name
+    ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id,
+    postgres_ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id
 );
 
 #[tokio::test(flavor = "multi_thread")]
@@ -294,7 +294,7 @@ async fn a_node_whose_clock_is_years_off_loses_nothing_and_is_counted() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_nothing() {
+async fn postgres_a_lost_database_delays_acknowledgements_and_loses_nothing() {
     let server = Postgres::start();
     let hub = Hub::start(config(&server.url())).await;
     let session = uplink(&hub.zenoh).await;
@@ -407,7 +407,7 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_days_are_partitions_and_go_whole() {
+async fn postgres_days_are_partitions_and_are_dropped_whole() {
     use albireo_hub::ingest::{Recorder, decode};
     use albireo_hub::presence::News;
     use albireo_hub::store::Store;

@@ -26,7 +26,7 @@ async fn come_online(hub: &Hub, node: &zenoh::Session) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watches() {
+async fn a_node_learns_that_it_is_watched_and_its_counters_reach_the_watcher() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let unknown = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http)).await;
@@ -78,7 +78,7 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_picture_is_asked_of_the_node_and_of_nobody_else() {
+async fn a_picture_is_requested_from_its_node_only() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let node = uplink(&hub.zenoh).await;
@@ -114,7 +114,7 @@ async fn a_picture_is_asked_of_the_node_and_of_nobody_else() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
+async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let configuration = config(&sqlite(folder.path()));
     let mut hub = Hub::start(configuration.clone()).await;
@@ -167,7 +167,7 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_index_lists_every_route_of_the_description() {
+async fn the_index_lists_every_documented_route() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let index = hub.get("/api/v1").await;

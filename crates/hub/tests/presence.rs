@@ -76,7 +76,7 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_nodes_of_one_name_are_named() {
+async fn two_nodes_with_the_same_name_are_reported() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let (one, other) = (10, 11);
@@ -101,7 +101,7 @@ async fn two_nodes_of_one_name_are_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
+async fn a_restarted_hub_remembers_the_state_of_its_nodes() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
@@ -128,7 +128,7 @@ async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nodes_in_any_order_come_each_once_page_by_page() {
+async fn paging_returns_each_node_once_in_every_order() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     for number in 0..7 {

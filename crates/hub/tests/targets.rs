@@ -153,8 +153,8 @@ async fn targets_reach_nodes(database: &str) {
 
 on_both!(
     targets_reach_nodes,
-    a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value,
-    postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value
+    a_target_reaches_the_selected_nodes_and_replaces_a_value,
+    postgres_a_target_reaches_the_selected_nodes_and_replaces_a_value
 );
 
 /// A full status of a node with one camera at that `u`.
@@ -173,7 +173,7 @@ fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
+async fn a_target_switched_off_at_the_node_is_drift_with_its_reason() {
     let stand = Stand::start().await;
     let (hub, session) = (&stand.hub, &stand.session);
     let one = 10;
@@ -215,7 +215,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then_left() {
+async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(&sqlite(folder.path()));
     config.tuning.local_change = LocalChange::SetBack;
@@ -264,7 +264,7 @@ async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_and_a_trial_leave_out_a_node_that_holds_a_target() {
+async fn a_rollout_leaves_out_a_node_that_holds_a_target() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let played = Played::begin(&hub, fleet(3)).await;
@@ -284,7 +284,7 @@ async fn a_rollout_and_a_trial_leave_out_a_node_that_holds_a_target() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_target_that_makes_no_sense_is_refused_with_what_would_do() {
+async fn an_invalid_target_is_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     for (body, expected) in [

@@ -192,7 +192,7 @@ async fn postgres_a_value_reaches_the_selected_nodes_and_is_applied_when_they_re
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hub_with_an_empty_database_is_obeyed_by_nodes_that_had_orders_before() {
+async fn a_hub_with_an_empty_database_is_obeyed_by_nodes_with_earlier_revisions() {
     let (before, empty) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let hub = Hub::start(config(&sqlite(before.path()))).await;
     let played = Played::begin(&hub, fleet(4)).await;
@@ -296,20 +296,20 @@ async fn a_gone_node_is_forgotten(database: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_is_gone_can_be_forgotten_with_what_was_desired_of_it() {
+async fn an_offline_node_can_be_forgotten_with_its_desired_setting() {
     let folder = tempfile::tempdir().unwrap();
     a_gone_node_is_forgotten(&sqlite(folder.path())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_node_that_is_gone_can_be_forgotten_with_what_was_desired_of_it() {
+async fn postgres_an_offline_node_can_be_forgotten_with_its_desired_setting() {
     let server = Postgres::start();
     a_gone_node_is_forgotten(&server.url()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_web_page_of_another_site_changes_nothing_without_a_token() {
+async fn a_page_of_another_site_changes_nothing_without_a_token() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let client = reqwest::Client::new();
@@ -347,7 +347,7 @@ async fn a_web_page_of_another_site_changes_nothing_without_a_token() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn outcomes_are_told_as_they_come() {
+async fn outcomes_are_streamed_as_they_arrive() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let played = Played::begin(&hub, fleet(4)).await;
@@ -465,20 +465,20 @@ async fn harm_is_undone(database: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_that_does_harm_gives_the_old_value_back_by_itself() {
+async fn a_harmful_rollout_restores_the_old_value_by_itself() {
     let folder = tempfile::tempdir().unwrap();
     harm_is_undone(&sqlite(folder.path())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_rollout_that_does_harm_gives_the_old_value_back_by_itself() {
+async fn postgres_a_harmful_rollout_restores_the_old_value_by_itself() {
     let server = Postgres::start();
     harm_is_undone(&server.url()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_goes_on_where_it_was_when_the_hub_starts_anew_and_reaches_all_nodes() {
+async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let played = Played::begin(&hub, fleet(6)).await;
@@ -512,7 +512,7 @@ async fn a_rollout_goes_on_where_it_was_when_the_hub_starts_anew_and_reaches_all
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_that_is_stopped_has_ended_and_its_old_values_can_still_be_had_back() {
+async fn a_stopped_rollout_has_ended_and_its_old_values_can_still_be_restored() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let played = Played::begin(&hub, fleet(3)).await;
@@ -563,14 +563,14 @@ async fn each_counts_from_one(database: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn rollouts_and_trials_are_each_counted_from_one() {
+async fn rollouts_and_trials_are_each_numbered_from_one() {
     let folder = tempfile::tempdir().unwrap();
     each_counts_from_one(&sqlite(folder.path())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_rollouts_and_trials_are_each_counted_from_one() {
+async fn postgres_rollouts_and_trials_are_each_numbered_from_one() {
     let server = Postgres::start();
     each_counts_from_one(&server.url()).await;
 }
@@ -617,7 +617,7 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back() {
+async fn a_trial_measures_each_value_on_its_group_and_restores_the_old_value() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let played = Played::begin(&hub, fleet(16)).await;
@@ -652,7 +652,7 @@ async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_token_that_may_read_cannot_tune_and_the_history_names_who_did() {
+async fn a_read_token_cannot_tune_and_a_tune_token_can() {
     let folder = tempfile::tempdir().unwrap();
     let token = |name: &str, role, secret: &str| NamedToken {
         name: name.to_owned(),
@@ -705,7 +705,7 @@ async fn a_token_that_may_read_cannot_tune_and_the_history_names_who_did() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
+async fn an_invalid_request_is_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     for (path, body, expected) in [

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 #[tokio::test]
-async fn the_frame_states_add_up_for_each_camera_and_for_all() {
+async fn frame_states_add_up_per_camera_and_in_total() {
     let node = Served::start().await;
     node.front().answered_all(&FrameState::ALL);
     node.front().record_dropped(&DroppedFrames {
@@ -32,7 +32,7 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
 }
 
 #[tokio::test]
-async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
+async fn a_degraded_frame_is_counted_separately_and_never_as_skipped() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..4 {
@@ -53,7 +53,7 @@ async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
 }
 
 #[tokio::test]
-async fn cameras_are_listed_in_the_order_of_the_configuration() {
+async fn cameras_are_listed_in_configuration_order() {
     let node = Served::start().await;
     let rear = node.board.camera("rear").unwrap();
     rear.answered(frame(0, FrameState::I));
@@ -64,7 +64,7 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 }
 
 #[tokio::test]
-async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
+async fn readiness_names_the_provider_in_use_and_why_the_node_is_not_ready() {
     let node = Served::start().await;
     let zenoh = node.board.readiness.part("zenoh");
     zenoh.not_ready("the session is not open yet");
@@ -114,7 +114,7 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_picture_is_decoded_once_however_many_ask_for_it() {
+async fn a_picture_is_decoded_once_for_all_requests() {
     let node = Served::start().await;
     for (number, seq) in [(1, 7), (2, 8)] {
         let bytes = vec![number; 640 * 480 * 3];
@@ -141,7 +141,7 @@ async fn clips(node: &Served, path: &str) -> Vec<(String, u64)> {
 }
 
 #[tokio::test]
-async fn clips_come_newest_first_by_camera_and_number() {
+async fn clips_come_newest_first_filtered_by_camera_and_limited() {
     let node = Served::start().await;
     for report in 0..300 {
         node.board.record_clip(clip("front", report));
@@ -160,7 +160,7 @@ async fn clips_come_newest_first_by_camera_and_number() {
 }
 
 #[tokio::test]
-async fn clips_are_read_page_by_page_and_only_the_new_ones() {
+async fn clips_can_be_paged_and_polled_for_new_ones() {
     let node = Served::start().await;
     for report in 1..=5 {
         node.board.record_clip(clip("front", report));
@@ -181,7 +181,7 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
 }
 
 #[tokio::test]
-async fn errors_of_the_framework_are_problem_documents_too() {
+async fn framework_errors_are_problem_documents_too() {
     let node = Served::start().await;
     let unknown = "/nothing /api/v2 /api/v2/threshold /api/v1/cameras/front/nothing";
     for path in unknown.split(' ') {
@@ -198,7 +198,7 @@ async fn errors_of_the_framework_are_problem_documents_too() {
 #[case(Method::OPTIONS, "/api/v1/clips", &["GET"])]
 #[case(Method::POST, "/", &["GET"])]
 #[tokio::test]
-async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
+async fn a_wrong_method_is_rejected_with_the_allowed_ones(
     #[case] method: Method,
     #[case] path: &str,
     #[case] allowed: &[&str],
@@ -213,7 +213,7 @@ async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
 }
 
 #[tokio::test]
-async fn a_request_that_does_not_end_is_answered_and_dropped() {
+async fn an_unfinished_request_times_out_with_an_answer() {
     let config = HttpConfig {
         timeout_ms: 50,
         ..HttpConfig::default()
@@ -230,7 +230,7 @@ async fn a_request_that_does_not_end_is_answered_and_dropped() {
 }
 
 #[tokio::test]
-async fn the_page_needs_nothing_from_elsewhere() {
+async fn the_page_loads_nothing_from_other_hosts() {
     let node = Served::start().await;
     let response = node.get("/").await;
     let policy = response.headers()["content-security-policy"].to_str();
@@ -243,7 +243,7 @@ async fn the_page_needs_nothing_from_elsewhere() {
 }
 
 #[tokio::test]
-async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
+async fn a_camera_shows_its_policy_threshold_and_latest_detections() {
     let node = Served::start().await;
     let missing = node.refused("/api/v1/cameras/front/detections", 404).await;
     let detail = missing["detail"].as_str().unwrap();
@@ -264,7 +264,7 @@ async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
 }
 
 #[tokio::test]
-async fn a_camera_that_skips_nothing_is_told_what_to_try() {
+async fn a_camera_that_skips_nothing_gets_advice() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..300 {
@@ -278,7 +278,7 @@ async fn a_camera_that_skips_nothing_is_told_what_to_try() {
 }
 
 #[tokio::test]
-async fn the_index_names_every_route_of_the_description() {
+async fn the_index_lists_every_documented_route() {
     let node = Served::start().await;
     let index = node.json("/api/v1").await;
     assert_eq!(index["cameras"], json!(["front", "rear"]));

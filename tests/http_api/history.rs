@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 #[tokio::test]
-async fn the_last_frames_are_listed_with_state_and_cause_the_newest_last() {
+async fn the_last_frames_are_listed_oldest_first_with_state_and_cause() {
     let node = Served::start().await;
     let front = node.front();
     front.answered_all(&[FrameState::EI, FrameState::I, FrameState::P, FrameState::E]);
@@ -42,7 +42,7 @@ async fn the_last_frames_are_listed_with_state_and_cause_the_newest_last() {
 }
 
 #[tokio::test]
-async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
+async fn calls_are_counted_by_cause_wherever_frames_are_counted() {
     let node = Served::start().await;
     let front = node.front();
     front.answered_all(&FrameState::ALL);
@@ -63,7 +63,7 @@ async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
 }
 
 #[tokio::test]
-async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
+async fn the_skip_rate_of_another_threshold_is_marked_as_estimated() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/front/skip-estimate";
     let nothing = node.refused(path, 409).await;
@@ -96,7 +96,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
 }
 
 #[tokio::test]
-async fn the_hour_of_power_is_reported_by_domain() {
+async fn the_last_hour_of_power_is_reported_by_domain() {
     let node = Served::start().await;
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     node.board.set_power(PowerSnapshot {
@@ -171,7 +171,7 @@ fn untar(archive: &[u8]) -> BTreeMap<String, String> {
 }
 
 #[tokio::test]
-async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
+async fn the_diagnostic_archive_is_complete_and_contains_no_secret() {
     let secret = "the-token-of-this-very-node";
     let config = HttpConfig {
         token: Some(Token::new(secret)),
@@ -221,7 +221,7 @@ async fn the_command_fetches_it(node: &str, secret: &str) {
 }
 
 #[tokio::test]
-async fn the_last_lines_of_the_log_can_be_had_from_a_number_on() {
+async fn recent_log_lines_can_be_read_from_a_given_number() {
     let node = Served::start().await;
     let log = node.json("/api/v1/log?limit=5").await;
     assert!(log["lines"].as_array().unwrap().len() <= 5, "{log}");
