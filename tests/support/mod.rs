@@ -1,6 +1,7 @@
 //! What the end-to-end tests share: the program as a process, the independent Zenoh client, and the
 //! folder of recordings.
 
+mod assertions;
 pub(crate) mod camera;
 pub(crate) mod detectors;
 #[cfg(feature = "hub")]
@@ -13,6 +14,7 @@ mod ports;
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
+pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
 use albireo::cli::replay::{FrameSender, Pacing, open_session};
@@ -558,20 +560,4 @@ pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid)
         },
     });
     serde_json::from_value(report).expect("a report")
-}
-
-/// Asserts that `found` has what `expected` has; other members of its objects may be there.
-#[track_caller]
-pub(crate) fn assert_has(found: &Value, expected: &Value) {
-    fn has(found: &Value, expected: &Value) -> bool {
-        match (found, expected) {
-            (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
-            (Value::Array(found), Value::Array(expected)) => {
-                let mut pairs = found.iter().zip(expected);
-                found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))
-            }
-            _ => found == expected,
-        }
-    }
-    assert!(has(found, expected), "no {expected} in {found}");
 }
