@@ -1,9 +1,9 @@
-//! The command line as a user meets it: help, `check`, and the environment.
+//! The command line: help, `check`, and environment variables.
 
 use crate::support::run;
 use rstest::rstest;
 
-/// The shipped configuration, whatever this machine has.
+/// Checks the shipped configuration without looking at this machine.
 const CHECK: [&str; 3] = ["check", "--file-only", "config/node.toml"];
 const NODE: [&str; 3] = ["node", "--config", "config/node.toml"];
 
@@ -24,7 +24,7 @@ fn check_examines_the_machine_unless_file_only_is_given() {
     run(&CHECK, &missing[..2]).succeeds();
 }
 
-/// What `check` says of anything but ONNX Runtime, which these tests do not need.
+/// The output of `check` except about ONNX Runtime, which these tests do not need.
 fn without_onnxruntime(said: &str) -> String {
     let lines = said.lines();
     let lines = lines.filter(|line| !line.starts_with("  detector.onnxruntime: "));

@@ -3,8 +3,8 @@
 
 use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
 use crate::support::{
-    PATIENCE, albireo, assert_says, free_port, heard, metric, run, signal, text, until_ready,
-    zenoh_session,
+    PATIENCE, albireo, assert_contains, free_port, metric, run, signal, subscribe, text,
+    until_ready, zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
 use serde_json::{Value, json};
@@ -209,8 +209,8 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     assert!(!taken, "a report in another's name");
     let ear = fleet.opens("hub/main").await.unwrap();
     let key = |sample: Sample| sample.key_expr().to_string();
-    let mut said = heard(&ear, "albireo/@status/*", key).await;
-    let mut thresholds = heard(&car_8, "albireo/car-8/front/threshold", drop).await;
+    let mut said = subscribe(&ear, "albireo/@status/*", key).await;
+    let mut thresholds = subscribe(&car_8, "albireo/car-8/front/threshold", drop).await;
     for key in [
         "albireo/car-8/front/threshold",
         "albireo/car-7/front/threshold",
@@ -233,7 +233,7 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     // A hub's queryable, and an ear for everything: declared in vain.
     let queryable = car_7.declare_queryable("albireo/@report/*");
     let queries = queryable.complete(true).await.unwrap();
-    let mut overheard = heard(&car_7, "albireo/@status/*", drop).await;
+    let mut overheard = subscribe(&car_7, "albireo/@status/*", drop).await;
     for number in 2..=5 {
         car_8.put("albireo/@status/car-8", "{}").await.unwrap();
         assert!(acknowledged(&car_8, "car-8", number, PATIENCE).await);
@@ -315,7 +315,7 @@ fn a_router_that_requires_certificates_does_not_start_without_access_rules() {
         let check = ["router", "--check", "--config", config.to_str().unwrap()];
         run(&[&check, more].concat(), &[])
     };
-    assert_says(&check(&[]).fails(), &["--access"]);
+    assert_contains(&check(&[]).fails(), &["--access"]);
     check(&["--no-access-control"]).succeeds();
     let rules = fleet.folder.path().join("access.json");
     check(&["--access", rules.to_str().unwrap()]).succeeds();

@@ -1,7 +1,7 @@
 //! The whole way over real processes: `albireo node`, `albireo replay`, and a client that shares no code
 //! with them.
 
-use crate::support::{Client, Node, answer_of, project, python, replay, shared, value_of};
+use crate::support::{Client, Node, ask_script, project, python, replay, shared, value_of};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -72,7 +72,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     // The families that Prometheus' own strict parser finds.
     let mut parser = std::process::Command::new(python());
     parser.arg(project("tests/clients/parse_metrics.py"));
-    let families = answer_of(&mut parser, &metrics.clone().into());
+    let families = ask_script(&mut parser, &metrics.clone().into());
     for family in [
         "frames",
         "frames_dropped",

@@ -2,7 +2,7 @@
 //!
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 
-use crate::support::{answer_of, project, python, shared};
+use crate::support::{ask_script, project, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
@@ -19,7 +19,7 @@ fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
     let mut script = Command::new(python());
     script.arg(project("tests/python/coco_average_precision.py"));
-    answer_of(&mut script, &json!({"clips": clips}))
+    ask_script(&mut script, &json!({"clips": clips}))
 }
 
 /// A case in the form the script takes.

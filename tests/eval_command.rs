@@ -1,6 +1,6 @@
 //! `albireo eval` as a user runs it: its output, its files, and its errors for bad input.
 
-use crate::support::{Ended, assert_says, run};
+use crate::support::{Ended, assert_contains, run};
 use albireo_core::policy::FrameState;
 use albireo_eval::trace;
 use rstest::rstest;
@@ -70,9 +70,9 @@ fn one_command_compares_sweeps_traces_and_reports() {
         "fixedskip-2",
         "p: projected",
     ];
-    assert_says(&table, &labels);
+    assert_contains(&table, &labels);
     let lacks = ["unlabelled: no ground truth", "nothing: not one detection"];
-    assert_says(&complaint, &lacks);
+    assert_contains(&complaint, &lacks);
 
     let path = traces.join("albireo-u3e-4-erd-detections/drive.jsonl.gz");
     let frames = trace::read(&path).expect("the trace is there");
@@ -98,7 +98,7 @@ fn one_command_compares_sweeps_traces_and_reports() {
     // The conclusion comes before figures and tables.
     let places = ["class=\"conclusion\"", "class=\"plot\"", "<table"].map(|part| page.find(part));
     assert!(places[0].is_some() && places.is_sorted(), "{places:?}");
-    assert_says(&page, &["p: projected"]);
+    assert_contains(&page, &["p: projected"]);
     for outside in ["src=", "<link", "@import", "url("] {
         let is_loaded = page.contains(outside);
         assert!(!is_loaded, "the page loads something: {outside}");

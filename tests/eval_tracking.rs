@@ -2,7 +2,7 @@
 
 use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::golden_traces::shared_data::{detections, sequences};
-use crate::support::{answer_of, project};
+use crate::support::{ask_script, project};
 use albireo_core::policy::{Outcome, PolicyConfig};
 use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_eval::data::Clip;
@@ -65,7 +65,7 @@ fn shared_wheel_tracks_of_every_recorded_sequence_score_as_in_trackeval() {
     assert_eq!(ours.len(), 3 * 17);
     let mut script = Command::new(crate::wheel::python());
     script.arg(project("tests/python/tracking_scores.py"));
-    let theirs = answer_of(&mut script, &json!(requests));
+    let theirs = ask_script(&mut script, &json!(requests));
     let theirs: Vec<(f64, f64)> = serde_json::from_value(theirs).expect("two figures a clip");
     assert_eq!(theirs.len(), ours.len());
     for ((what, ours), (hota, idf1)) in ours.iter().zip(theirs) {

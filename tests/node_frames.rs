@@ -1,7 +1,7 @@
 //! A node in this process, with a real Zenoh session, ONNX Runtime and a detector that finds coloured boxes: what it
 //! does with frames good and bad, with thresholds, and at the end.
 
-use crate::support::{PATIENCE, both_ways, heard, next, project, until, zenoh_client};
+use crate::support::{PATIENCE, next, project, subscribe, until, until_connected, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::PayloadFormat;
@@ -55,7 +55,7 @@ impl Bench {
     /// As [`start`](Self::start), with a specially prepared node.
     pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let bench = Self::start_unmatched(config, prepared).await;
-        both_ways(&bench.session, "node", CAMERA).await;
+        until_connected(&bench.session, "node", CAMERA).await;
         bench
     }
 
@@ -151,7 +151,7 @@ async fn published<T: DeserializeOwned + Send + 'static>(
     key: &str,
 ) -> UnboundedReceiver<T> {
     let read = |sample: Sample| serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-    heard(session, key, read).await
+    subscribe(session, key, read).await
 }
 
 /// The attachment of a frame.
@@ -403,7 +403,7 @@ async fn a_second_publisher_on_a_cameras_key_costs_it_no_frame() {
                 .await
                 .unwrap();
         };
-        both_ways(&bench.session, "node", name).await;
+        until_connected(&bench.session, "node", name).await;
         for seq in 100..120 {
             put(true, seq).await;
         }

@@ -4,7 +4,7 @@ use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
 use crate::support::{
-    Node, PATIENCE, assert_says, grey_jpeg, next, run_command, until, until_read, zenoh_client,
+    Node, PATIENCE, assert_contains, grey_jpeg, next, run_command, until, until_read, zenoh_client,
 };
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -61,7 +61,7 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
     bench.send_of_clip(picture.clone(), 2, "a").await;
     let failed = status(&mut changes, |status| status.state == HealthState::NotReady).await;
     let said = ["camera front", "a bug in a policy"];
-    assert_says(&failed.reasons["tasks"], &said);
+    assert_contains(&failed.reasons["tasks"], &said);
     // The open clip is not lost with the loop.
     let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
@@ -233,7 +233,7 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(1), "{log}");
     let said = "the thread of the detector has not come back for 30 s";
-    assert_says(&log, &[said]);
+    assert_contains(&log, &[said]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -250,7 +250,7 @@ async fn a_detector_that_returns_only_impossible_boxes_is_not_ready_until_it_rec
     }
     let fault = status(&mut changes, |now| now.reasons.contains_key("detector")).await;
     assert_eq!(fault.state, HealthState::NotReady);
-    assert_says(&fault.reasons["detector"], &["impossible"]);
+    assert_contains(&fault.reasons["detector"], &["impossible"]);
     bench.send(solid(230), 6).await;
     assert!(!bench.answer().await.degraded);
     status(&mut changes, |now| !now.reasons.contains_key("detector")).await;

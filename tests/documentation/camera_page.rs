@@ -2,7 +2,7 @@
 
 use super::{commands_to_run, run_line, shell, workshop};
 use crate::support::live_camera::RtspCamera;
-use crate::support::{Node, assert_says, free_port, json_at, project, text, until};
+use crate::support::{Node, assert_contains, free_port, json_at, project, text, until};
 
 /// The camera that the page speaks of.
 const ITS_CAMERA: &str = "192.168.0.20/stream1";
@@ -32,7 +32,7 @@ async fn the_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
     let text = text("docs/cameras.md");
     let (_, config) = text.split_once("```toml\n").unwrap();
     let (config, _) = config.split_once("```").unwrap();
-    assert_says(config, &[ITS_CAMERA]);
+    assert_contains(config, &[ITS_CAMERA]);
     let config = config.replace(ITS_CAMERA, &format!("127.0.0.1:{}/stream", camera.port));
     let folder = workshop();
     std::fs::write(folder.path().join("node.toml"), config).unwrap();
@@ -56,7 +56,7 @@ async fn the_publisher_of_the_camera_page_sends_frames_to_a_remote_node() {
     let settings = "[[camera]]\nname = \"gate\"\n[node]\nname = \"car-7\"\n";
     let node = Node::start(&format!("detector.model = {model:?}\n{settings}")).await;
     let line = command("albireo publish ");
-    assert_says(&line, &[ITS_CAMERA, ITS_NODE]);
+    assert_contains(&line, &[ITS_CAMERA, ITS_NODE]);
     let line = line
         .replace(ITS_CAMERA, &format!("127.0.0.1:{}/stream", camera.port))
         .replace(ITS_NODE, &node.zenoh);
@@ -73,5 +73,5 @@ async fn the_publisher_of_the_camera_page_sends_frames_to_a_remote_node() {
         "--source-option",
         "--source-timeout",
     ];
-    assert_says(&help, &options);
+    assert_contains(&help, &options);
 }

@@ -1,5 +1,5 @@
 use super::served::{KNOB, Served, board, problem};
-use crate::support::{assert_says, until};
+use crate::support::{assert_contains, until};
 use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
 use albireo_service::config::{HttpConfig, Token};
@@ -75,25 +75,25 @@ async fn a_token_file_is_reloaded_without_a_restart_and_an_invalid_one_keeps_the
     assert_eq!(status("the-first-token-of-all").await, 200);
     node.refused("/metrics", 401).await;
     write("the-second-token-of-all\n");
-    let is_taken = async |token: &str| {
+    let until_accepted = async |token: &str| {
         until(token, async || status(token).await == 200).await;
     };
-    is_taken("the-second-token-of-all").await;
+    until_accepted("the-second-token-of-all").await;
     assert_eq!(status("the-first-token-of-all").await, 401);
-    // Fewer than 16 characters. The file is looked at every second or so.
+    // Fewer than 16 characters. The node reads the file about every second.
     write("short\n");
     tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
     assert_eq!(status("the-second-token-of-all").await, 200);
     assert_eq!(status("short").await, 401);
     write("the-third-token-of-all\n");
-    is_taken("the-third-token-of-all").await;
+    until_accepted("the-third-token-of-all").await;
 }
 
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
     let board = board("albireo", None);
     let shutdown = CancellationToken::new();
-    // Already over: a service that is not refused ends at once.
+    // Cancelled beforehand: a service that starts stops at once.
     shutdown.cancel();
     let router = router(board, &NodeConfig::default(), shutdown.clone());
     let served = http::run(&config, &[], &[], router, listener, shutdown);
@@ -130,7 +130,7 @@ async fn an_unusable_token_file_is_rejected(#[case] content: Option<&str>, #[cas
         .await
         .unwrap();
     assert!(matches!(error, HttpError::Token(_)), "{error}");
-    assert_says(&error.to_string(), &[file.to_str().unwrap(), said]);
+    assert_contains(&error.to_string(), &[file.to_str().unwrap(), said]);
 }
 
 #[rstest]
@@ -172,7 +172,7 @@ async fn other_web_origins_are_allowed_only_when_configured() {
     let open = Served::with(config).await;
     let headers = preflight(&open, "https://fleet.example").await;
     assert_eq!(headers[ALLOWED], "https://fleet.example");
-    // As the node has them, and no other.
+    // Exactly the methods of the node.
     assert_eq!(headers["access-control-allow-methods"], "GET,PUT");
     let headers = preflight(&open, "https://evil.example").await;
     assert!(!headers.contains_key(ALLOWED));

@@ -1,4 +1,4 @@
-//! Connections that send or read nothing are closed, and never keep other clients out.
+//! Connections that send or read nothing are closed, and never block other clients.
 
 use super::served::{Frames, Served, frame};
 use crate::support::{Node, PATIENCE};
@@ -24,7 +24,7 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
 async fn a_connection_without_a_complete_request_is_closed() {
     let node = served(300, 256).await;
     let begun = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n";
-    // Kept open after an answer, it is closed as well.
+    // A connection kept open after an answer is closed too.
     let sent = ["", &format!("{begun}X-Slow: "), &format!("{begun}\r\n")];
     for (sent, answered) in sent.into_iter().zip([false, false, true]) {
         let mut connection = TcpStream::connect(node.address).await.unwrap();
@@ -67,7 +67,7 @@ async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one()
         }
         false
     };
-    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer goes on");
+    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer stays open");
 }
 
 #[tokio::test]
@@ -84,8 +84,8 @@ async fn an_event_stream_that_is_not_read_is_closed() {
     let camera = node.front();
     let closed = async {
         let mut seq = 0;
-        // Once the other side has given the connection up, it takes nothing any more. A packet from here puts the other
-        // side's limit off, so there is one a second.
+        // The server accepts nothing once it has closed the connection. Each packet from here postpones its limit, so one is
+        // sent per second.
         let mut sent = Instant::now();
         loop {
             if sent.elapsed() > Duration::from_secs(1) {
@@ -95,7 +95,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
                     _ => {}
                 }
             }
-            // Megabytes of events: more than the buffers between here and there hold.
+            // Megabytes of events: more than the buffers in between hold.
             for _ in 0..500 {
                 camera.answered(frame(seq, FrameState::P));
                 seq += 1;

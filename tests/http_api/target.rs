@@ -1,5 +1,5 @@
 use super::served::{Frames, Served, frame, problem};
-use crate::support::{PATIENCE, assert_has, assert_says};
+use crate::support::{PATIENCE, assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -48,7 +48,7 @@ async fn a_target_is_set_read_and_switched_off_by_null_or_a_manual_threshold() {
     assert_has(&set, &expected);
     assert_eq!(read(&node).await, set);
     let series = "albireo_target{target=\"skip_rate\"} 0.5";
-    assert_says(&node.metrics().await, &[series]);
+    assert_contains(&node.metrics().await, &[series]);
 
     let path = "/api/v1/cameras/front/threshold";
     assert_eq!(node.put(path, r#"{"u": 7e-4}"#).await.status(), 200);
@@ -63,7 +63,7 @@ async fn a_target_is_set_read_and_switched_off_by_null_or_a_manual_threshold() {
     assert_has(&off, &json!({"target": null, "off": "it was switched off"}));
 }
 
-/// A pipe instead of the file stalls who writes it until somebody reads.
+/// A pipe in place of the file stalls the writer until it is read.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn frames_and_requests_continue_while_a_change_waits_for_a_stalled_disk() {
     let directory = tempfile::tempdir().unwrap();
@@ -84,7 +84,7 @@ async fn frames_and_requests_continue_while_a_change_waits_for_a_stalled_disk() 
     });
     let served = served.await;
     let acknowledged = change.is_finished();
-    // Before anything is asserted: a test that fails would wait for the writer.
+    // Read before any assertion: a failing test would wait for the writer.
     let reading = tokio::task::spawn_blocking(move || std::fs::read_to_string(pipe));
     let written = reading.await.unwrap().unwrap();
     served.expect("requests wait for the disk");

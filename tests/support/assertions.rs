@@ -1,8 +1,8 @@
-//! Comparison of parts of JSON values.
+//! Assertions about JSON values.
 
 use serde_json::Value;
 
-/// Asserts that `found` has what `expected` has; other members of its objects may be there.
+/// Asserts that `found` contains `expected`: its objects may have more members.
 #[track_caller]
 pub(crate) fn assert_has(found: &Value, expected: &Value) {
     fn has(found: &Value, expected: &Value) -> bool {
