@@ -169,7 +169,7 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     camera.kill().await;
     let ready = async || node.text("/readyz").await;
     let failed = "\"reason\":\"failed: ";
-    until("the failure is shown", async || ready().await.contains(failed)).await;
+    until("it is reported", async || ready().await.contains(failed)).await;
     let mut shown = ready().await;
     let _camera = RtspCamera::start_at(port, "h264", &LOGIN).await;
     let subject = "\"subject\":\"front\"";

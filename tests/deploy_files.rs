@@ -1,4 +1,4 @@
-//! The files shipped beside the programs: manual pages, completions, packages, containers, proxies.
+//! The shipped files: manual pages, completions, packages, containers, proxies.
 
 use crate::support::{assert_contains, project, run, run_command, text};
 use clap::CommandFactory;
@@ -6,12 +6,12 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
-/// What the program prints, which must succeed.
+/// The output of a run of the program, which must succeed.
 fn says(arguments: &[&str]) -> String {
     run(arguments, &[]).succeeds()
 }
 
-/// Runs a tool, which must find nothing wrong.
+/// Runs a tool, which must succeed.
 #[track_caller]
 fn accepts(program: &str, arguments: &[&str]) -> String {
     run_command(Command::new(program).args(arguments)).succeeds()
@@ -29,13 +29,13 @@ fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
     for shell in ["bash", "zsh", "fish"] {
         assert_contains(&says(&["completions", shell]), &["node"]);
     }
-    // A shell takes them.
+    // A shell can parse them.
     let script = folder.path().join("completions.bash");
     std::fs::write(&script, says(&["completions", "bash"])).unwrap();
     accepts("bash", &["-n", script.to_str().unwrap()]);
 }
 
-/// The scripts that are shipped.
+/// The shipped scripts.
 fn scripts() -> Vec<String> {
     let own = ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"];
     let mut found = own.map(str::to_owned).to_vec();
@@ -67,7 +67,7 @@ fn every_script_parses_and_stops_at_the_first_error() {
 fn manifests_and_changelog_agree_on_the_version_and_another_tag_is_rejected() {
     let notes_of = |tag| run_command(Command::new("bash").args(["deploy/release-version.sh", tag]));
     let notes = notes_of(concat!("v", env!("CARGO_PKG_VERSION"))).succeeds();
-    assert!(!notes.is_empty(), "the changelog says nothing");
+    assert!(!notes.is_empty(), "no notes in the changelog");
     assert_contains(&notes_of("v0.0.1").fails(), &["the tag has 0.0.1"]);
 }
 
@@ -104,7 +104,7 @@ fn hadolint_accepts_the_images() {
     accepts("hadolint", &images);
 }
 
-/// Runs a maintainer script of `package` with everything it touches under `root`, and users and owners made up.
+/// Runs a maintainer script of `package` with `folder` as its root, and with fake user commands.
 fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
     let here = folder.display();
     let text = text(&format!("deploy/debian/{package}/{script}"))
@@ -181,7 +181,7 @@ fn every_file_of_a_package_or_image_exists() {
     for (name, variant) in variants {
         for asset in variant["assets"].as_array().unwrap() {
             let from = asset[0].as_str().unwrap();
-            // What `make dist` builds is not in the clone.
+            // `make dist` builds files that are not in the clone.
             let built = from.starts_with("target/");
             let place = project(from.trim_end_matches("/*"));
             assert!(built || place.exists(), "{name}: {from}");
@@ -206,7 +206,7 @@ fn every_file_of_a_package_or_image_exists() {
             .filter(|line| !line.starts_with("--from"));
         for line in copied {
             let words: Vec<&str> = line.split_whitespace().collect();
-            // What is named at build time comes along then.
+            // Skips names that are set at build time.
             let from = words[..words.len() - 1].iter();
             for from in from.filter(|word| !word.contains("${") && !word.starts_with('/')) {
                 assert!(project(from).exists(), "{from} of `{line}`");
@@ -218,7 +218,7 @@ fn every_file_of_a_package_or_image_exists() {
 
 #[test]
 fn the_shipped_configurations_pass_check() {
-    // The file alone: the model and the token come with the package.
+    // The file alone: the model and the token come from the package.
     says(&["check", "--file-only", "deploy/debian/node.toml"]);
     for node in ["car-1", "car-2", "car-3"] {
         let check = ["check", "--file-only", "deploy/docker/node.toml"];
@@ -231,7 +231,7 @@ fn the_shipped_configurations_pass_check() {
         says(&["check", "deploy/docker/hub.toml"]);
         says(&[&router[..], &["deploy/docker/router.json5"]].concat());
         says(&[&router[..], &["config/zenoh-router.json5"]].concat());
-        // The access rules are written for each fleet.
+        // Access rules are written per fleet.
         let certified = ["deploy/zenoh/router.json5", "--no-access-control"];
         says(&[&router[..], &certified].concat());
     }
@@ -256,7 +256,7 @@ fn every_command_in_the_compose_file_parses() {
     let compose = text("deploy/docker/compose.yml");
     let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
     let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
-    // The bridge is another program.
+    // The bridge is a different program.
     let commands: Vec<_> = commands
         .filter(|words| !words[0].starts_with("--"))
         .collect();
@@ -309,7 +309,7 @@ async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
         .kill_on_drop(true)
         .spawn()
         .unwrap();
-    // Its authority is made at the first start; curl trusts it and checks the name.
+    // Caddy creates its authority at the first start; curl trusts it and checks the name.
     let authority = folder.path().join("caddy/pki/authorities/local/root.crt");
     let asks = |path: &str, more: &[&str]| {
         let ended = Command::new("curl")
@@ -328,7 +328,7 @@ async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     let token = ["--header", "Authorization: Bearer a-long-random-secret"];
     let both = [&status[..], &token].concat();
     assert_eq!(asks("/api/v1/nodes", &both), "200");
-    // The first bytes of the stream come although it does not end.
+    // The first bytes of the stream arrive although it does not end.
     let included = ["--no-buffer", "--include", "--max-time", "3"];
     let included = [&token[..], &included].concat();
     let stream = asks("/api/v1/events", &included).to_lowercase();

@@ -1,4 +1,4 @@
-//! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
+//! Model exports of many kinds through the whole detector: recognised and run, rejected, or survived.
 
 use super::support::assert_contains;
 use super::support::detectors::{
@@ -12,7 +12,7 @@ use albireo_vision::detector::{
 
 const NAMES: [&str; 2] = ["car", "traffic light"];
 
-/// With both classes named and reported.
+/// A configuration that names and reports both classes.
 fn named(name: &str) -> DetectorConfig {
     changed(name, |config| {
         config.class_names = Some(ClassNames::List(NAMES.map(str::to_owned).to_vec()));
@@ -55,7 +55,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn classes_are_filtered_and_renamed_as_configured() {
-    // By default only the classes of BDD100K: a traffic light is none.
+    // By default only the classes of BDD100K are reported, without traffic lights.
     let detector = started(&config("yolo_open.onnx")).await;
     assert!(detected(&detector, [0, 204, 0]).await.detections.is_empty());
     let class = async |detector: &DetectorHandle, color| {
@@ -95,7 +95,7 @@ async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_r
 async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_itself() {
     const DARK: [u8; 3] = [51, 0, 0];
     let detector = started(&config("dark_overflows.onnx")).await;
-    // One run may be bad, and one that is not ends the row.
+    // A few bad runs in a row are tolerated, and a good one ends the row.
     for _ in 0..2 {
         for _ in 0..4 {
             assert!(detected(&detector, DARK).await.detections.is_empty());
@@ -111,7 +111,7 @@ async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_
     let status = detector.status().borrow().clone();
     let reason = status.fault().unwrap().to_owned();
     assert!(reason.contains("impossible"), "{reason}");
-    assert!(detector.accepts().is_ok(), "it is asked on");
+    assert!(detector.accepts().is_ok(), "it still accepts frames");
 
     assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     assert_eq!(detector.status().borrow().fault(), None);

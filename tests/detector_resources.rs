@@ -1,4 +1,4 @@
-//! Models that need more memory or time than there is.
+//! Models that need too much memory or time.
 
 use super::support::detectors::{CAMERA, changed, detected, model, one_colour, started};
 use super::support::{Node, assert_contains, until};
@@ -14,7 +14,7 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
     let red = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
     let error = red.unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");
-    // In plain words, and how much it was.
+    // The error explains itself and names the size.
     let said = [
         "there is not enough memory",
         "a smaller model or input size",
@@ -47,6 +47,6 @@ async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
     assert!(took < Duration::from_secs(10), "it took {took:?}:\n{log}");
     let said = ["loading the detector", "stopped before the node was ready"];
     assert_contains(&log, &said);
-    // What the end of ONNX Runtime did to a run that went on.
+    // The unloading of ONNX Runtime must not break a run in progress.
     assert!(!log.contains("GetElementType"), "{log}");
 }

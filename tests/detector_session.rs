@@ -1,5 +1,5 @@
-//! ONNX Runtime itself, on models of a few hundred bytes: a model that fits runs, any other is refused at the
-//! start with a helpful error.
+//! ONNX Runtime with models of a few hundred bytes: a fitting model runs, any other is rejected at the start with a helpful
+//! error.
 
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,
@@ -21,9 +21,8 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture() {
     assert_eq!(detector.model_name(), "colours.onnx");
     assert_eq!(detector.class_names().len(), 7);
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
-    // Its class scores are the means of the planes: here green, the second.
+    // The class scores are the means of the colour planes; green is the second.
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
-    // Nothing is bright enough here.
     let grey = detected(&detector, [100, 100, 100]).await;
     assert!(grey.detections.is_empty());
     assert_eq!(detector.counters().worker.completed, 2);
@@ -32,7 +31,7 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture() {
 
 fn nothing(_: &mut DetectorConfig) {}
 
-/// The file, what of it is configured, and what is said.
+/// A model file, its configuration, and parts of the error.
 #[rstest]
 #[case::no_head("screen.onnx", nothing, &[
     "`logits` float32 [1, 2]", "is not recognised", "yolo: one output [1, 4 + classes, anchors]", "end-to-end:", "detr:",
@@ -61,7 +60,7 @@ async fn an_unusable_model_is_rejected_with_what_was_expected(
 ) {
     let error = refusal(&changed(file, change)).await;
     assert_contains(&error, parts);
-    // A setting that cannot be used is named, and else the file.
+    // The error names the unusable setting, or else the file.
     let is_setting = parts[0].starts_with("detector.");
     assert_contains(&error, &[if is_setting { parts[0] } else { file }]);
 }
@@ -152,7 +151,7 @@ async fn a_detector_is_rejected_as_a_screen() {
     assert_contains(&error.to_string(), &said);
 }
 
-/// What it finds in a picture of one colour of that camera: a score in hundredths by class.
+/// The detections of a camera in a picture of one colour, with scores in hundredths by class.
 async fn scores(
     detector: &DetectorHandle,
     camera: usize,
@@ -166,7 +165,7 @@ async fn scores(
     (answer, scores)
 }
 
-/// The model has an open batch; the score of a car is how red the picture is, that of a traffic light how green.
+/// The model has a dynamic batch; red is the score of a car, green that of a traffic light.
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
@@ -175,12 +174,12 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         config.confidence = 0.3;
         config.timeout_ms = 60_000;
         config.batch_size = 3;
-        // Far longer than three tasks need to ask: the run begins when the third has.
+        // Far longer than three tasks need to ask: the run begins with the third request.
         config.batch_wait_ms = 1000;
     });
     let detector = started(&config).await;
     let mut before = detector.counters().worker;
-    // The first round makes the cameras known: a batch waits for known cameras only.
+    // A batch waits only for known cameras; the first round makes the cameras known.
     for round in 0..2 {
         let (one, two, three) = tokio::join!(
             scores(&detector, 0, [204, 0, 0]),
@@ -194,7 +193,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         assert_eq!(after.completed - before.completed, 3);
         if round == 1 {
             assert_eq!(after.batches - before.batches, 1);
-            // Of one run's time each picture used an even part.
+            // The time of the run is shared evenly among its pictures.
             for found in [&one.0, &two.0, &three.0] {
                 assert_eq!((found.pictures, found.took), (3, one.0.took));
             }
@@ -203,7 +202,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
     }
 }
 
-/// ONNX Runtime records no runs, and so can send nothing.
+/// Without recorded runs ONNX Runtime has nothing to send.
 #[test]
 #[ignore = "needs ONNX Runtime"]
 fn onnx_runtime_writes_nothing_under_the_users_home() {

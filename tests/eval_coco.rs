@@ -1,4 +1,4 @@
-//! Average precision is what COCO's own tool computes on the same boxes, where the definitions coincide.
+//! Average precision equals that of COCO's own tool on the same boxes, where the definitions coincide.
 //!
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 
@@ -14,7 +14,7 @@ use std::process::Command;
 /// A name, predictions and ground truth.
 type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 
-/// What pycocotools says about these boxes, one answer a case.
+/// The answer of pycocotools per case.
 fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
     let mut script = Command::new(python());
@@ -22,7 +22,7 @@ fn coco(cases: &[Case]) -> Value {
     ask_script(&mut script, &json!({"clips": clips}))
 }
 
-/// A case in the form the script takes.
+/// A case in the format of the script.
 fn frames((_, predictions, truth): &Case) -> Value {
     let predicted = |b: &ScoredBox| {
         let c = b.corners;
@@ -91,7 +91,7 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
                 object: None,
             };
             there.push(real);
-            // Most are found, roughly, some twice, some under a wrong name.
+            // Most are found, roughly, some twice, some with a wrong class.
             while uniform() < 0.6 {
                 let near = [x, y, x + w, y + h].map(|side| side + (uniform() - 0.5) * 16.0);
                 found.push(ScoredBox {

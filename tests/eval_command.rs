@@ -1,4 +1,4 @@
-//! `albireo eval` as a user runs it: its output, its files, and its errors for bad input.
+//! `albireo eval` end to end: its output, its files, and its errors for bad input.
 
 use crate::support::{Ended, assert_contains, run};
 use albireo_core::policy::FrameState;
@@ -95,7 +95,7 @@ fn one_command_compares_sweeps_traces_and_reports() {
     }
     let page = std::fs::read_to_string(out.join("report.html")).expect("the page");
     assert_eq!(page.matches("<figure class=\"plot\"").count(), 3);
-    // The conclusion comes before figures and tables.
+    // The conclusion precedes figures and tables.
     let places = ["class=\"conclusion\"", "class=\"plot\"", "<table"].map(|part| page.find(part));
     assert!(places[0].is_some() && places.is_sorted(), "{places:?}");
     assert_contains(&page, &["p: projected"]);
@@ -129,7 +129,7 @@ fn names_are_escaped_in_the_html_report() {
     assert!(!page.contains("<b>&"));
 }
 
-/// In place of FOLDER stands a good recording, whose file of detections is replaced by `drive`.
+/// FOLDER stands for a valid recording whose detections are replaced by `drive`.
 #[rstest]
 #[case("recorded /nowhere", "", &["/nowhere/sequences.json", "sequences.json that lists"])]
 #[case("recorded FOLDER", "0,1,1,9,9,0.9,2\n0,1,1,9,zwei,0.9,2\n", &["detections/drive.csv:3:", "`y2` is `zwei`"])]

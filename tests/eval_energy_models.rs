@@ -1,4 +1,4 @@
-//! The shipped energy models say where they come from.
+//! The shipped energy models state their source.
 
 use albireo_eval::energy_model::EnergyModel;
 use std::path::Path;

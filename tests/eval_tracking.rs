@@ -1,4 +1,4 @@
-//! HOTA and IDF1 are what TrackEval computes on the same boxes.
+//! HOTA and IDF1 equal those of TrackEval on the same boxes.
 
 use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::golden_traces::shared_data::{detections, sequences};
@@ -10,7 +10,7 @@ use albireo_eval::tracking::tracking;
 use serde_json::{Value, json};
 use std::process::Command;
 
-/// What `policy` shows of a recording.
+/// The boxes that `policy` shows for a recording.
 fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
     let mut config = PolicyConfig::default();
     config.select(policy).expect("a policy");
@@ -31,7 +31,7 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
     boxes
 }
 
-/// A clip in the form the script takes.
+/// A clip in the format of the script.
 fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
     let row = |found: &ScoredBox| {
         let c = found.corners;

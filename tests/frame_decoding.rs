@@ -1,4 +1,4 @@
-//! Pictures are decoded right, or refused: never wrong, never a panic, never more memory than allowed.
+//! Pictures are decoded correctly or rejected, without panics and within the memory limit.
 
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{
@@ -116,7 +116,7 @@ fn luma_of(pixels: &[u8]) -> Vec<u8> {
 
 #[test]
 fn a_jpeg_decodes_to_the_encoded_picture_in_colour_and_in_grey() {
-    // Sizes that are no multiple of a block, and one smaller than a block.
+    // Among them sizes other than multiples of a block, and one below a block.
     for (width, height) in [(64, 48), (61, 35), (5, 3)] {
         let pixels = gradient(width, height);
         for progressive in [false, true] {
@@ -197,8 +197,8 @@ fn every_kind_of_png_gives_its_colours() {
 
 #[test]
 fn an_interlaced_png_is_decoded() {
-    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each
-    // row with its filter byte. Stored without compression, so that the file can be written here.
+    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each row with its filter
+    // byte, without compression.
     let rows = [0, 10, 0, 30, 0, 20, 0, 40, 50, 60];
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     let mut chunk = |kind: &[u8; 4], data: &[u8]| {
@@ -360,8 +360,8 @@ fn specimens() -> Vec<EncodedPicture> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// A damaged file decodes to a picture of its size or is refused; it is never a panic (a contained
-    /// one included) and never leaves a buffer above the limit.
+    /// A damaged file decodes to a picture of its size or is rejected, without even a contained panic, and never leaves a buffer
+    /// above the limit.
     #[test]
     fn a_damaged_file_is_rejected_or_decoded_within_its_memory_limit(
         specimen in 0_usize..4,

@@ -1,4 +1,4 @@
-//! Every payload format of a camera is read, and unreadable payloads are counted by kind.
+//! Every payload format of a camera is read, and unreadable payloads are rejected by kind.
 
 use crate::node_frames::rmw_attachment;
 use albireo_core::geometry::PictureSize;
@@ -23,7 +23,7 @@ fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -
     }
 }
 
-/// A frame, or the number and the fault of a sample that is none.
+/// A frame, or the number and the fault of an unreadable sample.
 type Read = Result<Frame, (FrameNumber, FrameFault)>;
 
 fn read_as(sample: RawSample<'_>, format: PayloadFormat, limits: &FrameLimits) -> Read {
@@ -85,7 +85,7 @@ fn trailing_padding_of_a_ros2_message_is_ignored_and_every_truncation_is_rejecte
     assert_eq!(rejected.1.kind(), "unknown_format");
 }
 
-/// An Image message in CDR, written here field by field.
+/// An Image message in CDR, field by field.
 fn ros_image(
     little_endian: bool,
     encoding: &str,
@@ -207,7 +207,7 @@ fn raw_pictures_take_their_size_from_the_attachment() {
         ("rgb8", 18),
         ("bgr8", 18),
         ("gray8", 6),
-        // Luma 6, chroma rounded up to 2x1 pairs.
+        // 6 bytes of luma, and chroma rounded up to 2x1 pairs.
         ("nv12", 10),
         ("rgba8", 24),
     ] {

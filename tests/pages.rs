@@ -1,5 +1,4 @@
-//! The web pages: their types are current, and they are small. `make browser` tests them in a browser against the
-//! program itself.
+//! The web pages have current types and are small. `make browser` tests them in a browser against the program.
 
 use crate::support::{project, run_command};
 use std::path::PathBuf;
@@ -9,8 +8,8 @@ fn web() -> PathBuf {
     project("web")
 }
 
-/// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` overwrites it; then
-/// `npm run types` in `web` makes the types.
+/// Compares a description with the stored one, which the pages' types are generated from. `ALBIREO_UPDATE=1` overwrites the
+/// stored one; then `npm run types` in `web` generates the types.
 #[cfg(feature = "hub")]
 fn current(service: &str, document: &impl serde::Serialize) {
     let path = web().join("api").join(format!("{service}.json"));
@@ -22,7 +21,7 @@ fn current(service: &str, document: &impl serde::Serialize) {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == now,
-        "{} is not what the program says: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
+        "{} is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
         path.display()
     );
 }

@@ -1,5 +1,5 @@
-//! Known curves of power, printed in real time by a stand-in for `tegrastats`, come out of the sampler to
-//! 0.1 %, through the same code as on a board.
+//! The sampler measures known power curves, printed in real time by a fake `tegrastats`, to 0.1 %, with the same code as on a
+//! board.
 
 use crate::support::{assert_contains, until};
 use albireo_power::{self as power, PowerConfig, PowerHandle, PowerSource};
@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// A stand-in that does `task`, and the configuration that finds it.
+/// A fake `tegrastats` that does `task`, and the configuration that uses it.
 fn stand_in(task: &Value) -> (tempfile::TempDir, PowerConfig) {
     let folder = tempfile::tempdir().unwrap();
     let program = crate::support::fake_tegrastats(folder.path(), task);
@@ -43,9 +43,9 @@ async fn run(task: &Value) -> Running {
 }
 
 impl Running {
-    /// Watches for `length` and gives back the mean watts over what was covered, with the whole answer.
+    /// Measures for `length`, and returns the mean watts over the covered time and the whole result.
     async fn watch(&self, length: Duration) -> (f64, ClipEnergy) {
-        // Begin where a sample is: the meter has just been opened.
+        // Starts at a sample: the meter was just opened.
         let start = Instant::now() + Duration::from_millis(250);
         let end = start + length;
         tokio::time::sleep_until(end).await;
@@ -88,7 +88,7 @@ async fn constant_power_integrates_to_watts_times_time() {
 
 #[tokio::test]
 async fn a_square_wave_keeps_its_mean_and_its_peak() {
-    // Steps so small that lines which a busy machine prints late do not count, and still larger than what is allowed.
+    // The steps are so small that late lines on a busy machine do not matter, yet larger than the tolerance.
     let wave = json!([
         [0, 39.9],
         [0.5, 39.9],

@@ -1,4 +1,4 @@
-//! Every recorded line of `tegrastats` says what an independent reading of it says.
+//! Every recorded line of `tegrastats` is read as an independent reader does.
 
 use crate::support::{shared, text};
 use albireo_power::{Domain, RailMap, Value, tegrastats_rails};

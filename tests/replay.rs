@@ -1,4 +1,4 @@
-//! `albireo replay` plays a camera: every frame arrives, in order, with its number, time and clip.
+//! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
     PATIENCE, assert_contains, free_port, grey_jpeg, listening_peer, script, test_video,
@@ -28,7 +28,7 @@ fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
     Command::parse_from([&["replay", source], more].concat()).replay
 }
 
-/// Takes frames as a node does that is to miss none, with a small queue that holds the sender back.
+/// Receives every frame as a node does, with a small queue that slows down the sender.
 async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
     let (sender, receiver) = channel(2);
     let queries = session
@@ -57,7 +57,7 @@ async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
     receiver
 }
 
-/// Replays to a subscriber that lets each frame wait for `work`; all frames that arrived.
+/// Replays to a receiver that does `work` per frame, and returns all frames.
 async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> (Vec<Frame>, Sent) {
     let (session, endpoint) = listening_peer().await;
     let mut receiver = take_each(&session).await;
@@ -85,7 +85,7 @@ async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> 
     (frames, sent.unwrap())
 }
 
-/// A folder of `count` JPEG files of 64x48.
+/// A folder of `count` JPEG files of 64x48 pixels.
 fn pictures(count: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for number in 0..count {
@@ -118,7 +118,7 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
-    // Far more than the rings, the queues and the sockets hold: 300 frames of 300 KB.
+    // 300 frames of 300 kB: far more than the rings, queues and sockets hold.
     let folder = tempfile::tempdir().unwrap();
     let mut noise = 1_u32;
     let pixels: Vec<u8> = (0..640 * 480)
@@ -141,7 +141,7 @@ async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     assert_eq!(sequence, (0..300).collect::<Vec<_>>());
 }
 
-/// Why a replay of that many frames fails.
+/// The error of a replay of that many frames.
 async fn refusal(frames: u32, more: &[&str]) -> String {
     let folder = pictures(frames);
     let arguments = arguments(folder.path(), more);
@@ -169,7 +169,7 @@ async fn a_missing_subscriber_or_node_is_a_clear_error() {
     assert_contains(&error, &[&endpoint, "is the node running"]);
 }
 
-/// Shell scripts in place of the two programs: `answer` is what ffmpeg does when asked for frames.
+/// Fake ffprobe and ffmpeg; `answer` is the script of ffmpeg.
 fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
     let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;
     Ffmpeg {
@@ -248,7 +248,7 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
         } else {
             drop(video);
         }
-        assert!(!process.exists(), "process {pid} lives on");
+        assert!(!process.exists(), "process {pid} still runs");
         std::fs::remove_file(&note).unwrap();
     }
 }

@@ -1,4 +1,4 @@
-//! A node whose parts fail or hang: failures are detected, failed parts restart, and stopping takes no longer than configured.
+//! A node whose parts fail or hang detects that, restarts failed parts, and stops within the configured time.
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
@@ -16,7 +16,7 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-/// A bench whose policy has a bug: it panics after this many frames.
+/// A bench whose policy panics after `good` frames.
 async fn buggy(good: u32) -> Bench {
     let config = configuration();
     let policy: PolicyConfig = config.policy.clone();
@@ -29,7 +29,7 @@ async fn buggy(good: u32) -> Bench {
     Bench::start_prepared(&config, prepared.with_policies(Arc::new(policies))).await
 }
 
-/// Waits for a status that is as wanted.
+/// Waits for a status that satisfies `wanted`.
 async fn status(
     changes: &mut watch::Receiver<HealthStatus>,
     wanted: impl FnMut(&HealthStatus) -> bool,
@@ -38,7 +38,7 @@ async fn status(
     status.expect("the status changes in time").unwrap().clone()
 }
 
-/// Settings of a node that asks this detector about every frame.
+/// Settings of a node that runs this detector on every frame.
 fn settings(detector: &str, more: &str) -> String {
     let model = model(detector);
     format!(
@@ -84,7 +84,7 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
 async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
     let bench = buggy(0).await;
     let picture = pictures(1).remove(0);
-    // Each frame that a loop takes ends it, and the pauses between two loops grow: most frames find none.
+    // Each frame ends the loop that takes it, and the backoff between loops grows: most frames find no loop.
     for seq in 0..40 {
         bench.send(picture.clone(), seq).await;
     }
@@ -93,7 +93,7 @@ async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
         counts.iter().map(|(_, counts)| counts.failures).sum()
     };
     let stopped = || bench.snapshot().dropped.stopped;
-    // The frame that a loop failed on is counted with the task; every other frame has its own kind.
+    // A frame that ends a loop is counted with the task, every other frame by its kind.
     until("all frames are accounted for", async || {
         stopped() + failures() >= 40
     })
@@ -119,9 +119,9 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     for seq in 2..4 {
         let sent = bench.send_of_clip(solid(0), seq, "last");
         let answered = timeout(Duration::from_secs(1), sent).await;
-        assert!(answered.is_err(), "its turn has not come");
+        assert!(answered.is_err(), "it must wait for its turn");
     }
-    // The link keeps its order: once the query is answered the frames are in the ring.
+    // The link keeps the order: once the query is answered, the frames are in the ring.
     until_read(&bench.session, "node", CAMERA).await;
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
@@ -137,7 +137,7 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
     assert_eq!(report.degraded_frames, 1);
     assert_eq!(report.ended_by, ClipEnd::Shutdown);
-    // What lay in the ring is counted, on the board and in the clip's report.
+    // Frames in the ring are counted, on the board and in the clip report.
     assert_eq!(report.dropped.stopped, 2);
     assert_eq!(board.camera(CAMERA).unwrap().snapshot().dropped.stopped, 2);
 }
@@ -167,8 +167,8 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let limits = "# development: stop_timeout_s=60\ndetector.timeout_ms = 600000\n";
     let node = Node::start(&settings("hanging.onnx", limits)).await;
     let session = zenoh_client(&node.zenoh).await;
-    // The detector computes forever on the first; the ring holds two more, and one more pushes one out: by then the
-    // camera's loop waits for the detector.
+    // The first frame makes the detector hang, the ring holds two more, and the next one displaces a frame: then the camera
+    // loop waits for the detector.
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
     let stuck = async {
         for seq in 0.. {
@@ -181,7 +181,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
         }
     };
     timeout(PATIENCE, stuck).await.expect("the detector hangs");
-    // Signals of one kind that come before they are heard are one: so it is sent until the node has ended.
+    // Pending signals of one kind merge into one, so the signal is repeated until the node has exited.
     let id = node.id().to_string();
     let again = tokio::spawn(async move {
         let mut period = tokio::time::interval(Duration::from_millis(50));
@@ -201,15 +201,15 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 #[ignore = "needs ONNX Runtime"]
 async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
     let node = Node::start(&settings("colours.onnx", "")).await;
-    // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one. One
-    // shell sends both, since what comes a second after the first is a second request.
+    // Like `timeout`, which signals its child and then the whole group. Two kinds, since two of one kind may merge; from one
+    // shell, since a signal 1 s after the first is a second request.
     let kill = "kill -INT $0 && kill -TERM $0";
     run_command(Command::new("sh").args(["-c", kill, &node.id().to_string()])).succeeds();
     let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(0), "{log}");
 }
 
-/// A picture of one grey, of the size of the detectors' input.
+/// A picture of one grey level, of the size of the detectors' input.
 fn solid(value: u8) -> Vec<u8> {
     grey_jpeg(value, [64, 32])
 }
@@ -261,7 +261,7 @@ async fn a_detector_that_returns_only_impossible_boxes_is_not_ready_until_it_rec
 #[ignore = "needs ONNX Runtime"]
 async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let folder = tempfile::tempdir().unwrap();
-    // Who opens a pipe to write waits until somebody reads.
+    // Opening a pipe to write blocks until somebody reads.
     let pipe = folder.path().join("lock");
     crate::support::pipe(&pipe);
     let mut config = configuration();
@@ -279,11 +279,11 @@ async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     for path in ["/healthz", "/readyz", "/api/v1/cameras"] {
         found.push(status(path).await);
     }
-    // Before anything is asserted: a test that fails would wait for the writer.
+    // Read before any assertion: a failing test would wait for the writer.
     let reader = tokio::task::spawn_blocking(move || std::fs::File::open(pipe));
     let _reader = reader.await.unwrap().unwrap();
     assert_eq!(found, [200, 503, 503]);
-    until("the node goes on", async || {
+    until("the node continues", async || {
         status("/api/v1/cameras").await == 200
     })
     .await;

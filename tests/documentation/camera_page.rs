@@ -1,15 +1,15 @@
-//! The page about cameras: its configuration and its commands, with cameras that really send instead of those in it.
+//! The configuration and commands of the camera page, run with real camera servers in place of its addresses.
 
 use super::{commands_to_run, run_line, shell, workshop};
 use crate::support::live_camera::RtspCamera;
 use crate::support::{Node, assert_contains, free_port, json_at, project, text, until};
 
-/// The camera that the page speaks of.
+/// The camera address on the page.
 const ITS_CAMERA: &str = "192.168.0.20/stream1";
-/// The node that the page speaks of.
+/// The node address on the page.
 const ITS_NODE: &str = "tcp/192.168.0.5:7447";
 
-/// The page's command that begins like this, of a block that is to be run.
+/// The page's command, marked `run`, that begins with this text.
 fn command(begins: &str) -> String {
     let mut commands = commands_to_run(|page| page == "docs/cameras.md").into_iter();
     let found = commands.find(|command| command.starts_with(begins));
@@ -64,7 +64,7 @@ async fn the_publisher_of_the_camera_page_sends_frames_to_a_remote_node() {
     until_frames(&node.http).await;
     publisher.kill().await.unwrap();
     camera.kill().await;
-    // What the page names is there to be read.
+    // The help lists the options on the page.
     let help = run_line(folder.path(), "albireo publish --help", &[]).await;
     let options = [
         "--rate",

@@ -1,4 +1,4 @@
-//! What cannot be evaluated is refused with what was wrong, where, and what to do.
+//! Bad input to the evaluation is rejected with its place, cause and remedy.
 
 use super::{by_hand, detector, fixture_detector, write_pictures};
 use crate::support::{assert_contains, grey_jpeg, run};
@@ -9,7 +9,7 @@ use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 
-/// The complaint of a run that must fail.
+/// The error of a run that must fail.
 fn refusal(arguments: &[&str]) -> String {
     let ended = run(arguments, &[]);
     assert!(ended.out.is_empty(), "no table after a failure");
@@ -34,7 +34,7 @@ fn a_missing_file_folder_or_model_is_named() {
     let drive = folder.path().to_str().unwrap();
     let said = refusal(&["eval", "pictures", drive, "--detector", "no/such.onnx"]);
     assert_contains(&said, &["no/such.onnx"]);
-    // A screen's verdicts need a screen.
+    // Recorded screen verdicts need a screen model.
     let said = on_pictures(folder.path(), &["--screen", "recorded"]);
     assert_contains(&said, &["--screen-model"]);
 }
@@ -85,7 +85,7 @@ fn a_video_without_frames_is_an_error() {
     let mut report = LoadReport::default();
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 1);
-    // One that is at its end.
+    // A source at its end.
     let mut over = Pictures::of_folder(folder.path(), 25.0).unwrap();
     while over.next().unwrap().is_some() {}
     let keep = PassSettings::default();
@@ -94,7 +94,7 @@ fn a_video_without_frames_is_an_error() {
     assert_contains(&error.to_string(), &[&expected]);
 }
 
-/// Ground truth in the Scalabel form: a car on each of `frames` frames of the clip `video`.
+/// Ground truth in Scalabel format: a car on each of `frames` frames of the clip `video`.
 fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
     let entries: Vec<String> = (0..frames)
         .map(|frame| {
@@ -132,7 +132,7 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_or_clips() {
     let mut other = labels(folder.path(), "other", 3);
     other.attach_to(&mut clip, false, &mut report).unwrap();
     assert_eq!(clip.truth, None);
-    // The only ground truth is for the only clip, whatever it is called.
+    // The only ground truth applies to the only clip, whatever its name.
     other.attach_to(&mut clip, true, &mut report).unwrap();
     assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];

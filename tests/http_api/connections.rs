@@ -67,7 +67,7 @@ async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one()
         }
         false
     };
-    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer stays open");
+    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer is open");
 }
 
 #[tokio::test]
