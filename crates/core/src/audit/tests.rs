@@ -75,7 +75,7 @@ fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
 }
 
 #[test]
-fn a_box_that_nobody_can_see_counts_on_neither_side() {
+fn an_invisible_box_counts_on_neither_side() {
     let outside = BoundingBox::new(1.4, 0.5, 0.2, 0.2);
     let broken = BoundingBox::new(f64::NAN, 0.5, 0.2, 0.2);
     let reported = [outside, broken].map(|one| shown(one, 0));
@@ -86,7 +86,7 @@ fn a_box_that_nobody_can_see_counts_on_neither_side() {
 }
 
 #[test]
-fn the_share_that_is_drawn_is_the_one_asked_for_and_the_same_each_time() {
+fn the_drawn_share_is_as_configured_and_reproducible() {
     for (share, least, most) in [(0.02, 1_850, 2_150), (0.5, 49_400, 50_600)] {
         let draw = AuditDraw::new(share, 7);
         let drawn = (0..100_000).filter(|frame| draw.draw(*frame)).count();
@@ -108,7 +108,7 @@ fn the_share_that_is_drawn_is_the_one_asked_for_and_the_same_each_time() {
 }
 
 #[test]
-fn the_interval_is_wilsons_where_each_frame_has_one_box() {
+fn the_interval_is_wilsons_with_one_box_per_frame() {
     // 8 of 10: R's prop.test(8, 10, correct = FALSE) says 0.4901625 to 0.9433178.
     let rate = wilson(0.8, 10.0);
     assert!((rate.0 - 0.490_162_5).abs() < 1e-6, "{rate:?}");
@@ -143,7 +143,7 @@ fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> 
 }
 
 #[test]
-fn intervals_hold_the_full_comparison_as_often_as_they_say() {
+fn intervals_cover_the_full_comparison_at_their_rate() {
     let mut state = 1u64;
     let mut random = || {
         state = state
@@ -178,7 +178,7 @@ fn intervals_hold_the_full_comparison_as_often_as_they_say() {
 }
 
 #[test]
-fn a_message_with_what_a_later_version_adds_is_read_and_nothing_is_written_for_nothing() {
+fn fields_of_later_versions_are_ignored_and_zeros_are_not_written() {
     let text = serde_json::to_string(&AuditSums::default()).unwrap();
     assert_eq!(text, "{}");
     let later = r#"{"missed":3,"by_weather":{"rain":{}},"frames":2,"squares":{"hue":1}}"#;
@@ -209,7 +209,7 @@ fn add(sums: &mut AuditSums, (reported, seen, missed): &Frame) {
 
 proptest! {
     #[test]
-    fn pooled_sums_are_those_of_counting_together(
+    fn pooled_sums_equal_counting_together(
         frames in prop::collection::vec((any_frame(), 0..4usize), 0..24)
     ) {
         let mut together = AuditSums::default();
@@ -240,7 +240,7 @@ proptest! {
     }
 
     #[test]
-    fn no_sums_from_elsewhere_make_an_impossible_rate(
+    fn no_foreign_sums_give_an_impossible_rate(
         missed_boxes in any::<u64>(), detected in any::<u64>(), paired in any::<u64>(), squares in any::<[u64; 3]>()
     ) {
         let mut sums = AuditSums {
@@ -285,7 +285,7 @@ fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
 }
 
 #[test]
-fn the_interval_contains_what_is_true_of_the_missed_frames_too() {
+fn the_interval_covers_missed_frames_too() {
     let (sums, truth) = camera(1_000, 10, 300);
     let compared = sums.compared_recall().unwrap();
     assert!(compared.low > truth, "{compared:?} {truth}");
@@ -303,7 +303,7 @@ fn the_interval_contains_what_is_true_of_the_missed_frames_too() {
 }
 
 #[test]
-fn a_crowded_camera_that_misses_much_is_not_outvoted_by_a_quiet_one_that_misses_nothing() {
+fn a_crowded_camera_with_many_misses_is_not_outvoted_by_a_quiet_one() {
     let (crowded, right) = camera(100, 20, 50);
     let (quiet, also) = camera(300, 2, 0);
     let truth = (right * 2_000.0 + also * 600.0) / 2_600.0;
@@ -319,7 +319,7 @@ fn a_crowded_camera_that_misses_much_is_not_outvoted_by_a_quiet_one_that_misses_
 }
 
 #[test]
-fn only_missed_frames_are_no_rate() {
+fn missed_frames_alone_give_no_rate() {
     let mut sums = AuditSums::default();
     sums.add_missed(3);
     sums.add_missed(0);

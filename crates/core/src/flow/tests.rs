@@ -102,7 +102,7 @@ proptest! {
     }
 
     #[test]
-    fn no_picture_and_no_box_breaks_it(
+    fn no_picture_and_no_box_breaks_the_flow(
         width in 1usize..50,
         height in 1usize..50,
         bytes in prop::collection::vec(any::<u8>(), 2500),
@@ -130,7 +130,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_hidden_is_not_followed() {
+fn a_hidden_box_is_not_followed() {
     let texture = Texture::new(5);
     let before = texture.picture([0.0; 2], [0.0; 2], 1.0);
     let other = Texture::new(6).picture([0.0; 2], [0.0; 2], 1.0);
@@ -158,7 +158,7 @@ fn what_is_hidden_is_not_followed() {
 }
 
 #[test]
-fn a_guess_finds_what_moved_too_far_to_be_found_without() {
+fn a_guess_finds_boxes_that_moved_too_far_otherwise() {
     let texture = Texture::new(11);
     let middle = [160.0, 90.0];
     let shift = [60.0, -20.0];

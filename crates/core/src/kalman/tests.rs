@@ -86,7 +86,7 @@ fn compare<const N: usize>(
 
 proptest! {
     #[test]
-    fn ten_and_eight_dimensions_equal_the_textbook_filters(
+    fn filters_of_ten_and_eight_dimensions_equal_the_textbook(
         ten in parameters(),
         size in sizes(), first in boxes(), life in lives(60),
     ) {
@@ -99,7 +99,7 @@ proptest! {
     }
 
     #[test]
-    fn no_box_within_the_gate_lies_beyond_its_reach_which_has_no_room_to_spare(
+    fn the_reach_of_the_gate_is_a_tight_bound(
         parameters in parameters(),
         size in sizes(), first in boxes(), exponent in -12.0f64..2.0,
     ) {
@@ -116,7 +116,7 @@ proptest! {
     }
 
     #[test]
-    fn sides_are_kept_from_falling_below_their_least_and_nothing_else_changes(
+    fn sides_are_clamped_to_their_minimum_and_nothing_else_changes(
         size in sizes(), first in boxes(), least in (0.0..1.0, 0.0..1.0),
     ) {
         let model = FilterModel::new(&FilterParameters::default(), size);
@@ -152,7 +152,7 @@ proptest! {
 }
 
 #[test]
-fn tau_of_a_new_object_and_in_the_steady_state_are_the_published_ones() {
+fn tau_of_a_new_object_and_in_the_steady_state_are_as_published() {
     let size = PictureSize::new(1280, 720);
     let model = FilterModel::new(&FilterParameters::default(), size);
     let here = BoundingBox::new(0.5, 0.5, 0.1, 0.1);

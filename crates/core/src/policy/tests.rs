@@ -171,7 +171,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
-    fn without_pictures_flow_decides_to_the_last_bit_as_if_it_were_off(
+    fn without_pictures_flow_changes_no_bit_of_the_decisions(
         events in events(),
         knob in 0.0..1.0f64,
     ) {
@@ -196,7 +196,7 @@ proptest! {
 }
 
 #[test]
-fn a_knob_is_in_force_as_configured_and_takes_no_value_out_of_its_range() {
+fn a_knob_has_its_configured_value_and_rejects_values_out_of_range() {
     for name in known_policies() {
         let config = PolicyConfig {
             name: name.to_owned(),

@@ -134,7 +134,7 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
 }
 
 #[test]
-fn with_three_frames_a_second_it_takes_longer_and_does_not_swing() {
+fn three_frames_per_second_settle_slower_without_oscillation() {
     let mut plant = Plant::new(71);
     plant.rate = 3.0;
     let mut controller = TargetController::new(Target::SkipRate(0.5), RANGE, 0.05).unwrap();
@@ -146,7 +146,7 @@ fn with_three_frames_a_second_it_takes_longer_and_does_not_swing() {
 }
 
 #[test]
-fn a_knob_that_answers_twice_or_half_as_much_is_held_too() {
+fn a_knob_with_twice_or_half_the_effect_settles_too() {
     for (steepness, seed) in [(0.44, 11), (0.12, 12)] {
         for target in LOAD_TARGETS {
             let mut plant = Plant::new(seed);
@@ -160,7 +160,7 @@ fn a_knob_that_answers_twice_or_half_as_much_is_held_too() {
 }
 
 #[test]
-fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
+fn an_overload_is_reported_counted_and_left_within_a_minute_of_its_end() {
     let target = Target::Watts(5.8);
     let mut plant = Plant::new(21);
     let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
@@ -183,7 +183,7 @@ fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
 }
 
 #[test]
-fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
+fn a_load_below_the_target_at_the_accurate_end_counts_as_met() {
     let mut plant = Plant::new(31);
     plant.busy = 0.0;
     let target = Target::Watts(7.5);
@@ -195,7 +195,7 @@ fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
 }
 
 #[test]
-fn a_step_of_a_minute_turns_the_knob_no_further_than_one_of_two_seconds() {
+fn a_step_of_a_minute_moves_the_knob_no_further_than_one_of_two_seconds() {
     let turned = |seconds: f64| {
         let mut plant = Plant::new(61);
         let mut controller = TargetController::new(Target::SkipRate(0.8), RANGE, 0.1).unwrap();
@@ -211,7 +211,7 @@ fn a_step_of_a_minute_turns_the_knob_no_further_than_one_of_two_seconds() {
 }
 
 #[test]
-fn a_restart_with_the_kept_value_goes_on_where_it_was() {
+fn a_restart_continues_from_the_stored_value() {
     for target in LOAD_TARGETS {
         let mut plant = Plant::new(41);
         let mut controller = TargetController::new(target, RANGE, 1.0).unwrap();
@@ -274,7 +274,7 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
 }
 
 #[test]
-fn the_target_of_recall_stands_still_while_more_than_a_fifth_of_the_audit_is_missed() {
+fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
     let mut plant = Plant::new(71);
     let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
     let mut hour = |missed_of_ten: u64| {
@@ -300,7 +300,7 @@ fn the_target_of_recall_stands_still_while_more_than_a_fifth_of_the_audit_is_mis
 }
 
 #[test]
-fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_is_said() {
+fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let target = Target::Recall(0.85);
     let mut plant = Plant::new(61);
     let mut controller = TargetController::new(target, RANGE, 2.0).unwrap();
@@ -342,7 +342,7 @@ fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_i
 }
 
 #[test]
-fn targets_that_cannot_be_are_refused_with_a_reason() {
+fn impossible_targets_are_rejected_with_a_reason() {
     for wrong in [
         Target::SkipRate(1.0),
         Target::SkipRate(f64::NAN),
@@ -369,7 +369,7 @@ fn targets_that_cannot_be_are_refused_with_a_reason() {
 }
 
 #[test]
-fn the_range_is_what_costs_little_accuracy_unless_said_and_other_knobs_are_refused() {
+fn the_default_range_costs_little_accuracy_and_other_knobs_are_rejected() {
     let range = KnobRange::of("albireo", Some(&Albireo::KNOB), None, None).unwrap();
     assert_eq!((range.least, range.most), (1.5e-4, 2e-3));
     let knob = &ExpectedLoss::KNOB;
@@ -403,7 +403,7 @@ fn any_number() -> impl Strategy<Value = f64> {
 
 proptest! {
     #[test]
-    fn whatever_is_measured_the_knob_stays_a_number_in_its_range(
+    fn with_any_measurement_the_knob_stays_in_its_range(
         steps in prop::collection::vec(
             (any_number(), any::<u32>(), any::<u32>(), prop::option::of(any_number())),
             1..40

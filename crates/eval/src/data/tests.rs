@@ -59,14 +59,14 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
 }
 
 #[test]
-fn what_is_written_is_read_back_to_the_last_bit() {
+fn written_data_is_read_back_to_the_last_bit() {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
     let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
     assert_written_back(&clips);
 }
 
 #[test]
-fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
+fn ignored_regions_are_read_frame_by_frame_and_written_back() {
     let files = folder(&[
         ("sequences.json", INDEX),
         ("detections/a.csv", HEADER),
@@ -118,7 +118,7 @@ fn a_broken_row_is_named_with_file_and_line() {
 }
 
 #[test]
-fn a_description_that_cannot_be_is_refused() {
+fn an_impossible_description_is_rejected() {
     for (index, part) in [
         (
             INDEX.replace("\"a\"", "\"../a\""),
@@ -132,7 +132,7 @@ fn a_description_that_cannot_be_is_refused() {
 }
 
 #[test]
-fn meaningless_rows_are_left_out_counted_and_named() {
+fn meaningless_rows_are_dropped_counted_and_named() {
     let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
     let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
@@ -152,7 +152,7 @@ fn meaningless_rows_are_left_out_counted_and_named() {
 }
 
 #[test]
-fn what_a_clip_lacks_is_said_and_an_empty_clip_is_counted() {
+fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
     let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
     let lines = clips.report.lines().join("\n");
     assert!(lines.contains("not one detection"), "{lines}");
@@ -201,7 +201,7 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
 }
 
 #[test]
-fn kitti_tracking_maps_its_types_and_counts_what_it_leaves_out() {
+fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
     let label = "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
                  0 -1 DontCare -1 -1 -10 1 1 5 5 -1 -1 -1 -1 -1 -1 -1\n\
                  2 2 Tram 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
@@ -266,7 +266,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
 }
 
 #[test]
-fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
+fn clips_without_detections_are_dropped_by_name_or_rejected() {
     let frame = r#"{"name": "f", "videoName": "NAME", "frameIndex": 0, "labels": [
         {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}"#;
     let (a, b) = (frame.replace("NAME", "a"), frame.replace("NAME", "b"));
@@ -297,7 +297,7 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
 }
 
 #[test]
-fn coco_groups_images_into_clips_and_leaves_out_crowds() {
+fn coco_groups_images_into_clips_and_drops_crowds() {
     let set = r#"{"images": [
         {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
         {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
@@ -327,7 +327,7 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
 }
 
 #[test]
-fn clips_of_one_name_get_different_names_fit_for_files() {
+fn clips_with_equal_names_get_different_file_names() {
     let mut clips = DataSet::default();
     for name in ["a/b", "a-b", "..", "a-b"] {
         clips.push(Clip::new(name.to_owned(), PictureSize::new(10, 10), 1));

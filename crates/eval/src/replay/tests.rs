@@ -106,7 +106,7 @@ fn replayed(
 }
 
 #[test]
-fn a_policy_gets_what_it_asks_for_and_learns_what_the_screen_could_not_say() {
+fn a_policy_gets_its_evidence_and_learns_of_missing_screen_verdicts() {
     let mut policy = Curious {
         script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
         ..Curious::default()
@@ -134,7 +134,7 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
 }
 
 #[test]
-fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
+fn published_boxes_are_scored_and_all_boxes_as_well() {
     let recording = recording(&[]);
     let counts = |profile, least| {
         let floor = MinConfidence::new(least, 0.8);
@@ -154,7 +154,7 @@ fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
 }
 
 #[test]
-fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_out() {
+fn a_policy_that_uses_pixels_is_rejected_on_stored_detections_with_a_remedy() {
     let mut policy = Curious {
         script: vec![Need::GreyPicture],
         ..Curious::default()
@@ -171,7 +171,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
 }
 
 #[test]
-fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyConfigError> {
+fn two_replays_of_a_policy_differ_only_in_time() -> Result<(), PolicyConfigError> {
     let mut policy = PolicyConfig::default().build()?;
     let found = scored(square(40.0, 40.0, 20.0), 0.9);
     let mut run = || {

@@ -64,7 +64,7 @@ fn left_edges(published: &Published) -> Vec<Option<i64>> {
 }
 
 #[test]
-fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
+fn vanilla_as_delivered_shows_the_latest_finished_boxes_on_every_frame() {
     let clip = drive_by(6, 10.0);
     // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
     let late = published(&clip, "vanilla", at_arrival("113"));
@@ -90,7 +90,7 @@ fn measured_times_of_the_detector_are_used_in_turn() {
 }
 
 #[test]
-fn a_policy_that_answers_at_once_is_where_the_car_is() {
+fn a_policy_that_answers_at_once_shows_the_car_in_place() {
     let clip = drive_by(40, 6.0);
     let at_once = published(&clip, "expected-loss:0", at_arrival("113"));
     let edges = left_edges(&at_once);
@@ -107,7 +107,7 @@ fn a_policy_that_answers_at_once_is_where_the_car_is() {
 }
 
 #[test]
-fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
+fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
     let clip = drive_by(30, 6.0);
     let vanilla = published(&clip, "vanilla", Stream::Settled);
     let expected: Vec<_> = (0..30).map(|frame| Some(100 + 6 * frame)).collect();
@@ -125,7 +125,7 @@ fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
 }
 
 #[test]
-fn the_table_compares_with_vanilla_and_a_clip_without_times_is_refused() {
+fn the_table_compares_with_vanilla_and_a_clip_without_times_is_rejected() {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
     let table = run(&clips, &specs, &Settings::default(), at_arrival("113"))

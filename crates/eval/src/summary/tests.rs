@@ -50,7 +50,7 @@ fn differences_are_taken_clip_by_clip_over_the_clips_with_ground_truth() {
 }
 
 #[test]
-fn the_skip_frontier_holds_who_is_not_beaten() {
+fn the_skip_frontier_contains_every_unbeaten_policy() {
     let results = [
         result("a", "vanilla", Some(0.7), 0),
         result("a", "good", Some(0.6), 5),

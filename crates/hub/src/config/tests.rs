@@ -67,7 +67,7 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
 }
 
 #[test]
-fn a_key_that_is_not_given_has_the_hubs_default_and_not_the_nodes() {
+fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {
     let config =
         read("[zenoh]\nmulticast_scouting = true\n[http]\ncors_origins = [\"https://a.example\"]")
             .unwrap();
@@ -78,7 +78,7 @@ fn a_key_that_is_not_given_has_the_hubs_default_and_not_the_nodes() {
 }
 
 #[test]
-fn an_impossible_value_is_refused_with_its_key() {
+fn an_impossible_value_is_rejected_with_its_key() {
     for (text, key) in [
         ("[hub]\nprefix = \"a//b\"", "hub.prefix"),
         ("[zenoh]\nmode = \"boss\"", "zenoh"),
@@ -120,7 +120,7 @@ fn an_impossible_value_is_refused_with_its_key() {
 }
 
 #[test]
-fn a_password_is_not_shown() {
+fn a_password_is_never_shown() {
     let config = DatabaseConfig {
         url: "postgres://hub:s3cret@db.example/fleet".into(),
         ..DatabaseConfig::default()

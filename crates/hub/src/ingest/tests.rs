@@ -25,7 +25,7 @@ fn present(ahead_ms: i64) -> Present {
 }
 
 #[test]
-fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() {
+fn the_day_of_a_report_is_that_of_its_id_unless_implausible() {
     let day = |made_ms: i64, ahead_ms: i64| key(id(made_ms), present(ahead_ms)).unwrap().day;
     for days in [0, 1, 30] {
         assert_eq!(day(NOW_MS - days * DAY_MS, 0), 20_780 - days);
@@ -47,7 +47,7 @@ fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() 
 }
 
 #[test]
-fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() {
+fn a_report_older_than_the_kept_ids_is_rejected_if_the_clocks_agree() {
     let old = id(NOW_MS - 31 * DAY_MS);
     let reason = key(old, present(0)).unwrap_err();
     assert!(reason.contains("made 31 days ago"), "{reason}");
@@ -62,7 +62,7 @@ fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() 
 }
 
 #[test]
-fn a_hub_whose_clock_was_behind_keeps_identities_once_it_is_right() {
+fn a_hub_whose_clock_was_behind_keeps_ids_once_it_is_correct() {
     for behind_ms in [100 * DAY_MS, NOW_MS] {
         let hub = Present {
             hub_ms: NOW_MS - behind_ms,
@@ -84,7 +84,7 @@ fn missing(counts: &Counts, base: u64) -> Vec<(u64, u64)> {
 }
 
 #[test]
-fn counts_that_are_left_out_are_missing_until_they_come() {
+fn skipped_counts_are_missing_until_they_arrive() {
     let mut counts = Counts::default();
     let seen = see(&mut counts, &[400, 401, 405, 409]);
     assert_eq!(
@@ -104,7 +104,7 @@ fn counts_that_are_left_out_are_missing_until_they_come() {
 }
 
 #[test]
-fn a_known_count_under_a_new_identity_starts_again_and_misses_nothing_of_before() {
+fn a_known_count_under_a_new_id_is_a_reset_and_misses_nothing_earlier() {
     let mut counts = Counts::default();
     see(&mut counts, &[1, 2, 3, 9]);
     // The same report again is no other report.
@@ -117,7 +117,7 @@ fn a_known_count_under_a_new_identity_starts_again_and_misses_nothing_of_before(
 }
 
 #[test]
-fn reports_of_before_this_database_are_asked_for_and_neither_missing_nor_another_beginning() {
+fn reports_from_before_this_database_are_requested_and_are_neither_missing_nor_a_reset() {
     let mut counts = Counts::default();
     see(&mut counts, &[101, 102]);
     assert_eq!(counts.wanted(), [(1, 100)]);
@@ -128,7 +128,7 @@ fn reports_of_before_this_database_are_asked_for_and_neither_missing_nor_another
 }
 
 #[test]
-fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_is_not() {
+fn the_first_count_under_a_new_id_is_a_reset_and_an_earlier_one_is_not() {
     let mut counts = Counts::default();
     see(&mut counts, &[5, 6, 3]);
     assert_eq!(counts.see(3, true), Seen::Expected);
@@ -136,7 +136,7 @@ fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_i
 }
 
 #[test]
-fn counts_are_read_from_their_row_as_they_were_written() {
+fn counts_are_read_back_from_their_row_unchanged() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);
     let row = row(&counts).unwrap();
@@ -145,7 +145,7 @@ fn counts_are_read_from_their_row_as_they_were_written() {
 }
 
 #[test]
-fn two_boards_with_copies_of_one_state_make_nothing_missing() {
+fn two_boards_with_copies_of_one_state_cause_no_missing_reports() {
     let mut counts = Counts::default();
     see(&mut counts, &[100]);
     for more in 1..50 {
@@ -157,7 +157,7 @@ fn two_boards_with_copies_of_one_state_make_nothing_missing() {
 }
 
 #[test]
-fn counts_that_nobody_makes_fill_no_memory() {
+fn invented_counts_fill_no_memory() {
     let mut counts = Counts::default();
     for count in 1..10_000 {
         counts.see(count * 3, true);
@@ -170,7 +170,7 @@ fn counts_that_nobody_makes_fill_no_memory() {
 
 proptest! {
     #[test]
-    fn what_is_missing_is_what_never_came(came in prop::collection::vec(1_u64..60, 1..80)) {
+    fn exactly_the_reports_that_never_arrived_are_missing(came in prop::collection::vec(1_u64..60, 1..80)) {
         let mut counts = Counts::default();
         let mut known = BTreeSet::new();
         let base = came[0];

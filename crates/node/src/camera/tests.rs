@@ -192,7 +192,7 @@ async fn a_clip_does_not_end_by_silence_while_frames_wait() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_new_stream_is_begun_with_an_empty_policy_whichever_of_its_frames_comes_first() {
+async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first() {
     let policy = PolicyConfig {
         name: "fixed-skip".to_owned(),
         ..PolicyConfig::default()
@@ -209,7 +209,7 @@ async fn a_new_stream_is_begun_with_an_empty_policy_whichever_of_its_frames_come
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_frame_that_was_overtaken_is_counted_late_and_one_dropped_before_a_clip_in_the_next() {
+async fn an_overtaken_frame_is_late_and_a_frame_dropped_between_clips_counts_for_the_next() {
     let bench = Bench::new(vanilla(), ClipConfig::default()).await;
     let receiver = &bench.receiver;
     receiver.count_dropped(|dropped| &mut dropped.undecodable, 3, &"broken");
@@ -291,7 +291,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn what_is_published_is_the_same_to_the_last_bit_with_the_audit_on() {
+async fn the_audit_changes_no_bit_of_published_messages() {
     for policy in ["albireo:1e-3", "expected-loss:0.6"] {
         let (without, none) = drive(policy, 0.0).await;
         let (with, audit) = drive(policy, 1.0).await;

@@ -121,7 +121,7 @@ fn keys_taken(section: &str, text: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
+fn the_program_accepts_no_key_that_the_shipped_file_lacks() {
     let sections = keys_taken("", "");
     let mut taken = Vec::new();
     for section in sections {
@@ -144,7 +144,7 @@ fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
 }
 
 #[test]
-fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
+fn the_keys_in_comments_can_be_used_unchanged() {
     let text: String = std::fs::read_to_string(shipped())
         .unwrap()
         .lines()
@@ -185,7 +185,7 @@ fn an_unknown_key_is_named_with_the_known_ones() {
 }
 
 #[test]
-fn every_removed_key_is_refused_with_what_became_of_it() {
+fn every_removed_key_is_rejected_with_its_replacement() {
     for removed in NodeConfig::REMOVED.lines() {
         let (key, became) = removed.split_once(": ").unwrap();
         let text = match key.split_once(" = ") {
@@ -291,7 +291,7 @@ camera.a.threshold: policy.name = "vanilla" & camera = [{ name = "a", threshold 
 "#;
 
 #[test]
-fn an_impossible_value_is_refused_with_its_key() {
+fn an_impossible_value_is_rejected_with_its_key() {
     for line in IMPOSSIBLE.trim().lines() {
         let (key, text) = line.split_once(": ").unwrap();
         let found = problems(&text.replace(" & ", "\n"));
@@ -304,7 +304,7 @@ fn an_impossible_value_is_refused_with_its_key() {
 }
 
 #[test]
-fn a_wrong_policy_hides_no_wrong_number_and_the_likely_name_is_offered() {
+fn an_unknown_policy_hides_no_wrong_number_and_gets_a_suggestion() {
     let mut found = problems("[policy]\nname = \"expectedloss\"\nu = 5\nlambda = -1");
     found.sort();
     assert_eq!(found.len(), 3, "{found:?}");
@@ -317,13 +317,13 @@ fn a_wrong_policy_hides_no_wrong_number_and_the_likely_name_is_offered() {
 }
 
 #[test]
-fn everything_wrong_is_sent_at_once() {
+fn all_errors_are_reported_at_once() {
     let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_payload_bytes = 0");
     assert_eq!(found.len(), 3, "{found:?}");
 }
 
 #[test]
-fn a_file_that_is_missing_or_no_toml_is_named() {
+fn a_missing_or_invalid_file_is_named() {
     let error = albireo_service::config::load::<NodeConfig>(Some(Path::new("/nowhere/node.toml")))
         .unwrap_err();
     assert!(
@@ -337,7 +337,7 @@ fn a_file_that_is_missing_or_no_toml_is_named() {
 }
 
 #[test]
-fn an_address_that_others_reach_is_accepted_with_a_token_or_a_word() {
+fn an_address_open_to_others_is_accepted_with_a_token_or_explicit_permission() {
     for rest in [
         "token = \"s3cret-s3cret-s3cret\"",
         "token_file = \"/run/token\"",

@@ -85,18 +85,18 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
 }
 
 #[test]
-fn no_seed_loses_or_doubles_a_report() {
+fn no_seed_loses_or_duplicates_a_report() {
     run_seeds(delivery, "reports", 1);
 }
 
 #[test]
-fn no_seed_forgets_an_order_or_a_return() {
+fn no_seed_forgets_a_change_or_a_return() {
     // One takes as long as ten of the others.
     run_seeds(settings, "orders and rollouts", 10);
 }
 
 #[test]
-fn a_seed_that_once_found_a_fault_of_orders_and_rollouts_finds_none() {
+fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
     // Revisions were given again after a restoration; a rollout that was stopped as the hub was killed never ended.
     for seed in [6, 1185] {
         let ran = run(settings, seed, false);

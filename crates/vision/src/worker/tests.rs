@@ -254,7 +254,7 @@ async fn settle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn cameras_take_turns_however_much_one_of_them_asks() {
+async fn cameras_take_turns_however_often_one_asks() {
     let mut stage = stage(settings()).await;
     let mut asked = vec![stage.begin(0).await];
     // Camera 0 asks for much before the others ask at all.
@@ -276,7 +276,7 @@ async fn cameras_take_turns_however_much_one_of_them_asks() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_session() {
+async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
     let mut stage = stage(settings()).await;
     let begun = Instant::now();
     let late = stage.begin(0).await;
@@ -319,7 +319,7 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_sessio
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() {
+async fn a_late_run_that_fails_has_its_session_rebuilt() {
     let mut stage = stage(settings()).await;
     let late = stage.begin(0).await;
     pass(TIMEOUT).await;
@@ -335,7 +335,7 @@ async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
+async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
     pass(TIMEOUT).await;
@@ -357,7 +357,7 @@ async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
+async fn a_model_with_impossible_results_is_reported_and_tried_again() {
     let mut stage = stage(settings()).await;
     let error = stage.run(Step::Implausible).await.unwrap_err();
     let reason = "scripted nonsense".to_owned();
@@ -425,7 +425,7 @@ fn in_threes() -> WorkerSettings {
 }
 
 #[tokio::test(start_paused = true)]
-async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
+async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer() {
     let mut stage = stage(in_threes()).await;
     // No other camera has ever asked, so there is none to wait for.
     let first = stage.begin(0).await;
@@ -447,7 +447,7 @@ async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_picture_waits_for_others_so_long_and_no_longer() {
+async fn a_picture_waits_for_others_only_for_the_configured_time() {
     let mut stage = stage(in_threes()).await;
     for camera in [0, 1] {
         // Camera 1 is the second that ever asks: it waits for camera 0.
@@ -475,7 +475,7 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it() {
+async fn a_run_reports_its_own_time_without_waiting_and_how_many_shared_it() {
     const WAITED: Duration = Duration::from_millis(500);
     const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
@@ -497,7 +497,7 @@ async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_batch_that_fails_or_hangs_is_answered_to_all_who_share_it() {
+async fn a_batch_that_fails_or_hangs_is_answered_for_all_its_pictures() {
     let mut stage = stage(in_threes()).await;
     let first = stage.begin(0).await;
     let asked = [1, 2, 3].map(|camera| stage.ask(camera));
@@ -524,7 +524,7 @@ async fn stopping_ends_the_wait_for_a_batch() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
+async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
     let mut stage = stage(settings()).await;
     let doubling = (0..9).map(|failure| (100 << failure, false));
     let longest = [(30_000, false), (30_000, false), (100, true), (200, false)];
@@ -544,7 +544,7 @@ async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why() {
+async fn a_failed_rebuild_is_retried_and_the_status_says_why() {
     let mut stage = stage(settings()).await;
     stage.failing_builds.store(2, Ordering::SeqCst);
     stage.fail(Step::Fail).await;
@@ -560,7 +560,7 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back() {
+async fn a_model_rebuilt_with_another_signature_is_rejected_until_the_old_one_returns() {
     let mut stage = stage(settings()).await;
     stage.facts.store(8, Ordering::SeqCst);
     stage.fail(Step::Fail).await;
@@ -575,7 +575,7 @@ async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
+async fn stopping_finishes_the_current_run_and_rejects_the_rest() {
     let mut stage = stage(settings()).await;
     let in_hand = stage.begin(0).await;
     let waiting = stage.ask(1);
@@ -604,7 +604,7 @@ async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_does_not_wait_for_a_run_that_exceeds_its_limit_already() {
+async fn stopping_does_not_wait_for_a_run_already_beyond_its_limit() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
     pass(TIMEOUT).await;
@@ -620,7 +620,7 @@ async fn the_worker_ends_with_its_last_handle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_picture_whose_asker_has_gone_is_not_run() {
+async fn a_picture_whose_caller_is_gone_is_not_run() {
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let gone = stage.ask(1);
@@ -638,7 +638,7 @@ async fn a_picture_whose_asker_has_gone_is_not_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
+async fn the_picture_belongs_to_the_caller_again_after_the_answer() {
     let mut stage = stage(settings()).await;
     stage.end(Step::Answer);
     let (camera, shared) = (CameraSlot(0), Arc::default());

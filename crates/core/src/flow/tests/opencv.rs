@@ -88,7 +88,7 @@ fn share_above(tally: &Tally, limit: f32) -> f64 {
 }
 
 #[test]
-fn points_go_where_opencv_finds_them() {
+fn points_move_as_in_opencv() {
     let given = std::env::var_os("ALBIREO_FLOW_FIXTURE").map(PathBuf::from);
     let by_hand = given.is_some();
     let folder = given

@@ -52,7 +52,7 @@ fn at(x: f64, side: f64) -> BoundingBox {
 }
 
 #[test]
-fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
+fn an_object_unseen_for_long_is_matched_by_distance_alone() {
     // Small: no overlap, but close for the filter's uncertainty.
     let near = [detection(at(0.512, 0.01))];
     for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
@@ -74,14 +74,14 @@ fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
 }
 
 #[test]
-fn what_was_matched_by_overlap_is_gone_for_the_second_stage() {
+fn objects_matched_by_overlap_are_excluded_from_the_second_stage() {
     let states = [object(at(0.5, 0.1), 1), object(at(0.505, 0.1), 5)];
     let detections = [detection(at(0.505, 0.1))];
     assert_eq!(associate(&SETTINGS, &states, &detections), [Some(0), None]);
 }
 
 #[test]
-fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
+fn a_hopeless_pair_displaces_a_good_one_only_if_gates_are_applied_last() {
     // Overlaps .82 and .67 for the first object, .23 and .04 for the second: .67 + .23 is the most in
     // all, but .23 is beyond the gate.
     let states = [object(at(0.5, 0.1), 1), object(at(0.572, 0.1), 1)];
@@ -100,7 +100,7 @@ fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
 }
 
 #[test]
-fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
+fn boxes_without_overlap_are_not_matched_by_overlap_at_any_gate() {
     let (states, apart) = ([object(at(0.2, 0.1), 1)], [detection(at(0.8, 0.1))]);
     for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
         let settings = Association {
@@ -114,7 +114,7 @@ fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
 }
 
 #[test]
-fn detections_that_are_not_usable_are_never_matched() {
+fn unusable_detections_are_never_matched() {
     let states = [object(at(0.5, 0.1), 1)];
     let detections = [detection(at(f64::NAN, 0.1)), detection(at(0.5, 0.1))];
     let mut matcher = Matcher::default();
@@ -195,7 +195,7 @@ fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
 proptest! {
     /// And so as many pairs match as can, at the smallest cost: the solver finds these, as its own tests say.
     #[test]
-    fn looking_only_where_boxes_may_meet_changes_no_match_not_even_among_equals(
+    fn the_search_near_boxes_changes_no_match_even_with_ties(
         seen in scene(150), found in scene(150),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {

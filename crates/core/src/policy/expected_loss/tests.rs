@@ -72,7 +72,7 @@ fn a_higher_lambda_calls_the_detector_less_often() {
 }
 
 #[test]
-fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
+fn a_fast_object_calls_the_detector_more_often_than_a_slow_one() {
     let skipped = |amplitude: f64| {
         let mut run = policy(0.5);
         let mut sees = |index: u32| {
@@ -86,7 +86,7 @@ fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
 }
 
 #[test]
-fn a_knob_turned_takes_effect_with_the_next_frame() {
+fn a_new_lambda_applies_from_the_next_frame() {
     let mut run = policy(100.0);
     calls(&mut run, 10);
     assert_eq!(run.see(&film(10)), FrameState::P);
@@ -111,7 +111,7 @@ fn a_screen_that_never_says_empty_changes_no_decision() {
 }
 
 #[test]
-fn a_screen_that_says_empty_spares_the_detector_until_it_says_otherwise() {
+fn a_screen_that_says_empty_skips_the_detector_until_it_says_otherwise() {
     let mut run = policy(0.0);
     let silent = FrameEvidence::detections(&[]);
     let empty = FrameEvidence {
@@ -188,7 +188,7 @@ fn a_gap_predicts_as_many_single_frames_do() {
 }
 
 #[test]
-fn after_a_gap_beyond_all_prediction_the_objects_are_forgotten() {
+fn too_long_a_gap_forgets_the_objects() {
     let mut run = policy(100.0);
     run.see(&film(0));
     let gap = FrameEvidence::in_view(&[]);
@@ -212,7 +212,7 @@ fn a_picture_of_another_shape_forgets_the_objects_and_one_of_more_pixels_does_no
 }
 
 #[test]
-fn a_fixed_schedule_calls_on_one_frame_of_n() {
+fn a_fixed_schedule_calls_on_one_frame_in_n() {
     let mut run = start(Trigger::FixedSkip { n: 3.0 });
     assert_eq!(calls(&mut run, 12), [0, 3, 6, 9]);
     assert_eq!(run.policy.name(), "fixed-skip-in-tracker");
@@ -276,7 +276,7 @@ fn streams() -> impl Strategy<Value = Vec<(u32, Option<Vec<Detection>>)>> {
 
 proptest! {
     #[test]
-    fn whatever_the_detector_says_numbers_stay_finite_and_boxes_inside(
+    fn with_any_detections_numbers_stay_finite_and_boxes_inside(
         stream in streams(),
         lambda in 0.0..2.0f64,
     ) {

@@ -50,7 +50,7 @@ fn the_published_code_predicts_decays_and_removes_at_the_first_miss() {
 }
 
 #[test]
-fn a_setting_goes_over_the_profile() {
+fn a_setting_overrides_the_profile() {
     for (profile, skipped, objects) in [
         (Profile::Paper, SkippedBoxes::Predict, 1),
         (Profile::Reference, SkippedBoxes::Reuse, 0),
@@ -80,7 +80,7 @@ fn the_detector_runs_when_the_index_passes_a_multiple() {
 }
 
 #[test]
-fn a_stream_that_does_not_begin_at_0_begins_with_the_detector() {
+fn a_stream_that_starts_after_0_starts_with_the_detector() {
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     run.index = 13;
     assert_eq!(asked(&mut run, 10), [13, 15, 20]);
@@ -90,7 +90,7 @@ fn a_stream_that_does_not_begin_at_0_begins_with_the_detector() {
 }
 
 #[test]
-fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
+fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     let found = [seen(0.5, 0.9)];
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0]);
@@ -103,7 +103,7 @@ fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
 }
 
 #[test]
-fn without_the_detector_the_last_boxes_stand_in_and_the_next_frame_asks_again() {
+fn without_the_detector_the_last_boxes_are_repeated_and_the_next_frame_asks_again() {
     for profile in [Profile::Paper, Profile::Reference] {
         let mut run = Run::new("fixed-skip:2", profile);
         assert_eq!(run.blind(), P);
@@ -119,7 +119,7 @@ fn without_the_detector_the_last_boxes_stand_in_and_the_next_frame_asks_again() 
 }
 
 #[test]
-fn the_knob_takes_effect_with_the_next_frame() {
+fn a_new_threshold_applies_from_the_next_frame() {
     let mut run = Run::new("fixed-skip:2", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0, 2]);
     run.policy.set_knob(4.0).unwrap();

@@ -236,7 +236,7 @@ impl<'a> Camera<'a> {
 }
 
 #[test]
-fn the_policies_that_predict_answer_at_once_and_the_others_say_that_they_cannot() {
+fn predicting_policies_answer_at_once_and_others_are_rejected() {
     for name in known_policies() {
         let can = LatePolicy::new(build(name));
         let mut predicting = ["albireo", "expected-loss", "kill", "in-tracker"].iter();
@@ -256,7 +256,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn without_delay_every_frame_is_as_if_it_had_waited(
+    fn without_delay_every_frame_equals_that_of_a_waiting_policy(
         script in events(0),
         profile in profiles(),
     ) {
@@ -282,7 +282,7 @@ proptest! {
     }
 
     #[test]
-    fn late_evidence_gives_what_the_same_evidence_gives_from_the_start(
+    fn late_evidence_gives_the_same_result_as_early_evidence(
         script in events(6),
         profile in profiles(),
     ) {
@@ -310,7 +310,7 @@ proptest! {
     }
 
     #[test]
-    fn two_cameras_in_any_order_answer_as_each_alone(
+    fn two_cameras_in_any_order_do_not_affect_each_other(
         scripts in [events(4), events(4)],
         order in prop::collection::vec(any::<bool>(), 0..200),
     ) {
@@ -385,7 +385,7 @@ fn evidence_for_another_frame_is_an_error_and_changes_nothing() {
 }
 
 #[test]
-fn a_detector_that_fails_leaves_the_frame_degraded_and_is_asked_again() {
+fn a_failed_detector_degrades_the_frame_and_is_called_again() {
     for name in ["albireo", "expected-loss"] {
         let (mut late, index) = pending(name);
         let mut outcome = Outcome::default();
@@ -401,7 +401,7 @@ fn a_detector_that_fails_leaves_the_frame_degraded_and_is_asked_again() {
 }
 
 #[test]
-fn a_threshold_that_was_set_meanwhile_stays() {
+fn a_threshold_set_in_between_is_kept() {
     let (mut late, index) = pending("albireo");
     late.set_knob(1e-2).unwrap();
     let mut outcome = Outcome::default();
@@ -415,7 +415,7 @@ fn a_threshold_that_was_set_meanwhile_stays() {
 }
 
 #[test]
-fn frames_beyond_the_list_of_steps_are_predicted_again_as_lost_ones() {
+fn frames_beyond_the_list_of_steps_are_repeated_as_lost_ones() {
     let frames = MOST_STEPS as u64 + 20;
     for name in ["albireo", "expected-loss"] {
         let (mut late, index) = pending(name);

@@ -79,7 +79,7 @@ fn a_mean_has_students_interval_over_the_rounds() {
 }
 
 #[test]
-fn changes_are_paired_by_round_so_that_a_drift_of_the_board_does_not_widen_them() {
+fn changes_are_paired_by_round_so_that_a_drift_does_not_widen_them() {
     // The board warms up from round to round; albireo saves a quarter of 100 J each time.
     let runs = (0..4)
         .flat_map(|round| {
@@ -123,7 +123,7 @@ fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
 }
 
 #[test]
-fn the_boards_mode_and_throttling_are_told() {
+fn the_boards_mode_and_throttling_are_reported() {
     let mut runs = vec![run(0, 0, 100, Some(9.0)), run(0, 1, 50, Some(5.0))];
     for (run, throttled) in runs.iter_mut().zip([false, true]) {
         run.report.board = Some(BoardState {

@@ -143,7 +143,7 @@ fn zstd(text: &[u8]) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for() {
+async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounted_for() {
     let batches = batches();
     let folder = tempfile::tempdir().unwrap();
     let config = DatabaseConfig {
@@ -203,7 +203,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
 }
 
 #[test]
-fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
+fn an_empty_batch_and_an_oversized_one_are_rejected_whole() {
     let of = |reports: Value| {
         let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
         decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).map(|_| ())

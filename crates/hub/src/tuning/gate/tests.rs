@@ -36,7 +36,7 @@ fn judged(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Vec
 }
 
 #[test]
-fn a_gate_reads_as_it_is_written() {
+fn a_gate_is_read_back_as_written() {
     for (text, metric, bound, relative, where_measured) in [
         ("joules<=+5%", Metric::Joules, 0.05, true, false),
         ("joules <= 7 % ?", Metric::Joules, 0.07, true, true),
@@ -75,7 +75,7 @@ fn a_gate_reads_as_it_is_written() {
 }
 
 #[test]
-fn a_change_within_the_bound_passes_one_beyond_it_fails_and_between_nothing_is_decided() {
+fn a_change_within_the_bound_passes_beyond_it_fails_and_between_is_undecided() {
     let rest = fleet(Figure::JoulesMeasured, 40, 1.0);
     for (factor, expected) in [
         (0.8, Verdict::Passed),
@@ -99,7 +99,7 @@ fn a_change_within_the_bound_passes_one_beyond_it_fails_and_between_nothing_is_d
 }
 
 #[test]
-fn what_also_happened_to_the_other_nodes_is_no_effect() {
+fn a_change_that_other_nodes_share_is_no_effect() {
     let rush_hour = fleet(Figure::JoulesMeasured, 40, 1.5);
     let changed = fleet(Figure::JoulesMeasured, 12, 1.5);
     assert_eq!(
@@ -114,7 +114,7 @@ fn what_also_happened_to_the_other_nodes_is_no_effect() {
 }
 
 #[test]
-fn for_the_skip_rate_less_is_worse() {
+fn a_lower_skip_rate_is_worse() {
     let share = |after: f64| -> Vec<BeforeAfter> {
         let clips = |mean: f64| {
             [(
@@ -141,7 +141,7 @@ fn for_the_skip_rate_less_is_worse() {
 }
 
 #[test]
-fn measured_and_estimated_energy_are_judged_apart() {
+fn measured_and_estimated_energy_are_judged_separately() {
     let mut changed = fleet(Figure::JoulesMeasured, 8, 1.2);
     let mut rest = fleet(Figure::JoulesMeasured, 8, 1.0);
     // A hundred estimates that say the opposite do not outvote eight meters.
@@ -190,7 +190,7 @@ fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_noth
 }
 
 #[test]
-fn a_metric_that_nobody_reports_leaves_its_gate_undecided_unless_it_is_where_measured() {
+fn an_unreported_metric_leaves_its_gate_undecided_unless_the_gate_applies_where_measured() {
     let nodes = fleet(Figure::SkipRate, 10, 1.0);
     for (text, expected) in [
         ("recall>=-0.02", Verdict::Undecided),

@@ -185,7 +185,7 @@ fn stages_entered(rollout: &Run) -> Vec<&str> {
 }
 
 #[test]
-fn a_share_is_rounded_up_and_never_to_nobody() {
+fn a_share_is_rounded_up_to_at_least_one_node() {
     for (size, all, expected) in [
         ("10%", 30, 3),
         ("10%", 31, 4),
@@ -212,7 +212,7 @@ fn a_share_is_rounded_up_and_never_to_nobody() {
 }
 
 #[test]
-fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
+fn a_rollout_whose_gates_pass_reaches_all_nodes_in_stages() {
     let mut world = World::new(40);
     let mut rollout = world.begin(plan());
     world.run(&mut rollout, 90);
@@ -243,7 +243,7 @@ fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
 }
 
 #[test]
-fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_back() {
+fn a_stage_that_fails_its_gate_restores_the_old_value_on_all_nodes_of_the_rollout() {
     let mut world = World::new(40);
     let mut rollout = world.begin(plan());
     for node in world.nodes.values_mut() {
@@ -274,7 +274,7 @@ fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_ba
 }
 
 #[test]
-fn a_value_that_kills_nodes_is_given_back_also_where_nothing_can_be_measured() {
+fn a_value_that_kills_nodes_is_undone_even_without_measurements() {
     for (count, most) in [(6, 1), (40, 1)] {
         let mut world = World::new(count);
         world.nodes.values_mut().for_each(|n| n.dies = true);
@@ -301,7 +301,7 @@ fn a_value_that_kills_nodes_is_given_back_also_where_nothing_can_be_measured() {
 }
 
 #[test]
-fn a_last_stage_that_leaves_nodes_out_is_measured_against_them() {
+fn a_last_stage_that_excludes_nodes_is_measured_against_them() {
     let mut world = World::new(40);
     let mut rollout = world.begin(RolloutPlan {
         stages: ["1", "50%"].map(|s| s.parse().unwrap()).to_vec(),
@@ -322,7 +322,7 @@ fn a_last_stage_that_leaves_nodes_out_is_measured_against_them() {
 }
 
 #[test]
-fn a_return_after_the_end_leaves_nodes_alone_that_were_changed_since() {
+fn a_return_after_the_end_skips_nodes_that_were_changed_since() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "done");
@@ -333,7 +333,7 @@ fn a_return_after_the_end_leaves_nodes_alone_that_were_changed_since() {
 }
 
 #[test]
-fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
+fn a_rollout_that_is_resumed_repeatedly_has_the_error_rate_of_one() {
     let mut world = World::new(10);
     let gates = vec!["recall>=-0.02".parse().unwrap()];
     let mut rollout = world.begin(RolloutPlan { gates, ..plan() });
@@ -352,7 +352,7 @@ fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
 }
 
 #[test]
-fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
+fn a_failed_stage_is_held_for_a_decision_if_the_plan_says_so() {
     let mut world = World::new(40);
     world.nodes.values_mut().for_each(|n| n.factor = 2.0);
     let mut rollout = world.begin(RolloutPlan {
@@ -379,7 +379,7 @@ fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
 }
 
 #[test]
-fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
+fn a_stage_that_cannot_be_judged_is_held_and_undone_without_a_decision() {
     let mut world = World::new(10);
     let mut rollout = world.begin(RolloutPlan {
         gates: vec!["recall>=-0.02".parse().unwrap()],
@@ -404,7 +404,7 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
 }
 
 #[test]
-fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
+fn unreachable_nodes_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
     let mut world = World::new(10);
     for name in ["cam-001", "cam-004"] {
         world.nodes.get_mut(name).unwrap().reachable = false;
@@ -449,7 +449,7 @@ fn a_stage_whose_nodes_refuse_fails_without_waiting_for_its_soak() {
 }
 
 #[test]
-fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
+fn a_paused_rollout_does_not_advance_and_its_soak_stops() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "soaking");
@@ -465,7 +465,7 @@ fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
 }
 
 #[test]
-fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
+fn during_a_pause_no_node_is_asked_and_no_deadline_expires() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "soaking");
@@ -493,7 +493,7 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
 }
 
 #[test]
-fn commands_that_make_no_sense_are_refused() {
+fn invalid_commands_are_rejected() {
     let mut world = World::new(4);
     let mut rollout = world.begin(plan());
     assert!(rollout.command(Command::Resume, "ops", 0).is_err());
@@ -521,7 +521,7 @@ fn commands_that_make_no_sense_are_refused() {
 }
 
 #[test]
-fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
+fn an_invalid_plan_is_rejected_with_its_field() {
     type Spoil = fn(&mut RolloutPlan);
     let spoilt: [(&str, Spoil); 7] = [
         ("stages", |plan| plan.stages.clear()),
@@ -582,7 +582,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn whatever_happens_no_stage_begins_unjudged_and_a_returned_rollout_leaves_nobody_behind(
+    fn no_stage_ever_begins_unjudged_and_a_returned_rollout_leaves_no_node_behind(
         chances in prop::collection::vec(chance(), 0..40), count in 1usize..12,
     ) {
         let mut world = World::new(count);
@@ -631,7 +631,7 @@ proptest! {
     }
 
     #[test]
-    fn left_alone_a_rollout_comes_to_an_end_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
+    fn an_unattended_rollout_ends_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
         let mut world = World::new(count);
         let mut drawn: Vec<usize> = (0..count).collect();
         shuffle(&mut drawn, seed);

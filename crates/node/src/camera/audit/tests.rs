@@ -78,7 +78,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
 }
 
 #[test]
-fn a_share_of_nothing_is_no_audit_and_no_two_starts_draw_the_same_frames() {
+fn a_share_of_zero_is_no_audit_and_every_start_draws_other_frames() {
     let off = AuditConfig { share: 0.0 };
     assert!(off.draw().is_off());
     let half = AuditConfig { share: 0.5 };

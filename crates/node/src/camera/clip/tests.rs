@@ -145,7 +145,7 @@ fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
 }
 
 #[test]
-fn silence_ends_a_clip_and_is_not_charged_to_it() {
+fn silence_ends_a_clip_and_is_not_part_of_it() {
     let mut camera = Camera::new();
     for i in 0..10 {
         camera.frame(i * 200, Some("a"));
@@ -215,7 +215,7 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
 }
 
 #[test]
-fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
+fn a_name_that_returns_after_a_silence_is_a_new_clip() {
     let mut camera = Camera::with(ClipConfig {
         longest_s: 60.0,
         ..ClipConfig::default()
@@ -249,7 +249,7 @@ fn shutdown_ends_the_open_clip_and_only_that() {
 }
 
 #[test]
-fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
+fn a_clip_is_returned_when_its_pending_frame_has_its_final_answer() {
     let mut camera = Camera::new();
     camera.frame(0, Some("a"));
     camera.tracker.arrive(0, Some("a"), camera.at(100));
@@ -273,7 +273,7 @@ fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
 }
 
 #[test]
-fn the_threshold_at_the_start_and_each_change_are_told_once_and_never_fill_the_memory() {
+fn the_initial_threshold_and_each_change_are_reported_once_within_a_bound() {
     let changes_of = |thresholds: &mut dyn Iterator<Item = f64>| {
         let mut camera = Camera::new();
         for u in thresholds {

@@ -160,7 +160,7 @@ fn drain(outbox: &Outbox) -> Vec<String> {
 }
 
 #[test]
-fn the_count_of_reports_goes_on_after_a_restart_even_when_all_were_acknowledged() {
+fn the_count_of_reports_continues_after_a_restart_even_if_all_were_acknowledged() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
@@ -175,7 +175,7 @@ fn the_count_of_reports_goes_on_after_a_restart_even_when_all_were_acknowledged(
 }
 
 #[test]
-fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again() {
+fn a_report_is_sent_until_acknowledged_and_a_refused_one_never_again() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
@@ -197,7 +197,7 @@ fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again
 }
 
 #[test]
-fn a_state_directory_that_had_another_name_delivers_under_the_present_one() {
+fn a_state_directory_of_a_renamed_node_delivers_under_the_new_name() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..1);
@@ -211,7 +211,7 @@ fn a_state_directory_that_had_another_name_delivers_under_the_present_one() {
 }
 
 #[test]
-fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
+fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
@@ -242,7 +242,7 @@ fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
 }
 
 #[test]
-fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
+fn a_hub_with_another_database_gets_the_kept_reports_once() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..4);
@@ -277,7 +277,7 @@ fn at(days: i64) -> Now {
 }
 
 #[test]
-fn no_step_of_the_clock_costs_a_report() {
+fn no_clock_step_loses_a_report() {
     let bench = Bench::new();
     for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
         let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
@@ -340,7 +340,7 @@ fn a_second_node_with_the_same_state_directory_refuses_to_start() {
 }
 
 #[test]
-fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
+fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
     for (statements, wanted) in [
         ("CREATE TABLE other (x)", "another program's"),
         (
@@ -359,7 +359,7 @@ fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
 }
 
 #[test]
-fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
+fn a_damaged_file_and_a_garbage_file_are_set_aside() {
     for (intact, length) in [(4096, usize::MAX), (0, 9000)] {
         let bench = Bench::new();
         keep(&bench.open(), 0..400);
@@ -380,7 +380,7 @@ fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
 }
 
 #[test]
-fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
+fn a_disk_that_vanishes_and_returns_keeps_the_reports_in_between() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
@@ -402,7 +402,7 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
 }
 
 #[test]
-fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
+fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     bench.take_disk();
@@ -422,7 +422,7 @@ fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
 }
 
 #[test]
-fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
+fn reports_acknowledged_while_the_disk_was_away_are_not_resent() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
@@ -448,7 +448,7 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
 }
 
 #[test]
-fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_them() {
+fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_them() {
     let mut bench = Bench::new();
     bench.config.max_bytes = 128 << 10;
     let outbox = bench.open();
@@ -473,7 +473,7 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
 }
 
 #[test]
-fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
+fn without_a_state_directory_reports_wait_in_bounded_memory() {
     let outbox = in_memory();
     let most = 40 * MEMORY_BYTES / 1_000_000;
     for clip in 0..most {
@@ -488,7 +488,7 @@ fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
 }
 
 #[test]
-fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
+fn on_a_full_disk_reports_stay_in_memory_until_there_is_space() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
@@ -520,7 +520,7 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
 }
 
 #[test]
-fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() {
+fn with_a_read_only_disk_reports_on_it_and_in_memory_are_delivered() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
@@ -561,7 +561,7 @@ fn a_file_that_has_become_read_only_is_read_and_reopened() {
 }
 
 #[test]
-fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
+fn a_batch_from_memory_is_bounded_like_one_from_disk() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..60 {
@@ -578,7 +578,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
 }
 
 #[test]
-fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
+fn a_report_no_hub_would_accept_is_counted_and_the_rest_is_sent() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..3 {
@@ -592,7 +592,7 @@ fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
 }
 
 #[test]
-fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
+fn an_unreadable_stored_report_is_counted_and_the_rest_is_sent() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     let db = rusqlite::Connection::open(bench.file()).unwrap();
@@ -605,7 +605,7 @@ fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
 }
 
 #[test]
-fn a_copy_of_the_state_delivers_the_same_identities() {
+fn a_copy_of_the_state_delivers_the_same_ids() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     let copy = Bench::new();
@@ -619,7 +619,7 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
 }
 
 #[test]
-fn counts_and_waking_the_sender_never_wait_for_a_disk() {
+fn counting_and_waking_the_sender_never_wait_for_a_disk() {
     let outbox = in_memory();
     keep(&outbox, 0..1);
     // As while a disk is written.

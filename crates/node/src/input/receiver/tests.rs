@@ -64,7 +64,7 @@ fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
 }
 
 #[tokio::test]
-async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
+async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() {
     let receiver = receiver(8);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
@@ -84,7 +84,7 @@ async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out
 }
 
 #[tokio::test]
-async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
+async fn a_frame_with_an_unreadable_number_is_counted_once() {
     let receiver = receiver(8);
     receiver.give(frame(number(5, None)));
     receiver.give(rejected(None));

@@ -46,7 +46,7 @@ impl CameraBoard {
 }
 
 #[test]
-fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
+fn every_frame_is_counted_by_state_and_sent_to_subscribers() {
     let board = board(None, "albireo");
     let mut events = board.subscribe();
     let camera = board.camera("front").unwrap();
@@ -108,7 +108,7 @@ fn a_changed_threshold_survives_a_restart() {
 }
 
 #[test]
-fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
+fn a_threshold_that_cannot_be_stored_still_applies_and_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
@@ -176,7 +176,7 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
 }
 
 #[test]
-fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
+fn lost_and_unsaved_reports_degrade_the_node_with_the_outbox_as_reason() {
     let reason = |board: &Board| board.readiness.health().status().reasons.remove("outbox");
     let folder = tempfile::tempdir().unwrap();
     // Without a directory nothing is promised, so nothing is reported.

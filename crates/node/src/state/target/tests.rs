@@ -38,7 +38,7 @@ fn pass(board: &Board, seconds: u32) -> f64 {
 }
 
 #[test]
-fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
+fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
     assert_eq!(board.target.report().target, None);
     board
@@ -61,7 +61,7 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
 }
 
 #[test]
-fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
+fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     let board = board(None, "albireo:3e-4", TargetConfig::default());
     board
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
@@ -86,7 +86,7 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
 }
 
 #[test]
-fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited() {
+fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     let configured = |skip_rate: Option<f64>| TargetConfig {
@@ -163,7 +163,7 @@ fn serve(board: &Board) {
 }
 
 #[test]
-fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_is_kept() {
+fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_stored() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     let open = || board(Some(&state), "expected-loss:0.3", TargetConfig::default());
@@ -215,7 +215,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
 }
 
 #[test]
-fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
+fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     for policy in ["vanilla", "ctd"] {
         let board = board(None, policy, TargetConfig::default());
         let refused = board.set_target(Some(Target::SkipRate(0.5)), SettingSource::Local);
@@ -234,7 +234,7 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
 }
 
 #[test]
-fn an_outage_of_the_detector_moves_no_knob() {
+fn a_detector_outage_moves_no_threshold() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
     board
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)

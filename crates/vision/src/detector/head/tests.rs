@@ -171,7 +171,7 @@ fn end_to_end_reads_corners_score_and_class() {
 }
 
 #[test]
-fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
+fn a_dynamic_number_of_boxes_may_change_from_frame_to_frame() {
     let outputs: [(&str, &[i64]); 1] = [("output0", &[-1, -1, 6])];
     let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &outputs);
     assert!(!head.overlaps);
@@ -183,7 +183,7 @@ fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
 }
 
 #[test]
-fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
+fn detr_selects_pairs_of_query_and_class_by_sigmoid() {
     let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
     let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
     let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
@@ -272,7 +272,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
 }
 
 #[test]
-fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
+fn yolox_rejects_and_counts_impossible_boxes_and_non_numbers() {
     let good = [0.0, 0.0, 0.0, 0.0, 0.9, 0.9, 0.0];
     let with = |index: usize, value: f32| {
         let mut row = good;
@@ -353,7 +353,7 @@ fn any_number() -> impl Strategy<Value = f32> {
 
 proptest! {
     #[test]
-    fn whatever_a_model_gives_candidates_are_possible_and_nothing_ends_the_program(
+    fn any_output_gives_valid_candidates_and_no_panic(
         numbers in prop::collection::vec(any_number(), 42 * 7),
         confidence in 0.0_f64..=1.0,
     ) {
@@ -376,7 +376,7 @@ proptest! {
     }
 
     #[test]
-    fn a_higher_confidence_gives_a_part_of_what_a_lower_one_gives(
+    fn a_higher_confidence_gives_a_subset_of_a_lower_one(
         numbers in prop::collection::vec(0.0_f32..1.0, 42 * 7),
         low in 0.0_f64..=1.0,
         high in 0.0_f64..=1.0,

@@ -24,7 +24,7 @@ fn decoded(
 }
 
 #[test]
-fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
+fn scaled_pictures_are_never_smaller_than_required() {
     let source = PictureSize::new(1280, 720);
     for (target, expected) in [
         ([640, 360], Some([640, 360])),
@@ -46,7 +46,7 @@ fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
 }
 
 #[test]
-fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
+fn scaled_decoding_gives_the_mean_of_the_covered_pixels() {
     let picture = scene(PictureSize::new(642, 358));
     for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
         let full = decoded(&picture, layout, None).unwrap();
@@ -76,7 +76,7 @@ fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
 }
 
 #[test]
-fn scaled_decoding_refuses_a_file_that_is_cut_short_or_damaged() {
+fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
     let picture = scene(PictureSize::new(640, 360));
     let target = Some(PictureSize::new(320, 180));
     assert!(decoded(&picture, PixelLayout::Rgb8, target).is_ok());

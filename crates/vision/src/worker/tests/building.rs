@@ -49,7 +49,7 @@ impl Log {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_for() {
+async fn a_slow_build_is_logged_periodically_and_waited_for() {
     let _held = hold_time();
     let log = Log::default();
     let subscriber = tracing_subscriber::fmt()

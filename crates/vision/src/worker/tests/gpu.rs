@@ -25,7 +25,7 @@ impl Stage {
 }
 
 #[tokio::test(start_paused = true)]
-async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_growing_pauses() {
+async fn exhausted_gpu_memory_is_explained_and_retried_with_growing_backoff() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(OUT_OF_MEMORY).leak();
     for (rebuilds, pause) in [(1, 100), (2, 200), (3, 400)] {
@@ -44,7 +44,7 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried() {
+async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(LOST).leak();
     *stage.build_failure.lock() = words;
@@ -82,7 +82,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
 }
 
 #[tokio::test(start_paused = true)]
-async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
+async fn another_build_failure_is_not_mistaken_for_a_lost_gpu() {
     let mut stage = stage(settings()).await;
     *stage.build_failure.lock() = fault::in_words(OUT_OF_MEMORY).leak();
     stage.failing_builds.store(1, Ordering::SeqCst);
@@ -112,7 +112,7 @@ async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_failed_session_that_hangs_in_its_end_is_stuck() {
+async fn a_failed_session_that_hangs_on_close_is_stuck() {
     let mut stage = stage(settings()).await;
     let (_go_on, until) = blocking::channel();
     *stage.end.lock() = Some(until);

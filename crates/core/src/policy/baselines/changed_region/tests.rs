@@ -76,7 +76,7 @@ fn largest(drawing: &str) -> u64 {
 }
 
 #[test]
-fn arms_that_meet_further_down_are_one_region() {
+fn arms_that_join_further_down_are_one_region() {
     assert_eq!(largest("#.#.# #.#.# #####"), 11);
     assert_eq!(largest("##### #.... #.### #.#.# ###.#"), 17);
     // Two regions that are merged, and then merged with a third that is older than either.

@@ -46,7 +46,7 @@ fn watching(asked: &str) -> Run {
 }
 
 #[test]
-fn an_unchanged_picture_has_the_last_boxes_again() {
+fn an_unchanged_picture_repeats_the_last_boxes() {
     let mut run = watching("statues");
     assert_eq!(run.reported(), [(Detected, 0.5, 0.9)]);
     for _ in 0..3 {
@@ -82,7 +82,7 @@ fn a_pixel_has_changed_from_a_difference_of_30_on_up_or_down() {
 }
 
 #[test]
-fn pictures_are_compared_with_the_frame_before() {
+fn pictures_are_compared_with_the_previous_frame() {
     let mut run = watching("statues");
     // A slow change is never seen, however far it goes.
     for value in [120, 140, 160, 180] {
@@ -94,7 +94,7 @@ fn pictures_are_compared_with_the_frame_before() {
 }
 
 #[test]
-fn after_lost_frames_the_last_picture_there_was_is_compared_with() {
+fn after_lost_frames_the_last_received_picture_is_compared() {
     let mut run = watching("statues");
     let pixels = picture(20, 20, 200);
     let available = FrameEvidence {
@@ -130,7 +130,7 @@ fn without_the_picture_or_with_a_broken_one_the_detector_runs() {
 }
 
 #[test]
-fn a_detector_that_failed_is_called_again_though_nothing_changes() {
+fn a_failed_detector_call_is_repeated_without_a_change() {
     let mut run = watching("statues");
     let changed = picture(20, 20, 200);
     assert_eq!(show(&mut run, SIZE, &changed, None), P);

@@ -232,7 +232,7 @@ fn whole_rollouts_without_any_effect_are_judged_failed_at_most_one_time_in_twent
 }
 
 #[test]
-fn whole_rollouts_of_a_value_that_costs_a_quarter_do_not_leave_it_in_force() {
+fn whole_rollouts_of_a_value_that_costs_a_quarter_more_undo_it() {
     let rollouts = count(40);
     let ends = run(100, &["1", "10%", "50%"], 8.0, 0.25, rollouts);
     assert!(

@@ -69,7 +69,7 @@ fn measure(windows: &[[Window; 2]]) -> Measured {
 }
 
 #[test]
-fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back() {
+fn a_trial_gives_each_group_its_value_measures_it_and_restores_the_old_value() {
     let (mut now, mut revision) = (0, 0);
     let mut trial = begin(candidates(60), 3).unwrap();
     for (arm, value) in plan().values.iter().enumerate() {
@@ -107,7 +107,7 @@ fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back()
 }
 
 #[test]
-fn nodes_out_of_reach_are_in_no_group_and_too_few_are_refused() {
+fn unreachable_nodes_are_in_no_group_and_too_few_nodes_are_rejected() {
     let mut fleet = candidates(25);
     fleet[3].reachable = false;
     let trial = begin(fleet.clone(), 3).unwrap();
@@ -118,7 +118,7 @@ fn nodes_out_of_reach_are_in_no_group_and_too_few_are_refused() {
 }
 
 #[test]
-fn a_plan_that_compares_nothing_is_refused() {
+fn a_plan_that_compares_nothing_is_rejected() {
     for values in [
         vec![],
         vec![u(1e-4)],
@@ -131,7 +131,7 @@ fn a_plan_that_compares_nothing_is_refused() {
 }
 
 #[test]
-fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted() {
+fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
     let mut revision = 0;
     let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
@@ -149,7 +149,7 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted
 }
 
 #[test]
-fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
+fn a_trial_that_cannot_be_measured_ends_without_a_result_and_restores_the_old_value() {
     let mut revision = 0;
     let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
@@ -165,7 +165,7 @@ fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
 
 proptest! {
     #[test]
-    fn the_draw_is_even_and_the_same_for_the_same_seed(count in 24usize..200, seed in any::<u64>()) {
+    fn the_draw_is_even_and_reproducible(count in 24usize..200, seed in any::<u64>()) {
         let mut trial = begin(candidates(count), seed).unwrap();
         let mut reversed = candidates(count);
         reversed.reverse();

@@ -52,7 +52,7 @@ fn without_frames_or_without_a_meter_there_is_no_product_and_no_nan() {
 }
 
 #[test]
-fn energy_of_a_part_of_the_time_makes_no_product() {
+fn partially_covered_energy_gives_no_product() {
     for (coverage, has_product) in [(1.0, true), (0.9991, true), (0.998, false), (0.47, false)] {
         let energy = measured(10.0, coverage);
         let product = energy_delay_product(&energy, ms(1000), 10);

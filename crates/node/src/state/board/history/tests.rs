@@ -74,7 +74,7 @@ fn at(seconds: u64) -> Clock {
 }
 
 #[test]
-fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
+fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     let mut history = History::default();
     let capacities = |history: &History| {
         let (frames, slots) = (history.frames.capacity(), history.hour.ended.capacity());
@@ -116,7 +116,7 @@ fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
 }
 
 #[test]
-fn a_piece_without_frames_is_not_there() {
+fn a_slot_without_frames_is_absent() {
     let mut history = History::default();
     let outcome = Outcome::default();
     for at in [0, 5, 25, 26, 65] {
@@ -128,7 +128,7 @@ fn a_piece_without_frames_is_not_there() {
 }
 
 #[test]
-fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
+fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
     let longest = Albireo::new(AlbireoSettings::paper(), 3e-4)
         .unwrap()
         .longest_pause();
@@ -165,7 +165,7 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
 }
 
 #[test]
-fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
+fn the_power_of_a_slot_is_its_joules_over_the_sampled_time() {
     let mut past = PowerPast::default();
     for second in 0..100 {
         past.add(PowerSnapshot::default(), Duration::from_secs(second));

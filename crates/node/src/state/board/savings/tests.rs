@@ -203,7 +203,7 @@ fn told(power: &PowerHandle) -> Option<f64> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_estimate_is_within_a_tenth_of_what_a_run_under_vanilla_costs_more() {
+async fn the_estimate_is_within_a_tenth_of_the_extra_cost_of_vanilla() {
     // Calls that fit, calls that wait for each other, and more than one detector can run: 0.4, 1.2, 0.8 and 1.6.
     for (cameras, rate) in [(1, 10.0), (1, 30.0), (4, 5.0), (4, 10.0)] {
         let vanilla = run("vanilla", cameras, rate).await;
@@ -234,7 +234,7 @@ async fn the_estimate_is_within_a_tenth_of_what_a_run_under_vanilla_costs_more()
 }
 
 #[tokio::test(start_paused = true)]
-async fn where_the_detectors_watts_are_not_learnt_no_saving_is_told() {
+async fn without_known_detector_watts_no_saving_is_reported() {
     // The same share of calls all the time.
     let played = run("fixed-skip", 1, 10.0).await;
     assert_eq!(told(&played.power), None);
