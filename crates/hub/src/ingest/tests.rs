@@ -1,4 +1,4 @@
-//! What is decided of a report, by table.
+//! The decisions about a report, by table.
 
 mod hostile;
 
@@ -16,7 +16,7 @@ fn id(made_ms: i64) -> Uuid {
     Builder::from_unix_timestamp_millis(made_ms.unsigned_abs(), &[7; 10]).into_uuid()
 }
 
-/// The present by a hub, and by a node whose clock is that much ahead.
+/// The present according to a hub, and to a node whose clock is that much ahead.
 fn present(ahead_ms: i64) -> Present {
     Present {
         hub_ms: NOW_MS,
@@ -30,9 +30,9 @@ fn the_day_of_a_report_is_that_of_its_id_unless_implausible() {
     for days in [0, 1, 30] {
         assert_eq!(day(NOW_MS - days * DAY_MS, 0), 20_780 - days);
     }
-    // A little ahead, as clocks are.
+    // A clock that is slightly ahead.
     assert_eq!(day(NOW_MS + 3_600_000, 3_600_000), 20_780);
-    // The clock of the board at its boot, one of another decade, ones that ran ahead.
+    // A board's clock at boot, one of another decade, two that ran ahead.
     for (made_ms, wanted) in [
         (0, 20_780),
         (1_600_000_000_000, 20_780),
@@ -51,9 +51,9 @@ fn a_report_older_than_the_kept_ids_is_rejected_if_the_clocks_agree() {
     let old = id(NOW_MS - 31 * DAY_MS);
     let reason = key(old, present(0)).unwrap_err();
     assert!(reason.contains("made 31 days ago"), "{reason}");
-    // A node whose clock is a month behind makes such identities today.
+    // A node whose clock is a month behind makes such ids today.
     assert_eq!(key(old, present(-31 * DAY_MS)).unwrap().day, -20_780);
-    // And a hub whose clock is a hundred days ahead refuses nothing.
+    // A hub whose clock is a hundred days ahead rejects nothing.
     let hub = Present {
         hub_ms: NOW_MS + 100 * DAY_MS,
         node_ms: NOW_MS,
@@ -72,12 +72,12 @@ fn a_hub_whose_clock_was_behind_keeps_ids_once_it_is_correct() {
     }
 }
 
-/// What is seen of counts of reports that are new.
+/// The results for counts of new reports.
 fn see(counts: &mut Counts, given: &[u64]) -> Vec<Seen> {
     given.iter().map(|count| counts.see(*count, true)).collect()
 }
 
-/// What is missing since the first count that came.
+/// The missing counts from `base` on.
 fn missing(counts: &Counts, base: u64) -> Vec<(u64, u64)> {
     let wanted = counts.wanted().iter().copied();
     wanted.filter(|(first, _)| *first >= base).collect()
@@ -87,15 +87,8 @@ fn missing(counts: &Counts, base: u64) -> Vec<(u64, u64)> {
 fn skipped_counts_are_missing_until_they_arrive() {
     let mut counts = Counts::default();
     let seen = see(&mut counts, &[400, 401, 405, 409]);
-    assert_eq!(
-        seen,
-        [
-            Seen::Expected,
-            Seen::Expected,
-            Seen::Gap(402, 404),
-            Seen::Gap(406, 408)
-        ]
-    );
+    assert_eq!(seen[..2], [Seen::Expected; 2]);
+    assert_eq!(seen[2..], [Seen::Gap(402, 404), Seen::Gap(406, 408)]);
     assert_eq!(missing(&counts, 400), [(402, 404), (406, 408)]);
     assert_eq!(see(&mut counts, &[403, 406]), [Seen::Expected; 2]);
     assert_eq!(missing(&counts, 400), [(402, 402), (404, 404), (407, 408)]);
@@ -107,7 +100,7 @@ fn skipped_counts_are_missing_until_they_arrive() {
 fn a_known_count_under_a_new_id_is_a_reset_and_misses_nothing_earlier() {
     let mut counts = Counts::default();
     see(&mut counts, &[1, 2, 3, 9]);
-    // The same report again is no other report.
+    // The same report again is not another report.
     assert_eq!(counts.see(2, false), Seen::Expected);
     assert_eq!(counts.wanted(), [(4, 8)]);
     assert_eq!(counts.see(2, true), Seen::Reset);
@@ -175,7 +168,7 @@ proptest! {
         let mut known = BTreeSet::new();
         let base = came[0];
         for count in came {
-            // No count twice under another identity.
+            // No count has two ids.
             let seen = counts.see(count, known.insert(count));
             prop_assert!(seen != Seen::Reset);
         }

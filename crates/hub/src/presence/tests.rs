@@ -1,4 +1,4 @@
-//! The state function by table, and the fleet over time.
+//! The state of a node by table, and the fleet over time.
 
 use super::*;
 use crate::config::PresenceConfig;
@@ -150,16 +150,13 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
     assert!(!fleet.alive("a", sign(1), at(90), 90_000));
     fleet.sweep(at(180), 180_000);
     let view = fleet.view("a").unwrap();
-    assert_eq!(
-        view.state,
-        PresenceState::Degraded,
-        "heard 90 s ago, as it was"
-    );
+    // It was heard 90 s ago, so its state stays.
+    assert_eq!(view.state, PresenceState::Degraded);
     assert_eq!((view.waiting, view.revision), (3, 7));
-    // One was lost, and what it said with it.
+    // A status was lost.
     assert!(fleet.alive("a", sign(3), at(181), 181_000));
     assert!(fleet.needs_full_status("a"));
-    // Of another run nothing is known: it is not taken for this one.
+    // The hub knows nothing of another run, and does not mistake it for this one.
     let other = Heartbeat {
         run: run + 1,
         seq: 0,

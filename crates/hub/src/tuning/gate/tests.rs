@@ -1,4 +1,4 @@
-use super::super::metric::Mean;
+use super::super::metric::{Figures, Mean};
 use super::*;
 
 const RATES: ErrorRates = ErrorRates {
@@ -6,24 +6,20 @@ const RATES: ErrorRates = ErrorRates {
     pass: 0.05,
 };
 
-/// Nodes around their own levels; after is `factor` times before, give or take a percent.
+/// Five clips with that mean.
+fn clips(figure: Figure, mean: f64) -> Figures {
+    let sum = 5.0 * mean;
+    [(figure, Mean { clips: 5, sum })].into()
+}
+
+/// Nodes around their own levels; after is `factor` times before, give or take 2 %.
 fn fleet(figure: Figure, count: usize, factor: f64) -> Vec<BeforeAfter> {
     let one = |n: usize| {
         let level = 10.0 + n as f64;
         let own = factor * (1.0 + 0.01 * ((n * 7 % 5) as f64 - 2.0));
-        let clips = |mean: f64| {
-            [(
-                figure,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
-        };
         BeforeAfter {
-            before: clips(level),
-            after: clips(level * own),
+            before: clips(figure, level),
+            after: clips(figure, level * own),
         }
     };
     (0..count).map(one).collect()
@@ -33,6 +29,10 @@ fn judged(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Vec
     let changed: Vec<_> = changed.iter().collect();
     let unchanged: Vec<_> = unchanged.iter().collect();
     judge(&[gate.parse().unwrap()], &changed, &unchanged, 5, RATES)
+}
+
+fn verdict(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Verdict {
+    overall(&judged(gate, changed, unchanged))
 }
 
 #[test]
@@ -53,23 +53,13 @@ fn a_gate_is_read_back_as_written() {
         ),
     ] {
         let gate: Gate = text.parse().unwrap();
-        assert_eq!(
-            (gate.metric, gate.relative, gate.where_measured),
-            (metric, relative, where_measured),
-            "{text}"
-        );
+        let found = (gate.metric, gate.relative, gate.where_measured);
+        assert_eq!(found, (metric, relative, where_measured), "{text}");
         assert!((gate.bound() - bound).abs() < 1e-15 * bound.abs(), "{text}");
         assert_eq!(gate.to_string().parse::<Gate>().unwrap(), gate);
     }
-    for wrong in [
-        "joules",
-        "joules>=5%",
-        "skip_rate<=0.1",
-        "watts<=1",
-        "joules<=much",
-        "joules<=nan",
-        "",
-    ] {
+    let wrong = "joules|joules>=5%|skip_rate<=0.1|watts<=1|joules<=much|joules<=nan|";
+    for wrong in wrong.split('|') {
         assert!(wrong.parse::<Gate>().is_err(), "{wrong}");
     }
 }
@@ -84,56 +74,35 @@ fn a_change_within_the_bound_passes_beyond_it_fails_and_between_is_undecided() {
         (1.048, Verdict::Undecided),
         (1.1, Verdict::Failed),
     ] {
-        let results = judged(
-            "joules<=+5%",
-            &fleet(Figure::JoulesMeasured, 12, factor),
-            &rest,
-        );
+        let changed = fleet(Figure::JoulesMeasured, 12, factor);
+        let results = judged("joules<=+5%", &changed, &rest);
         assert_eq!(overall(&results), expected, "{factor} {results:#?}");
-        let change = results[0].change.unwrap();
-        assert!(
-            (change.estimate - (factor - 1.0)).abs() < 0.01,
-            "{change:?}"
-        );
+        let estimate = results[0].change.unwrap().estimate;
+        assert!((estimate - (factor - 1.0)).abs() < 0.01, "{estimate}");
     }
 }
 
 #[test]
 fn a_change_that_other_nodes_share_is_no_effect() {
-    let rush_hour = fleet(Figure::JoulesMeasured, 40, 1.5);
     let changed = fleet(Figure::JoulesMeasured, 12, 1.5);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &rush_hour)),
-        Verdict::Passed
-    );
-    let quiet = fleet(Figure::JoulesMeasured, 40, 1.0);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &quiet)),
-        Verdict::Failed
-    );
+    for (others, expected) in [(1.5, Verdict::Passed), (1.0, Verdict::Failed)] {
+        let rest = fleet(Figure::JoulesMeasured, 40, others);
+        assert_eq!(verdict("joules<=+5%", &changed, &rest), expected);
+    }
 }
 
 #[test]
 fn a_lower_skip_rate_is_worse() {
     let share = |after: f64| -> Vec<BeforeAfter> {
-        let clips = |mean: f64| {
-            [(
-                Figure::SkipRate,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
-        };
+        let rate = |level: f64, n: i32| clips(Figure::SkipRate, level + 0.01 * f64::from(n));
         (0..10)
             .map(|n| BeforeAfter {
-                before: clips(0.6 + 0.01 * f64::from(n % 3)),
-                after: clips(after + 0.01 * f64::from(n % 4)),
+                before: rate(0.6, n % 3),
+                after: rate(after, n % 4),
             })
             .collect()
     };
-    let verdict = |after| overall(&judged("skip_rate>=-0.05", &share(after), &share(0.6)));
+    let verdict = |after| verdict("skip_rate>=-0.05", &share(after), &share(0.6));
     assert_eq!(verdict(0.8), Verdict::Passed);
     assert_eq!(verdict(0.58), Verdict::Passed);
     assert_eq!(verdict(0.4), Verdict::Failed);
@@ -148,16 +117,12 @@ fn measured_and_estimated_energy_are_judged_separately() {
     changed.extend(fleet(Figure::JoulesEstimated, 100, 0.7));
     rest.extend(fleet(Figure::JoulesEstimated, 100, 1.0));
     let results = judged("joules<=+5%", &changed, &rest);
-    let by_figure: Vec<_> = (results.iter())
-        .map(|r| (r.figure, r.nodes, r.verdict))
-        .collect();
-    assert_eq!(
-        by_figure,
-        [
-            (Some(Figure::JoulesMeasured), 8, Verdict::Failed),
-            (Some(Figure::JoulesEstimated), 100, Verdict::Passed),
-        ]
-    );
+    let by_figure = results.iter().map(|r| (r.figure, r.nodes, r.verdict));
+    let expected = [
+        (Some(Figure::JoulesMeasured), 8, Verdict::Failed),
+        (Some(Figure::JoulesEstimated), 100, Verdict::Passed),
+    ];
+    assert_eq!(by_figure.collect::<Vec<_>>(), expected);
     assert_eq!(overall(&results), Verdict::Failed);
     // A node whose power source changed has no pair of one kind.
     let mut replaced = fleet(Figure::JoulesMeasured, 8, 1.0);
@@ -165,20 +130,16 @@ fn measured_and_estimated_energy_are_judged_separately() {
         node.after = fleet(Figure::JoulesEstimated, 1, 1.0)[0].after.clone();
     }
     let results = judged("joules<=+5%", &replaced, &rest);
-    assert!(
-        (results.iter()).all(|r| r.nodes == 0 && r.verdict == Verdict::NotMeasured),
-        "{results:?}"
-    );
+    let mut all = results.iter().map(|r| (r.nodes, r.verdict));
+    assert!(all.all(|found| found == (0, Verdict::NotMeasured)));
 }
 
 #[test]
 fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_nothing() {
     let rest = fleet(Figure::JoulesMeasured, 40, 1.0);
     let mut changed = fleet(Figure::JoulesMeasured, 8, 2.0);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &rest)),
-        Verdict::Failed
-    );
+    let gate = "joules<=+5%";
+    assert_eq!(verdict(gate, &changed, &rest), Verdict::Failed);
     let few = Mean {
         clips: 4,
         sum: 80.0,

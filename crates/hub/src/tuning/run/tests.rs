@@ -16,6 +16,12 @@ pub(super) fn new() -> Threshold {
     Threshold::new("u", 5e-4)
 }
 
+/// Five clips with that mean.
+pub(super) fn clips(mean: f64) -> Mean {
+    let sum = 5.0 * mean;
+    Mean { clips: 5, sum }
+}
+
 const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
@@ -26,19 +32,19 @@ struct SimNode {
     refused: Option<u64>,
     desired: Option<(u64, Threshold)>,
     refuses: bool,
-    /// Whether the new value kills it.
+    /// True if the new value kills it.
     dies: bool,
     /// Energy of a clip under the new value, relative to the old.
     factor: f64,
 }
 
-/// A fleet that does what it is told, and a hub that carries orders out.
+/// A fleet that applies what it is asked for, and a hub that carries out orders.
 #[derive(Clone)]
 struct World {
     nodes: BTreeMap<String, SimNode>,
     revision: u64,
     now: Millis,
-    /// Nodes that had the new value at the same time, at most.
+    /// The most nodes that had the new value at the same time.
     most_new: usize,
 }
 
@@ -75,7 +81,7 @@ impl World {
         self.nodes.values().filter(|n| n.has == knob).count()
     }
 
-    /// A second passes.
+    /// Advances by 1 s.
     fn step(&mut self, rollout: &mut Run) {
         self.now += SECOND;
         for order in rollout.due() {
@@ -103,12 +109,8 @@ impl World {
         self.most_new = self.most_new.max(self.have(new()));
         rollout.observe(self.now, |name| {
             let node = self.nodes.get(name)?;
-            Some(reported(
-                node.reachable,
-                node.revision,
-                node.has,
-                node.refused,
-            ))
+            let (revision, has) = (node.revision, node.has);
+            Some(reported(node.reachable, revision, has, node.refused))
         });
         if let Some(windows) = rollout.tick(self.now) {
             let found = windows.iter().map(|both| self.measure(both)).collect();
@@ -120,10 +122,6 @@ impl World {
         assert_eq!(before.value, old().value.to_string());
         assert!(before.from_ms < before.until_ms);
         assert!(before.until_ms <= after.from_ms && after.from_ms <= after.until_ms);
-        let clips = |mean: f64| Mean {
-            clips: 5,
-            sum: 5.0 * mean,
-        };
         let figures = |factor: f64| -> Figures {
             [
                 (Figure::SkipRate, clips(0.5)),
@@ -179,6 +177,11 @@ fn plan() -> RolloutPlan {
     }
 }
 
+fn last(rollout: &Run, what: What) -> &Entry {
+    let mut record = rollout.record.iter();
+    record.rfind(|entry| entry.what == what).unwrap()
+}
+
 fn stages_entered(rollout: &Run) -> Vec<&str> {
     let entered = rollout.record.iter().filter(|e| e.what == What::Stage);
     entered.map(|e| e.text.as_str()).collect()
@@ -197,11 +200,8 @@ fn a_share_is_rounded_up_to_at_least_one_node() {
         ("all", 7, 7),
         ("33.3%", 1000, 333),
     ] {
-        assert_eq!(
-            size.parse::<StageSize>().unwrap().of(all),
-            expected,
-            "{size} of {all}"
-        );
+        let stage: StageSize = size.parse().unwrap();
+        assert_eq!(stage.of(all), expected, "{size} of {all}");
     }
     for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
         assert!(wrong.parse::<StageSize>().is_err(), "{wrong}");
@@ -218,26 +218,16 @@ fn a_rollout_whose_gates_pass_reaches_all_nodes_in_stages() {
     world.run(&mut rollout, 90);
     assert_eq!((world.have(new()), rollout.phase.name()), (1, "soaking"));
     world.run_until(&mut rollout, "done");
-    assert_eq!(
-        stages_entered(&rollout),
-        ["1 node", "3 nodes", "16 nodes", "20 nodes"]
-    );
+    let stages = ["1 node", "3 nodes", "16 nodes", "20 nodes"];
+    assert_eq!(stages_entered(&rollout), stages);
     assert_eq!(world.have(new()), 40);
     // Four stages of a hundred seconds: none was shorter than its soak.
     assert!(world.now >= 400 * SECOND, "{}", world.now);
-    let judged: Vec<_> = rollout
-        .record
-        .iter()
-        .filter(|e| e.what == What::Judged)
-        .collect();
-    assert_eq!(judged.len(), 8, "half-way and at the end of each");
-    // Of one, three and the last twenty nodes nothing can be estimated: they took the value and are alive.
-    let verdicts: Vec<_> = judged
-        .iter()
-        .skip(1)
-        .step_by(2)
-        .map(|e| e.verdict)
-        .collect();
+    let judged = rollout.record.iter().filter(|e| e.what == What::Judged);
+    let verdicts: Vec<_> = judged.map(|e| e.verdict).collect();
+    assert_eq!(verdicts.len(), 8, "half-way and at the end of each");
+    // One, three and the last twenty nodes allow no estimate: they took the value and still report.
+    let verdicts: Vec<_> = verdicts.into_iter().skip(1).step_by(2).collect();
     let alive = Some(Verdict::NotMeasured);
     assert_eq!(verdicts, [alive, alive, Some(Verdict::Passed), alive]);
 }
@@ -250,26 +240,20 @@ fn a_stage_that_fails_its_gate_restores_the_old_value_on_all_nodes_of_the_rollou
         node.factor = 1.33;
     }
     world.run_until(&mut rollout, "returned");
-    // The first stages have too few nodes to tell.
+    // The first stages have too few nodes for an estimate.
     assert_eq!(stages_entered(&rollout), ["1 node", "3 nodes", "16 nodes"]);
     assert_eq!(world.most_new, 20);
     assert_eq!((world.have(new()), world.have(old())), (0, 40));
-    let failed = (rollout.record.iter())
-        .find(|e| e.verdict == Some(Verdict::Failed))
-        .unwrap();
-    let gate = (failed.gates.iter())
-        .find(|g| g.verdict == Verdict::Failed)
-        .unwrap();
-    assert_eq!(
-        (gate.figure, gate.nodes, gate.compared),
-        (Some(Figure::JoulesMeasured), 16, 20)
-    );
+    let mut record = rollout.record.iter();
+    let failed = record.find(|e| e.verdict == Some(Verdict::Failed)).unwrap();
+    let mut gates = failed.gates.iter();
+    let gate = gates.find(|g| g.verdict == Verdict::Failed).unwrap();
+    let found = (gate.figure, gate.nodes, gate.compared);
+    assert_eq!(found, (Some(Figure::JoulesMeasured), 16, 20));
     let change = gate.change.unwrap();
-    assert!(
-        (change.estimate - 0.33).abs() < 0.01 && change.lower > 0.05,
-        "{change:?}"
-    );
-    // It is noticed half-way, not at the end of the soak.
+    let is_right = (change.estimate - 0.33).abs() < 0.01 && change.lower > 0.05;
+    assert!(is_right, "{change:?}");
+    // The harm is noticed half-way, not at the end of the soak.
     assert!(world.now < 300 * SECOND, "{}", world.now);
 }
 
@@ -291,12 +275,7 @@ fn a_value_that_kills_nodes_is_undone_even_without_measurements() {
     let mut rollout = rollout;
     world.run_until(&mut rollout, "returned");
     assert!(world.most_new <= 30, "{}", world.most_new);
-    let text = &rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Judged)
-        .unwrap()
-        .text;
+    let text = &last(&rollout, What::Judged).text;
     assert!(text.contains("fell silent"), "{text}");
 }
 
@@ -309,13 +288,9 @@ fn a_last_stage_that_excludes_nodes_is_measured_against_them() {
     });
     world.run_until(&mut rollout, "done");
     assert_eq!(world.have(new()), 20);
-    let last = rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Judged)
-        .unwrap();
-    assert_eq!(last.verdict, Some(Verdict::Passed));
-    assert_eq!(last.gates[0].compared, 20);
+    let judged = last(&rollout, What::Judged);
+    assert_eq!(judged.verdict, Some(Verdict::Passed));
+    assert_eq!(judged.gates[0].compared, 20);
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(old()), 40);
@@ -370,12 +345,8 @@ fn a_failed_stage_is_held_for_a_decision_if_the_plan_says_so() {
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(new()), 0);
-    let by: Vec<_> = rollout
-        .record
-        .iter()
-        .filter_map(|e| e.who.as_deref())
-        .collect();
-    assert_eq!(by, ["ops", "ops"]);
+    let by = rollout.record.iter().filter_map(|e| e.who.as_deref());
+    assert_eq!(by.collect::<Vec<_>>(), ["ops", "ops"]);
 }
 
 #[test]
@@ -387,11 +358,8 @@ fn a_stage_that_cannot_be_judged_is_held_and_undone_without_a_decision() {
     });
     world.run_until(&mut rollout, "held");
     assert_eq!(world.have(new()), 1);
-    assert!(
-        (150 * SECOND..160 * SECOND).contains(&world.now),
-        "{}",
-        world.now
-    );
+    let seconds = world.now / SECOND;
+    assert!((150..160).contains(&seconds), "{seconds}");
     let reason = &rollout.reason;
     assert!(reason.contains("recall>=-0.02 (not measured)"), "{reason}");
     let mut resumed = rollout.clone();
@@ -410,19 +378,14 @@ fn unreachable_nodes_come_last_do_not_stop_the_rollout_and_are_missed_after_thei
         world.nodes.get_mut(name).unwrap().reachable = false;
     }
     let mut rollout = world.begin(plan());
-    let last: Vec<_> = rollout
-        .members
-        .iter()
-        .filter(|m| m.group == 2)
-        .map(|m| m.node.as_str())
-        .collect();
-    assert!(
-        last.contains(&"cam-001") && last.contains(&"cam-004"),
-        "{last:?}"
-    );
+    let held_back = rollout.members.iter().filter(|m| m.group == 2);
+    let held_back: Vec<_> = held_back.map(|m| m.node.as_str()).collect();
+    for name in ["cam-001", "cam-004"] {
+        assert!(held_back.contains(&name), "{held_back:?}");
+    }
     world.run_until(&mut rollout, "finishing");
     assert_eq!(world.have(new()), 8);
-    // One returns in time, and applies what it finds; the other is too late, and what it finds is the old value.
+    // One returns in time and applies the new value; the other returns too late and finds the old value.
     world.nodes.get_mut("cam-001").unwrap().reachable = true;
     world.run_until(&mut rollout, "done");
     assert_eq!(world.nodes["cam-001"].has, new());
@@ -430,12 +393,8 @@ fn unreachable_nodes_come_last_do_not_stop_the_rollout_and_are_missed_after_thei
     world.nodes.get_mut("cam-004").unwrap().reachable = true;
     world.run(&mut rollout, 2);
     assert_eq!(world.nodes["cam-004"].has, old());
-    let ended = rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Done)
-        .unwrap();
-    assert!(ended.text.contains("cam-004 missed"), "{}", ended.text);
+    let text = &last(&rollout, What::Done).text;
+    assert!(text.contains("cam-004 missed"), "{text}");
 }
 
 #[test]
@@ -480,14 +439,11 @@ fn during_a_pause_no_node_is_asked_and_no_deadline_expires() {
     let silent = |_: &str| Some(reported(true, 0, old(), None));
     let hours = 3 * 3_600_000;
     rollout.observe(world.now + hours, silent);
-    rollout
-        .command(Command::Resume, "ops", world.now + hours)
-        .unwrap();
-    rollout.observe(world.now + hours + 1_000, silent);
-    let asked = rollout
-        .members
-        .iter()
-        .filter(|m| order.nodes.contains(&m.node));
+    let later = world.now + hours;
+    rollout.command(Command::Resume, "ops", later).unwrap();
+    rollout.observe(later + 1_000, silent);
+    let members = rollout.members.iter();
+    let asked = members.filter(|m| order.nodes.contains(&m.node));
     assert!(asked.clone().count() > 0);
     assert!(asked.clone().all(|m| m.ask.outcome == Outcome::Pending));
 }
@@ -498,32 +454,24 @@ fn invalid_commands_are_rejected() {
     let mut rollout = world.begin(plan());
     assert!(rollout.command(Command::Resume, "ops", 0).is_err());
     world.run_until(&mut rollout, "done");
-    for command in [
-        Command::Pause,
-        Command::Resume,
-        Command::Next,
-        Command::Stop,
-    ] {
-        assert!(
-            rollout.command(command, "ops", world.now).is_err(),
-            "{command:?}"
-        );
+    use Command::{Next, Pause, Resume, Stop};
+    for command in [Pause, Resume, Next, Stop] {
+        let done = rollout.command(command, "ops", world.now);
+        assert!(done.is_err(), "{command:?}");
     }
-    // The old value can be had back after the end too.
+    // The old value can be restored even after the end.
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(old()), 4);
     let error = rollout.command(Command::Return, "ops", 0).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "a rollout that is returned cannot be asked to return"
-    );
+    let expected = "a rollout that is returned cannot be asked to return";
+    assert_eq!(error.to_string(), expected);
 }
 
 #[test]
 fn an_invalid_plan_is_rejected_with_its_field() {
-    type Spoil = fn(&mut RolloutPlan);
-    let spoilt: [(&str, Spoil); 7] = [
+    type Change = fn(&mut RolloutPlan);
+    let changes: [(&str, Change); 7] = [
         ("stages", |plan| plan.stages.clear()),
         ("held_for_s", |plan| plan.held_for_s = 0.0),
         ("soak_s", |plan| plan.soak_s = f64::NAN),
@@ -532,9 +480,9 @@ fn an_invalid_plan_is_rejected_with_its_field() {
         ("fewest_clips", |plan| plan.basics.fewest_clips = 1),
         ("fewest_applied", |plan| plan.fewest_applied = 0.0),
     ];
-    for (field, spoil) in spoilt {
+    for (field, change) in changes {
         let mut wrong = plan();
-        spoil(&mut wrong);
+        change(&mut wrong);
         assert!(wrong.check().unwrap_err().starts_with(field), "{field}");
     }
     plan().check().unwrap();
@@ -599,7 +547,7 @@ proptest! {
                 Chance::Costs(i, factor) => node(i, &|n| n.factor = factor),
                 Chance::Command(command) => drop(rollout.command(command, "ops", world.now)),
                 Chance::Restart => {
-                    // Killed and read from the database, also in the middle of a measurement.
+                    // Killed and read from the database, perhaps during a measurement.
                     let text = serde_json::to_string(&rollout).unwrap();
                     rollout = serde_json::from_str(&text).unwrap();
                 }
@@ -619,7 +567,7 @@ proptest! {
                 prop_assert!(last.what == What::Next || passed);
             }
         }
-        // Everybody comes back; whatever waits is resolved, and the old value is ordered back.
+        // All nodes return; pending work is resolved, and the old value is restored.
         for node in world.nodes.values_mut() {
             node.reachable = true;
             node.refuses = false;

@@ -36,13 +36,8 @@ async fn evidence() -> LiveEvidence {
 fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let slot = CameraSlot(0);
     let screen = CameraScreen::new(&ScreenConfig::default(), None);
-    LiveEvidence::new(
-        detector.clone(),
-        screen,
-        slot,
-        pixels,
-        CancellationToken::new(),
-    )
+    let never = CancellationToken::new();
+    LiveEvidence::new(detector.clone(), screen, slot, pixels, never)
 }
 
 #[tokio::test]
@@ -107,13 +102,8 @@ async fn no_picture_is_decoded_for_an_unavailable_detector() {
     evidence.detector.stop().await;
     let detected = evidence.detect(&first).await;
     assert_eq!(detected.unwrap(), None);
-    assert_eq!(
-        (
-            evidence.times().latency.decode,
-            evidence.times().latency.detector
-        ),
-        (None, None)
-    );
+    let latency = evidence.times().latency;
+    assert_eq!((latency.decode, latency.detector), (None, None));
 }
 
 #[tokio::test]

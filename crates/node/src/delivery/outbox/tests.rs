@@ -37,9 +37,9 @@ pub(in crate::delivery) struct FaultyDisk {
 
 #[derive(Debug, Default)]
 pub(in crate::delivery) struct Faults {
-    /// The disk takes nothing.
+    /// The disk is full.
     pub(in crate::delivery) is_full: AtomicBool,
-    /// A commit is on the disk when it returns.
+    /// Commits are synced to the disk.
     pub(in crate::delivery) syncs: AtomicBool,
 }
 
@@ -101,7 +101,7 @@ impl Bench {
         self.faults.is_full.store(is_full, Ordering::Relaxed);
     }
 
-    /// Takes the disk away and puts a file in its place, so that no folder can be made there.
+    /// Removes the disk and puts a file in its place, so that no folder can be created there.
     fn take_disk(&self) {
         std::fs::rename(self.state(), self.folder.path().join("away")).unwrap();
         std::fs::write(self.state(), b"").unwrap();
@@ -149,7 +149,7 @@ fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
     outbox.answered(batch, &ReportAnswer::new(HUB), Now::system())
 }
 
-/// The clips that go out when a hub takes everything.
+/// The clips that are sent to a hub that accepts everything.
 fn drain(outbox: &Outbox) -> Vec<String> {
     let mut sent = Vec::new();
     while let Some(batch) = batch(outbox) {
@@ -203,10 +203,7 @@ fn a_state_directory_of_a_renamed_node_delivers_under_the_new_name() {
     keep(&outbox, 0..1);
     let before = batch(&outbox).unwrap();
     let now = outbox.batch("renamed", false, Now::system()).unwrap();
-    assert_eq!(
-        (now.node.as_str(), now.reports[0].node.as_str()),
-        ("renamed", "renamed")
-    );
+    assert_eq!([&*now.node, &*now.reports[0].node], ["renamed"; 2]);
     assert_eq!(now.reports[0].id, before.reports[0].id);
 }
 
@@ -223,20 +220,14 @@ fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
         ..ReportAnswer::new(HUB)
     };
     outbox.answered(&sent, &answer, Now::system());
-    assert_eq!(
-        (outbox.counts().status.waiting, outbox.counts().again),
-        (0, 3)
-    );
+    let counts = outbox.counts();
+    assert_eq!((counts.status.waiting, counts.again), (0, 3));
     keep(&outbox, 7..8);
-    assert_eq!(
-        clips(&outbox.batch("n", false, Now::system()).unwrap()),
-        ["window-7"]
-    );
+    let new = outbox.batch("n", false, Now::system()).unwrap();
+    assert_eq!(clips(&new), ["window-7"]);
     let sent = batch(&outbox).unwrap();
-    assert_eq!(
-        clips(&sent),
-        ["window-7", "window-1", "window-2", "window-4"]
-    );
+    let expected = ["window-7", "window-1", "window-2", "window-4"];
+    assert_eq!(clips(&sent), expected);
     acknowledge(&outbox, &sent);
     assert!(batch(&outbox).is_none());
 }
@@ -251,14 +242,12 @@ fn a_hub_with_another_database_gets_the_kept_reports_once() {
     let other = ReportAnswer::new(Uuid::from_u128(2));
     let sent = batch(&outbox).unwrap();
     outbox.answered(&sent, &other, Now::system());
-    assert_eq!(
-        (outbox.counts().status.waiting, outbox.counts().again),
-        (0, 4)
-    );
+    let counts = outbox.counts();
+    assert_eq!((counts.status.waiting, counts.again), (0, 4));
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 4);
     outbox.answered(&sent, &other, Now::system());
-    // Both are known now, whichever hub answers.
+    // Both databases are known now, whichever hub answers.
     for answer in [ReportAnswer::new(HUB), other] {
         keep(&outbox, 5..6);
         if let Some(sent) = batch(&outbox) {
@@ -268,7 +257,7 @@ fn a_hub_with_another_database_gets_the_kept_reports_once() {
     }
 }
 
-/// That many days after a day in November 2026.
+/// A time that many days after a day in November 2026.
 fn at(days: i64) -> Now {
     Now {
         at: Instant::now(),
@@ -284,25 +273,18 @@ fn no_clock_step_loses_a_report() {
         let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
         waiting.open(at(0)).unwrap();
         let reports: Vec<_> = (0..20).map(report).collect();
-        for (report, day) in reports
-            .iter()
-            .zip([0, steps[0], steps[1], 0].iter().cycle())
-        {
+        let days = [0, steps[0], steps[1], 0];
+        for (report, day) in reports.iter().zip(days.iter().cycle()) {
             waiting.insert(&mut [report.clone()], at(*day));
         }
-        // What is acknowledged at one time takes nothing with it at another.
+        // An acknowledgement at one time removes nothing else at another time.
         let mut sent = waiting.batch("n", true, at(steps[0])).unwrap();
         sent.reports.truncate(4);
         for day in steps {
             waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
         }
-        assert_eq!(
-            (
-                waiting.counts().status.waiting,
-                waiting.counts().status.lost
-            ),
-            (16, 0)
-        );
+        let status = waiting.counts().status;
+        assert_eq!((status.waiting, status.lost), (16, 0));
         let left = waiting.batch("n", true, at(steps[1])).unwrap();
         assert_eq!(left.reports.len(), 16);
     }
@@ -319,7 +301,7 @@ fn acknowledged_reports_are_kept_for_a_week() {
         let sent = waiting.batch("n", true, at(day)).unwrap();
         waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
     }
-    // Another database asks for all that is there.
+    // A hub with another database asks for all stored reports.
     waiting.insert(&mut [report(20)], at(19));
     let sent = waiting.batch("n", true, at(19)).unwrap();
     waiting.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
@@ -331,10 +313,8 @@ fn a_second_node_with_the_same_state_directory_refuses_to_start() {
     let bench = Bench::new();
     let outbox = bench.open();
     let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
-    assert!(
-        error.to_string().contains("in use by another node"),
-        "{error}"
-    );
+    let error = error.to_string();
+    assert!(error.contains("in use by another node"), "{error}");
     drop(outbox);
     bench.open();
 }
@@ -370,10 +350,8 @@ fn a_damaged_file_and_a_garbage_file_are_set_aside() {
         let outbox = bench.open();
         keep(&outbox, 400..401);
         let counts = outbox.counts();
-        assert!(
-            counts.disk_failures > 0 && counts.status.durable,
-            "{counts:?}"
-        );
+        assert!(counts.disk_failures > 0, "{counts:?}");
+        assert!(counts.status.durable, "{counts:?}");
         assert!(bench.state().join("node.db.damaged-0").exists());
         assert_eq!(drain(&outbox), ["window-400"]);
     }
@@ -395,10 +373,8 @@ fn a_disk_that_vanishes_and_returns_keeps_the_reports_in_between() {
     drop(outbox);
     let outbox = bench.open();
     assert_eq!(outbox.counts().status.waiting, 4);
-    assert_eq!(
-        super::tests::counts(&batch(&outbox).unwrap()),
-        [Some(1), Some(2), Some(3), Some(4)]
-    );
+    let kept = super::tests::counts(&batch(&outbox).unwrap());
+    assert_eq!(kept, [Some(1), Some(2), Some(3), Some(4)]);
 }
 
 #[test]
@@ -434,7 +410,7 @@ fn reports_acknowledged_while_the_disk_was_away_are_not_resent() {
     assert_eq!(outbox.counts().status.waiting, 1);
     bench.return_disk(&outbox);
     assert_eq!(drain(&outbox), ["window-2"]);
-    // Another disk is put in, with reports of its own.
+    // Another disk with other reports replaces it.
     let other = Bench::new();
     keep(&other.open(), 10..12);
     std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
@@ -459,11 +435,9 @@ fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_the
     assert_eq!((counts.status.waiting, counts.status.lost), (20, 0));
     keep(&outbox, 60..400);
     let counts = outbox.counts();
-    assert!(
-        counts.status.lost > 0 && counts.status.waiting > 20,
-        "{counts:?}"
-    );
-    assert_eq!(counts.status.lost + counts.status.waiting, 360);
+    let (lost, waiting) = (counts.status.lost, counts.status.waiting);
+    assert!(lost > 0 && waiting > 20, "{counts:?}");
+    assert_eq!(lost + waiting, 360);
     assert!(counts.last_loss.is_some());
     assert_eq!(drain(&outbox).last().unwrap(), "window-399");
     let size = std::fs::metadata(bench.file()).unwrap().len();
@@ -495,23 +469,15 @@ fn on_a_full_disk_reports_stay_in_memory_until_there_is_space() {
     bench.fill_disk(true);
     keep(&outbox, 2..60);
     assert_eq!(outbox.counts().status.waiting, 60);
-    // What is on disk is sent too, also after attempts that find the disk as full as before.
+    // Reports on the disk are sent too, even after retries that find the disk still full.
     for _ in 0..20 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
         outbox.retry_disk(Now::system());
-        let counts = outbox.counts();
-        assert!(
-            !counts.status.durable && counts.status.waiting == 60,
-            "{counts:?}"
-        );
+        let status = outbox.counts().status;
+        assert_eq!((status.durable, status.waiting), (false, 60));
     }
-    assert!(
-        outbox
-            .counts()
-            .failing
-            .unwrap()
-            .contains("no storage space")
-    );
+    let reason = outbox.counts().failing.unwrap();
+    assert!(reason.contains("no storage space"), "{reason}");
     bench.fill_disk(false);
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
@@ -524,7 +490,7 @@ fn with_a_read_only_disk_reports_on_it_and_in_memory_are_delivered() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
-    // Somebody else writes and does not end: opening the file again does not help.
+    // Another connection holds the write lock: reopening the file does not help.
     let other = rusqlite::Connection::open(bench.file()).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
     keep(&outbox, 3..5);
@@ -622,7 +588,7 @@ fn a_copy_of_the_state_delivers_the_same_ids() {
 fn counting_and_waking_the_sender_never_wait_for_a_disk() {
     let outbox = in_memory();
     keep(&outbox, 0..1);
-    // As while a disk is written.
+    // The lock is held while the disk is written.
     let writing = outbox.0.waiting.lock();
     assert_eq!(outbox.counts().status.waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());

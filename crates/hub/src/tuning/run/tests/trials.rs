@@ -1,8 +1,8 @@
-//! Trials: the draw, the result, and the way back.
+//! Trials: the draw, the result, and the return to the old value.
 
 use super::super::super::metric::{Figure, Mean};
 use super::super::*;
-use super::reported;
+use super::{clips, reported};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ fn candidates(count: usize) -> Vec<Member> {
     (0..count).map(one).collect()
 }
 
-/// Nodes report at once what they are asked for.
+/// Nodes apply and report at once what they are asked for.
 fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     let mut have = BTreeMap::new();
     for order in trial.due() {
@@ -43,27 +43,18 @@ fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     });
 }
 
-/// Each node has a level of its own; the energy falls with the value.
+/// Each node has its own level, and the energy falls with the value.
 fn measure(windows: &[[Window; 2]]) -> Measured {
     let of = |(i, [before, after]): (usize, &[Window; 2])| {
         let level = 100.0 + (i % 7) as f64;
         let value = |window: &Window| window.value.parse::<f64>().unwrap();
         let factor = |window| 1.0 - 0.3 * (value(window) / 1e-4).log10();
-        let clips = |mean: f64| {
-            [(
-                Figure::JoulesMeasured,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
+        let figures = |mean: f64| [(Figure::JoulesMeasured, clips(mean))].into();
+        let figures = BeforeAfter {
+            before: figures(level * factor(before)),
+            after: figures(level * factor(after)),
         };
-        let clips = BeforeAfter {
-            before: clips(level * factor(before)),
-            after: clips(level * factor(after)),
-        };
-        (after.node.clone(), clips)
+        (after.node.clone(), figures)
     };
     windows.iter().enumerate().map(of).collect()
 }
@@ -84,21 +75,18 @@ fn a_trial_gives_each_group_its_value_measures_it_and_restores_the_old_value() {
     now += 1;
     let windows = trial.tick(now).unwrap();
     assert_eq!(windows.len(), 60);
-    assert!(windows.iter().all(
-        |[before, after]| (after.from_ms, after.until_ms) == (0, 100_000)
-            && before.value == "0.0002"
-    ));
+    for [before, after] in &windows {
+        assert_eq!((after.from_ms, after.until_ms), (0, 100_000));
+        assert_eq!(before.value, "0.0002");
+    }
     trial.measured(&measure(&windows), now);
     let result = trial.result.clone().unwrap();
     let means: Vec<f64> = result.values.iter().map(|v| v.figures[0].mean).collect();
     assert!(means[0] > means[1] && means[1] > means[2], "{means:?}");
     assert_eq!(result.values[0].figures[0].difference, None);
     // From the first value to the last the energy falls to 0.7 of it.
-    let against_first = result.values[2].figures[0].difference.unwrap();
-    assert!(
-        (against_first.estimate + 0.3).abs() < 1e-9,
-        "{against_first:?}"
-    );
+    let estimate = result.values[2].figures[0].difference.unwrap().estimate;
+    assert!((estimate + 0.3).abs() < 1e-9, "{estimate}");
     assert_eq!(trial.due().len(), 1);
     assert_eq!(trial.due()[0].knob, u(2e-4));
     obey(&mut trial, &mut revision, now);
@@ -174,7 +162,7 @@ proptest! {
         let sizes = [size(0), size(1), size(2)];
         prop_assert_eq!(sizes.iter().sum::<usize>(), count);
         prop_assert!(sizes.iter().max().unwrap() - sizes.iter().min().unwrap() <= 1);
-        // What is read from the database goes on as it was.
+        // A trial read from the database continues unchanged.
         trial.unsaved = false;
         let text = serde_json::to_string(&trial).unwrap();
         prop_assert_eq!(serde_json::from_str::<Run>(&text).unwrap(), trial);
