@@ -36,7 +36,7 @@ fn one(shown: &[OutputBox], detected: &[Detection]) -> AuditSums {
     sums
 }
 
-/// Adds a frame with so many detected boxes, of which so many had been shown.
+/// Adds a frame with `detected` boxes, of which `paired` were shown.
 fn add_crowd(sums: &mut AuditSums, detected: usize, paired: usize) {
     let seen: Vec<_> = (0..detected)
         .map(|place| found(at(place, 0.0), 0))
@@ -53,7 +53,7 @@ fn boxes_of_the_same_object_are_paired() {
         found(at(4, 0.0), 0),
     ];
     let reported = [
-        // Right, of another class; so far off that it is another box; gone.
+        // Correct with another class; too far off to be the same box; a box that is gone.
         shown(at(0, 0.004), 7),
         shown(at(1, 0.04), 1),
         shown(at(50, 0.0), 0),
@@ -65,7 +65,7 @@ fn boxes_of_the_same_object_are_paired() {
 
 #[test]
 fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
-    // The first shown box fits both objects, better the second one; the second fits the second only.
+    // The first shown box fits both objects, the second one better; the second fits only the second object.
     let wide = |center: f64| BoundingBox::new(center, 0.5, 0.2, 0.2);
     let seen = [found(wide(0.40), 0), found(wide(0.46), 0)];
     let reported = [shown(wide(0.44), 0), shown(wide(0.52), 0)];
@@ -95,7 +95,7 @@ fn the_drawn_share_is_as_configured_and_reproducible() {
         assert!((0..1000).all(|frame| draw.draw(frame) == again.draw(frame)));
         let other = AuditDraw::new(share, 8);
         assert!((0..1000).any(|frame| draw.draw(frame) != other.draw(frame)));
-        // No frame in step with a policy that calls every second one.
+        // The draw does not align with a policy that calls on every second frame.
         let even = (0..100_000).step_by(2).filter(|frame| draw.draw(*frame));
         let even = even.count() * 2;
         assert!((least * 9 / 10..=most * 11 / 10).contains(&even), "{even}");
@@ -124,13 +124,12 @@ fn one_frame_with_twenty_boxes_is_no_certainty() {
     assert!(rate.independent < 1.5 && rate.low < 0.3, "{rate:?}");
 }
 
-/// A stream of frames whose crowds and misses hang together, as they do on roads: the first of `random` is how many
-/// boxes, the second how many of them were shown.
+/// The numbers of boxes and of shown boxes per frame. Crowds and misses are correlated over time, as on roads.
 fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> {
     let mut bad = false;
     (0..frames)
         .map(|_| {
-            // Bad stretches, in which much is missed.
+            // Bad stretches with many misses.
             if random() < 0.05 {
                 bad = random() < 0.2;
             }
@@ -173,7 +172,7 @@ fn intervals_cover_the_full_comparison_at_their_rate() {
     assert!((mean - truth).abs() < 0.01, "{mean} {truth}");
     let least = rounds as usize * 93 / 100;
     assert!(held >= least, "{held} of {rounds}");
-    // Boxes counted as independent would promise too much: that is what the spread is for.
+    // Treating boxes as independent would promise too much, hence the design effect.
     assert!(naive < least, "{naive} of {rounds}");
 }
 
@@ -219,7 +218,7 @@ proptest! {
             add(&mut parts[*part], frame);
         }
         let mut pooled = AuditSums::default();
-        // In another order, and over the wire.
+        // In another order, and through JSON.
         for part in parts.iter().rev() {
             let text = serde_json::to_string(part).unwrap();
             pooled.merge(&serde_json::from_str(&text).unwrap());
@@ -265,8 +264,8 @@ proptest! {
     }
 }
 
-/// The sums of a camera, and its true recall: of the boxes of a frame all but one had been shown, and on the frames that
-/// are missed only half of them.
+/// The sums of a camera and its true recall: all boxes of a frame except one were shown, but only half of them on missed
+/// frames.
 fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
     let mut sums = AuditSums::default();
     let (mut right, mut all) = (0, 0);
@@ -291,10 +290,8 @@ fn the_interval_covers_missed_frames_too() {
     assert!(compared.low > truth, "{compared:?} {truth}");
     let reported = sums.recall().unwrap();
     assert_eq!(reported.rate, compared.rate);
-    assert!(
-        (reported.low..=reported.high).contains(&truth),
-        "{reported:?} {truth}"
-    );
+    let interval = reported.low..=reported.high;
+    assert!(interval.contains(&truth), "{reported:?} {truth}");
     assert!((reported.low - 0.7 * compared.low).abs() < 1e-12);
     assert!((reported.high - (0.3 + 0.7 * compared.high)).abs() < 1e-12);
     let (whole, truth) = camera(1_000, 10, 0);
@@ -310,11 +307,9 @@ fn a_crowded_camera_with_many_misses_is_not_outvoted_by_a_quiet_one() {
     let mut pooled = crowded;
     pooled.merge(&quiet);
     let reported = pooled.recall().unwrap();
-    assert!(
-        (reported.low..=reported.high).contains(&truth),
-        "{reported:?} {truth}"
-    );
-    // By frames only an eighth was missed, by boxes more than a third.
+    let interval = reported.low..=reported.high;
+    assert!(interval.contains(&truth), "{reported:?} {truth}");
+    // An eighth of the frames was missed, but more than a third of the boxes.
     assert!(reported.high - reported.low > 0.38, "{reported:?}");
 }
 
@@ -330,7 +325,7 @@ fn missed_frames_alone_give_no_rate() {
 }
 
 proptest! {
-    /// Frame by frame, not by sums of squares.
+    /// Computed per frame instead of from sums of squares.
     #[test]
     fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
         frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),

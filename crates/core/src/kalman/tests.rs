@@ -1,4 +1,4 @@
-//! The running filter against the textbook's, over random lives.
+//! The filter against the textbook's, over random lives.
 
 use super::dense::DenseFilter;
 use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};
@@ -10,7 +10,7 @@ fn boxes() -> impl Strategy<Value = BoundingBox> {
         .prop_map(|(x, y, width, height)| BoundingBox::new(x, y, width, height))
 }
 
-/// A life: each frame is predicted, and those with a box are updated.
+/// A life: every frame is predicted, and frames with a box are updated.
 fn lives(frames: usize) -> impl Strategy<Value = Vec<Option<BoundingBox>>> {
     prop::collection::vec(prop::option::weighted(0.6, boxes()), 1..frames)
 }
@@ -42,7 +42,7 @@ fn close(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(1.0)
 }
 
-/// Lives `life` in both filters and compares everything after every step.
+/// Runs `life` through both filters, and compares them after every step.
 fn compare<const N: usize>(
     mut dense: DenseFilter<N>,
     mut filter: Filter,
@@ -143,7 +143,7 @@ proptest! {
                 filter.update(&model, measured);
             }
             let covariance = filter.covariance();
-            // Rounding treats the triangles of (I − K H) P differently: bits, which never build up.
+            // Rounding makes the triangles of (I − K H) P differ by a few bits, which do not accumulate.
             let asymmetry = (covariance - covariance.transpose()).amax();
             prop_assert!(asymmetry <= 1e-12 * covariance.amax(), "{asymmetry:e}");
             prop_assert!(covariance.cholesky().is_some(), "{covariance}");

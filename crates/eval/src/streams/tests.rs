@@ -9,14 +9,14 @@ use albireo_core::policy::PolicyConfig;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
-/// With a detector whose runs take these milliseconds in turn.
+/// The stream at arrival with a detector whose runs take these times in turn, ms.
 fn at_arrival(milliseconds: &str) -> Stream {
     Stream::AtArrival {
         detector: RunTimes::read(milliseconds).unwrap(),
     }
 }
 
-/// Ten frames per second; one car that moves by `speed` pixels a frame.
+/// A clip at 10 frames per second of a car that moves by `speed` pixels per frame.
 fn drive_by(frames: usize, speed: f64) -> Clip {
     let car = |frame: usize| Corners {
         x1: 100.0 + speed * frame as f64,
@@ -71,7 +71,7 @@ fn vanilla_as_delivered_shows_the_latest_finished_boxes_on_every_frame() {
     let expected = [None, None, Some(100), Some(110), Some(120), Some(130)];
     assert_eq!(left_edges(&late), expected);
     assert_eq!(late.calls, 6);
-    // At 250 ms the newest frame is taken and the others are lost.
+    // At 250 ms the newest frame is used and the others are lost.
     let slow = published(&clip, "vanilla", at_arrival("250"));
     let expected = [None, None, None, Some(100), Some(100), Some(120)];
     assert_eq!(left_edges(&slow), expected);
@@ -99,7 +99,7 @@ fn a_policy_that_answers_at_once_shows_the_car_in_place() {
         let off = edge.unwrap() - (100 + 6 * frame as i64);
         assert!(off.abs() <= 2, "frame {frame}: {off}");
     }
-    // One frame of two finds the detector free.
+    // Every second frame finds the detector free.
     assert_eq!(at_once.calls, 20);
     let waiting = published(&clip, "vanilla", at_arrival("113"));
     let behind = 100 + 6 * 30 - left_edges(&waiting)[30].unwrap();
@@ -116,10 +116,8 @@ fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
     let skipping = published(&clip, "fixed-skip-in-tracker:3", Stream::Settled);
     assert_eq!((skipping.boxes.len(), skipping.calls), (30, 10));
     for (frame, edge) in left_edges(&skipping).iter().enumerate().skip(6).take(20) {
-        assert!(
-            (edge.unwrap() - (100 + 6 * frame as i64)).abs() <= 1,
-            "frame {frame}"
-        );
+        let off = edge.unwrap() - (100 + 6 * frame as i64);
+        assert!(off.abs() <= 1, "frame {frame}: {off}");
     }
     assert!(skipping.delay >= 27, "{}", skipping.delay);
 }
@@ -128,12 +126,10 @@ fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
 fn the_table_compares_with_vanilla_and_a_clip_without_times_is_rejected() {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
-    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"))
-        .unwrap()
-        .table();
-    let mut rows = table
-        .lines()
-        .filter(|line| line.starts_with("expected-loss-0"));
+    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"));
+    let table = table.unwrap().table();
+    let rows = table.lines();
+    let mut rows = rows.filter(|line| line.starts_with("expected-loss-0"));
     assert!(rows.next().unwrap().contains(" 50.0 "), "{table}");
     assert!(rows.next().unwrap().contains(" +"), "{table}");
     assert!(table.lines().all(|line| line.len() <= 80), "{table}");

@@ -3,7 +3,7 @@ use crate::average_precision::Accuracy;
 use crate::replay::Replay;
 use albireo_core::policy::FrameState;
 
-/// What a policy made of a clip with frames of these states.
+/// The result of a policy on a clip with these frame states.
 pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> ClipResult {
     let mut result = ClipResult::from_replay(clip, policy, &Replay::default());
     result.frames = states.len();

@@ -4,7 +4,6 @@ use super::*;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// What of the fixture is read.
 #[derive(Deserialize)]
 struct Fixture {
     pairs: Vec<PicturePair>,
@@ -14,7 +13,7 @@ struct Fixture {
 struct PicturePair {
     before: String,
     after: String,
-    /// x, y, found x, found y, distance of the way back's end or -1.
+    /// x, y, found x, found y, and the distance after tracking back, or -1.
     points: Vec<[f32; 5]>,
 }
 
@@ -43,10 +42,12 @@ fn pyramid(file: &Path) -> Pyramid {
 
 #[derive(Debug, Default)]
 struct Tally {
-    /// Points of the grid, those that only OpenCV trusts, only we, and both.
     points: usize,
+    /// Points that only OpenCV trusts.
     theirs: usize,
+    /// Points that only we trust.
     ours: usize,
+    /// The differences at points that both trust, px.
     differences: Vec<f32>,
 }
 

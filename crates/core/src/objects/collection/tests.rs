@@ -1,4 +1,4 @@
-//! Promises of the life of objects.
+//! The life cycle of objects.
 
 use super::*;
 use crate::policy::AlbireoSettings;
@@ -55,7 +55,7 @@ fn a_confirmed_object_is_rescued_twice_and_removed_at_the_third_miss() {
     for rescues in [1, 2] {
         frame(&mut objects, &[]);
         assert_eq!(objects.states()[0].misses, rescues);
-        // Frames without the detector neither count nor start again.
+        // Frames without the detector neither count nor reset the count.
         objects.predict(PICTURE, 1);
         assert_eq!(objects.states()[0].misses, rescues);
     }

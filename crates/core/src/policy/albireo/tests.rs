@@ -1,4 +1,4 @@
-//! Promises of the policy beyond the golden traces: the profile of the paper, gaps and failures.
+//! The policy beyond the golden traces: the profile of the paper, gaps and failures.
 
 use super::*;
 use crate::detection::ClassId;
@@ -103,10 +103,8 @@ fn a_scene_the_screen_calls_empty_skips_the_detector() {
 fn without_the_screen_the_detector_runs_and_the_frame_does_not_count_as_screened() {
     let mut run = start(AlbireoSettings::paper(), 3e-4);
     let found = [seen(0.5, 0.9)];
-    assert_eq!(
-        run.frame(1, FrameEvidence::detections(&found)),
-        FrameState::I
-    );
+    let state = run.frame(1, FrameEvidence::detections(&found));
+    assert_eq!(state, FrameState::I);
     assert_eq!(run.needs, [Need::Screen, Need::Detections]);
 }
 
@@ -174,7 +172,7 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     run.index = 13;
     assert_eq!(run.blind(), FrameState::P);
     assert_eq!(run.begin(1), Need::Detections);
-    // 14 is given up.
+    // 14 is abandoned.
     assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
     assert_eq!(run.blind(), FrameState::P);
 }
@@ -188,19 +186,19 @@ fn gaps_predictions_and_abandoned_frames_leave_the_same_objects() {
         run.index = gap.index;
         run
     };
-    let (mut predicted, mut given_up) = (again(), again());
+    let (mut predicted, mut abandoned) = (again(), again());
     gap.frame(4, FrameEvidence::default());
     for _ in 0..4 {
         predicted.blind();
     }
     for _ in 0..3 {
-        given_up.begin(1);
+        abandoned.begin(1);
     }
-    given_up.blind();
+    abandoned.blind();
     assert_eq!(gap.outcome, predicted.outcome);
-    assert_eq!(gap.outcome, given_up.outcome);
+    assert_eq!(gap.outcome, abandoned.outcome);
     assert_eq!(gap.records(), predicted.records());
-    assert_eq!(gap.records(), given_up.records());
+    assert_eq!(gap.records(), abandoned.records());
     assert_eq!(gap.records()[0].since_infer, 4);
 }
 
@@ -234,18 +232,16 @@ fn evidence_of_the_wrong_kind_is_ignored() {
     let need = run.policy.answer(Evidence::Screen { empty: true });
     assert_eq!(need, Need::Nothing);
     run.policy.finish(&mut run.outcome);
-    assert_eq!(
-        (run.outcome.state, run.outcome.degraded),
-        (FrameState::P, true)
-    );
+    assert_eq!(run.outcome.state, FrameState::P);
+    assert!(run.outcome.degraded);
     assert_eq!(run.outcome.boxes.len(), 1);
 }
 
-/// What was decided on a frame: its state, and the numbers of the objects followed.
+/// The decision on a frame: its state, and the ids of its objects.
 type Decided = (FrameState, Vec<u64>);
 
-/// A minute of a street in pictures of `size`: cars that come, go, jitter and are missed now and then, all at
-/// shares of the picture, given to the policy in pixels as a detector does.
+/// Decides a minute of a street in pictures of `size`: cars come, go, jitter and are sometimes missed, all at fractions of the
+/// picture, converted through pixels as a detector does.
 fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
     let mut policy = Albireo::new(settings, u).unwrap();
     let mut outcome = Outcome::default();
@@ -338,7 +334,7 @@ fn exactly_the_frames_with_a_detector_call_have_a_cause() {
     let mut confirmed = usual[10..].iter().flatten().peekable();
     assert!(confirmed.peek().is_some());
     assert!(confirmed.all(|cause| *cause == CallCause::Uncertain));
-    // Nothing is too uncertain at u = 1: only the caps call.
+    // At u = 1 nothing is too uncertain: only the caps call the detector.
     let first = |causes: &[Option<CallCause>]| causes[1..].iter().flatten().next().copied();
     let aged = causes(AlbireoSettings::paper(), 1.0);
     assert_eq!(first(&aged), Some(CallCause::ObjectCap));
@@ -358,10 +354,8 @@ fn an_unanswered_call_keeps_its_cause() {
     }
     assert!(run.outcome.cause.is_some());
     let mut blind = start(AlbireoSettings::paper(), 3e-4);
-    assert_eq!(
-        blind.frame(1, FrameEvidence::detections(&[])),
-        FrameState::I
-    );
+    let state = blind.frame(1, FrameEvidence::detections(&[]));
+    assert_eq!(state, FrameState::I);
     assert_eq!(blind.needs, [Need::Screen, Need::Detections]);
     assert_eq!(blind.outcome.cause, Some(CallCause::NoObjects));
 }

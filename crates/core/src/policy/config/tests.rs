@@ -1,4 +1,4 @@
-//! Promises of the configuration.
+//! The configuration selects, validates and builds policies.
 
 use super::*;
 use crate::policy::SkippedBoxes;
@@ -74,11 +74,8 @@ fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_knob() {
         let mut config = PolicyConfig::default();
         config.select(asked).unwrap();
         let policy = config.build().unwrap();
-        assert_eq!(
-            (policy.name(), policy.knob_value()),
-            (name, value),
-            "{asked}"
-        );
+        let found = (policy.name(), policy.knob_value());
+        assert_eq!(found, (name, value), "{asked}");
     }
 }
 
@@ -135,14 +132,10 @@ fn the_baselines_have_their_own_tables() {
         "[fixed_skip]\nskip = 1",
         "[statues]\nsize = 1",
     ] {
-        assert!(
-            toml::from_str::<PolicyConfig>(unknown).is_err(),
-            "{unknown}"
-        );
+        let read = toml::from_str::<PolicyConfig>(unknown);
+        assert!(read.is_err(), "{unknown}");
     }
     let message = error("name = 'statues'\n[statues]\npixel_difference = 0");
-    assert!(
-        message.starts_with("policy.statues: `pixel_difference`"),
-        "{message}"
-    );
+    let expected = "policy.statues: `pixel_difference`";
+    assert!(message.starts_with(expected), "{message}");
 }

@@ -1,4 +1,4 @@
-//! Promises of the fixed-skip policy beyond the golden traces.
+//! The fixed-skip policy beyond the golden traces.
 
 use super::*;
 use crate::policy::BoxSource::{Detected, Predicted};
@@ -6,7 +6,7 @@ use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::tests::{Run, seen};
 
-/// Indices of the frames that ask the detector, of `frames` frames.
+/// The indices of the frames that ask the detector among the next `frames`.
 fn asked(run: &mut Run, frames: u64) -> Vec<u64> {
     let first = run.index;
     let asked = |run: &mut Run| run.see(&[seen(0.5, 0.9)]) == I;
@@ -21,10 +21,8 @@ fn the_paper_reports_the_last_boxes_and_confidences_on_skipped_frames() {
     for _ in 0..2 {
         assert_eq!(run.see(&[]), P);
         assert!(!run.outcome.degraded);
-        assert_eq!(
-            run.reported(),
-            [(Predicted, 0.5, 0.9), (Predicted, 0.2, 0.6)]
-        );
+        let expected = [(Predicted, 0.5, 0.9), (Predicted, 0.2, 0.6)];
+        assert_eq!(run.reported(), expected);
     }
     assert_eq!(run.see(&[seen(0.7, 0.8)]), I);
     assert_eq!(run.reported(), [(Detected, 0.7, 0.8)]);
@@ -98,7 +96,7 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     assert_eq!(run.frame(3, FrameEvidence::detections(&found)), I);
     assert!(asked(&mut run, 3).is_empty());
     assert_eq!(run.begin(1), Need::Detections);
-    // 10 is given up.
+    // 10 is abandoned.
     assert_eq!(asked(&mut run, 5), [11, 15]);
 }
 

@@ -1,14 +1,14 @@
-//! Promises of the advice.
+//! The advice meets its target and can be used as it is.
 
 use super::*;
 use crate::advise::render;
 use crate::average_precision::tests::{scored, square};
 use albireo_core::geometry::PictureSize;
 
-/// Two objects that drift with a speed that changes from clip to clip, in pixels a frame, and one that comes and goes.
+/// Two objects that drift by `speed` pixels per frame, and one that comes and goes.
 fn recording(name: &str, speed: f64, frames: usize) -> Clip {
     let found = |x: f64, y: f64| scored(square(x, y, 50.0), 0.8);
-    // There and back, so that nothing leaves the picture; turning is what a filter gets wrong.
+    // Back and forth, so that nothing leaves the picture; a filter errs at the turns.
     let swing = |frame: usize, phase: f64| {
         let span = 400.0;
         let way = (speed * frame as f64 + phase).rem_euclid(2.0 * span);
@@ -56,10 +56,8 @@ fn a_skip_rate_is_met_and_not_exceeded() {
         let advice = advice("even-skip-in-tracker", target);
         let best = advice.best().expect("it can be met");
         let skipped = best.skip_rate.unwrap().value;
-        assert!(
-            (asked..asked + 0.08).contains(&skipped),
-            "{target}: {best:?}"
-        );
+        let range = asked..asked + 0.08;
+        assert!(range.contains(&skipped), "{target}: {best:?}");
     }
 }
 
@@ -91,9 +89,8 @@ fn an_unreachable_target_is_reported_without_a_proposal() {
 fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
     let refused = |policy: &str, settings: &Settings| {
         let target = Target::Recall(0.9);
-        advise(&recordings(), target, policy, settings)
-            .unwrap_err()
-            .to_string()
+        let error = advise(&recordings(), target, policy, settings);
+        error.unwrap_err().to_string()
     };
     let sure = Settings {
         confidence: 0.9,
@@ -127,12 +124,8 @@ fn the_text_fits() {
     for line in text.lines() {
         assert!(line.chars().count() <= 100, "{line}");
     }
-    for part in [
-        "Proposed:",
-        "[policy]\nname = ",
-        "* ",
-        "against the detector",
-    ] {
+    let parts = "Proposed:|[policy]\nname = |* |against the detector";
+    for part in parts.split('|') {
         assert!(text.contains(part), "{part} is missing:\n{text}");
     }
 }
@@ -141,10 +134,8 @@ fn the_text_fits() {
 fn values_have_two_digits_and_increase_through_the_useful_range() {
     let knob = ExpectedLoss::KNOB;
     let values = values(&knob);
-    assert!(
-        values.is_sorted() && values.len() > VALUES / 2,
-        "{values:?}"
-    );
+    assert!(values.is_sorted(), "{values:?}");
+    assert!(values.len() > VALUES / 2, "{values:?}");
     assert_eq!(values.first(), Some(&knob.useful_minimum));
     assert_eq!(values.last(), Some(&knob.useful_maximum));
     for value in values {

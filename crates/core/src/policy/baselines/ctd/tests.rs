@@ -1,4 +1,4 @@
-//! Promises of confidence-triggered detection beyond the golden traces.
+//! Confidence-triggered detection beyond the golden traces.
 
 use super::*;
 use crate::policy::BoxSource;

@@ -1,4 +1,4 @@
-//! Promises of the Statues policy.
+//! The Statues policy skips unchanged pictures.
 
 use super::*;
 use crate::detection::Detection;
@@ -84,11 +84,11 @@ fn a_pixel_has_changed_from_a_difference_of_30_on_up_or_down() {
 #[test]
 fn pictures_are_compared_with_the_previous_frame() {
     let mut run = watching("statues");
-    // A slow change is never seen, however far it goes.
+    // A slow change is never noticed, however far it goes.
     for value in [120, 140, 160, 180] {
         assert_eq!(see(&mut run, &picture(20, 20, value), 0.7), P);
     }
-    // Neither is one to and fro missed: both times it is a change.
+    // A fast change is noticed in both directions.
     assert_eq!(see(&mut run, &picture(20, 20, 100), 0.7), I);
     assert_eq!(see(&mut run, &picture(20, 20, 180), 0.7), I);
 }
@@ -105,7 +105,7 @@ fn after_lost_frames_the_last_received_picture_is_compared() {
         ..FrameEvidence::detections(&[])
     };
     assert_eq!(run.begin(1), Need::GreyPicture);
-    // That frame is given up, and two are lost.
+    // That frame is abandoned, and two are lost.
     assert_eq!(run.frame(3, available), I);
     assert_eq!(run.frame(9, available), P);
 }
@@ -125,7 +125,7 @@ fn without_the_picture_or_with_a_broken_one_the_detector_runs() {
     assert_eq!(run.needs, [Need::GreyPicture, Need::Detections]);
     let short = vec![100; 10];
     assert_eq!(see(&mut run, &short, 0.7), I);
-    // The last whole picture is still the one before.
+    // The last complete picture is still the previous one.
     assert_eq!(see(&mut run, &picture(0, 0, 0), 0.7), P);
 }
 
