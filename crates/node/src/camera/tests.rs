@@ -1,4 +1,4 @@
-//! A camera's loop with a detector that finds coloured boxes: what it does with frames out of order and late.
+//! Tests of a camera's loop, with a detector of coloured boxes and with frames that are late or out of order.
 
 use super::*;
 use crate::camera::audit::{AuditConfig, Auditor};
@@ -23,7 +23,7 @@ use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
 use zenoh::qos::CongestionControl;
 
-/// A camera whose frames are put into its ring by hand.
+/// A camera whose frames the test puts into its ring.
 struct Bench {
     board: Arc<Board>,
     receiver: Arc<FrameReceiver>,
@@ -139,14 +139,14 @@ impl Bench {
         assert!(matches!(pushed, Pushed::Queued));
     }
 
-    /// Plays what was put into the ring; the board and the clips that ended.
+    /// Processes the frames in the ring; returns the board and the closed clips.
     async fn play(mut self) -> (Arc<Board>, Vec<Clip>) {
         let stop = CancellationToken::new();
         let camera = tokio::spawn(self.camera.run(stop.clone()));
         while self.receiver.ring.waiting() > 0 {
             tokio::task::yield_now().await;
         }
-        // The current frame is finished.
+        // A stop lets the current frame finish.
         stop.cancel();
         camera.await.unwrap();
         let mut clips = Vec::new();
@@ -157,7 +157,7 @@ impl Bench {
     }
 }
 
-/// A key of a session that neither listens nor looks for others.
+/// A publisher of a session without peers.
 async fn silent_outlet(camera: &Arc<CameraBoard>) -> Outlet {
     let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
     let sent = (CongestionControl::Drop, publishing::LIVE);
@@ -176,8 +176,7 @@ fn vanilla() -> PolicyConfig {
 #[ignore = "needs ONNX Runtime"]
 async fn a_clip_does_not_end_by_silence_while_frames_wait() {
     let bench = Bench::new(vanilla(), ClipConfig::default()).await;
-    // Ten seconds' worth of frames wait, because the detector was slow: the first is older than the
-    // silence that ends a clip.
+    // The detector was slow, so ten seconds of frames wait: the first is older than the silence that ends a clip.
     let now = Instant::now();
     for i in 0..10 {
         bench.put(i, 0, now - Duration::from_secs(10 - i));
@@ -198,7 +197,7 @@ async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first(
         ..PolicyConfig::default()
     };
     let bench = Bench::new(policy, ClipConfig::default()).await;
-    // The first frame of a stream is always a detector's. The second stream's own first frame is missing.
+    // The first frame of a stream always calls the detector. The second stream's first frame is missing.
     bench.put(0, 0, Instant::now());
     bench.put(1, 0, Instant::now());
     bench.put(3, 1, Instant::now());
@@ -227,8 +226,8 @@ async fn an_overtaken_frame_is_late_and_a_frame_dropped_between_clips_counts_for
     assert_eq!(snapshot.dropped, *dropped);
 }
 
-/// All that is published for a drive of the dashcam, frame by frame, without times; the audit's part of the clip, and
-/// what the board counts of it.
+/// Plays a drive; returns its published messages without their latencies, and the audit of the clip report, which must agree
+/// with the board.
 async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
     let mut config = PolicyConfig::default();
     config.select(policy).unwrap();
@@ -269,7 +268,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
         skipped += u64::from(message.state.is_skipped());
         message.latency_ms = Latency::default();
         published.push(message);
-        // Each drawn frame is looked at before the next comes, as on a road on which the detector has time.
+        // Each drawn frame is audited before the next arrives, as if the detector had time.
         let seen = board.camera("front").unwrap();
         while share >= 1.0 && seen.snapshot().audit.unwrap().sums.drawn() < skipped {
             tokio::task::yield_now().await;
@@ -308,15 +307,15 @@ async fn the_audit_changes_no_bit_of_published_messages() {
         );
         assert_eq!(audit.calls, skipped);
         assert!(audit.detector_us > 0);
-        // What is shown is what had been published.
+        // The audit counts as shown exactly what was published.
         let shown: usize = (with.iter().filter(|frame| frame.state.is_skipped()))
             .map(|frame| frame.boxes.len())
             .sum();
         assert_eq!(audit.sums.shown, shown as u64);
-        // What it finds is this scene's: a rider and a car that pass in three seconds, before a demonstration detector that
-        // sees them now and then. At 0.6 `expected-loss` has looked at five frames of the first 21, one box each, and knows
-        // no velocity: 5 of the detector's 29 boxes had been shown, as counting the published boxes against a detector on
-        // every frame finds too. At 0.05, 0.1 and 0.2 it is 6 of 7, 8 of 9 and 9 of 10.
+        // The recall is low in this scene: a rider and a car pass within three seconds, and the demonstration detector finds
+        // them only now and then. At 0.6 `expected-loss` has called the detector on five of the first 21 frames, one box each,
+        // and knows no velocity: 5 of the detector's 29 boxes were shown. Comparing the published boxes with a detector on
+        // every frame gives the same. At 0.05, 0.1 and 0.2 it is 6 of 7, 8 of 9 and 9 of 10.
         let recall = audit.sums.recall().unwrap();
         assert!(
             recall.low < recall.rate && recall.rate > 0.05,
@@ -325,7 +324,7 @@ async fn the_audit_changes_no_bit_of_published_messages() {
     }
 }
 
-/// An answer of a test, without boxes.
+/// A message without boxes.
 pub(crate) fn answer(
     seq: u64,
     state: FrameState,
