@@ -8,17 +8,17 @@ use proptest::prelude::*;
 
 const GREY: PictureSize = PictureSize::new(64, 48);
 
-/// What can be known of one frame, and when.
+/// The evidence available for a frame, and when it arrives.
 #[derive(Clone, Debug)]
 struct Event {
     step: u32,
     empty: Option<bool>,
-    /// How far the picture has moved, pixels; none without a picture.
+    /// How far the picture has moved, pixels; `None` without a picture.
     moved: Option<u8>,
     detections: Option<Vec<Detection>>,
-    /// The threshold is set to this share of its useful range before the frame.
+    /// Share of its useful range to which the threshold is set before the frame.
     threshold: Option<f64>,
-    /// What the frame asks for comes after this many further frames.
+    /// Number of further frames before the requested evidence arrives.
     delay: usize,
 }
 
@@ -98,7 +98,7 @@ fn heads(script: &[Event]) -> Vec<FrameHead> {
     script.iter().map(head).collect()
 }
 
-/// Every policy that can answer at once, by name.
+/// Names of all policies that can answer at once.
 fn late_policies() -> impl Iterator<Item = &'static str> {
     known_policies().filter(|name| build(name).can_rewind())
 }
@@ -171,9 +171,9 @@ struct Camera<'a> {
     script: &'a [Event],
     heads: Vec<FrameHead>,
     next: usize,
-    /// The frame that waits, what for, and after which frame that comes.
+    /// The pending frame, what it needs, and after which frame that arrives.
     waits: Option<(usize, Need, usize)>,
-    /// Pieces of evidence that each frame was given.
+    /// Number of pieces of evidence given to each frame.
     given: Vec<usize>,
     live: Vec<Outcome>,
     settled: Vec<(usize, Outcome)>,
@@ -193,7 +193,7 @@ impl<'a> Camera<'a> {
         }
     }
 
-    /// The next frame; false after the last.
+    /// Plays the next frame; returns false after the last.
     fn frame(&mut self) -> bool {
         let Some(event) = self.script.get(self.next) else {
             return false;
@@ -211,7 +211,7 @@ impl<'a> Camera<'a> {
         true
     }
 
-    /// Whatever has come by now.
+    /// Delivers the evidence that has arrived by now.
     fn arrivals(&mut self) -> bool {
         let mut came = false;
         while let Some((frame, need, at)) = self.waits
@@ -338,7 +338,7 @@ proptest! {
     }
 }
 
-/// A policy that has one object and a pending frame, and that frame.
+/// A policy with one object and a pending frame, and the index of that frame.
 fn pending(name: &str) -> (LatePolicy, u64) {
     let mut late = late(name);
     let mut outcome = Outcome::default();
@@ -354,7 +354,7 @@ fn pending(name: &str) -> (LatePolicy, u64) {
             need = late.deliver(index, evidence, &mut outcome).unwrap();
         }
     }
-    unreachable!("the detector is called at some time");
+    unreachable!("the detector is called sooner or later");
 }
 
 #[test]

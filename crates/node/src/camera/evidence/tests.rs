@@ -72,7 +72,7 @@ async fn decoded_pictures_of_all_cameras_share_the_same_buffers() {
         }
     }
     drop(cameras);
-    // Not as many as cameras.
+    // Fewer than there are cameras.
     assert!(pixels.idle() <= 3, "{} buffers", pixels.idle());
 }
 

@@ -54,7 +54,7 @@ impl FrameReceiver {
     }
 }
 
-/// Index and stream of what waits in the ring.
+/// Index and stream of each frame waiting in the ring.
 fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
     let mut found = Vec::new();
     while let Some(frame) = ring.next().now_or_never() {

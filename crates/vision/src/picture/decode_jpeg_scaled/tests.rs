@@ -70,7 +70,7 @@ fn scaled_decoding_gives_the_mean_of_the_covered_pixels() {
             sum += (f64::from(value) - mean).abs();
             count += 1.0;
         }
-        // Less where no chroma has to be scaled.
+        // Less if there is no chroma to scale.
         assert!(sum / count < 2.0, "{layout:?}: {} grey levels", sum / count);
     }
 }
@@ -85,7 +85,7 @@ fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
         ..picture.clone()
     };
     assert!(decoded(&half, PixelLayout::Rgb8, target).is_err());
-    // The end is there, and pixels before it are not.
+    // The end marker is present, but pixels before it are missing.
     let mut without_middle = picture.bytes[..picture.bytes.len() / 2].to_vec();
     without_middle.extend([0xFF, 0xD9]);
     let damaged = EncodedPicture {

@@ -3,7 +3,7 @@
 use super::*;
 use proptest::prelude::*;
 
-/// A picture whose pixels differ from their neighbours by little, with edges.
+/// A picture of smooth gradients with a few edges.
 fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
     let size = PictureSize::new(width, height);
     let mut pixels = Vec::new();
@@ -24,7 +24,7 @@ fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
     }
 }
 
-/// Bilinear interpolation with the pixel centres at half numbers, as OpenCV's `INTER_LINEAR` defines it.
+/// Bilinear interpolation with pixel centres at half-integers, like OpenCV's `INTER_LINEAR`.
 fn reference(picture: &Picture, channel: usize, column: u32, row: u32, to: PictureSize) -> f64 {
     let channels = picture.layout.channels();
     let at = |x: f64, y: f64| {
@@ -55,8 +55,8 @@ fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
     }
 }
 
-/// Compares the tensor with the reference where the picture is, and with `fill` elsewhere; `left`, `top`
-/// and `used` say where that is.
+/// Compares the tensor with the reference inside the picture, whose place is `left`, `top` and `used`, and with `fill`
+/// elsewhere.
 fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: PictureSize) {
     let mut letterbox = Letterbox::new(format);
     letterbox.fill(picture).unwrap();
@@ -89,7 +89,7 @@ fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: Pi
                         (found * deviation + mean) * 255.0
                     }
                 };
-                // Two passes with a rounding each.
+                // Two passes, each with its own rounding.
                 let allowed = if inside { 1.01 } else { 1e-4 };
                 assert!(
                     (found - expected).abs() <= allowed,
@@ -221,7 +221,7 @@ proptest! {
         let (placement, mapping) = place(PictureSize::new(width, height), format(columns, rows, fit));
         prop_assert!(placement.left + placement.width <= columns);
         prop_assert!(placement.top + placement.height <= rows);
-        // Where the picture's edges are in the input: within a pixel of where its pixels were put.
+        // The picture's edges in the input are within a pixel of where its pixels were placed.
         let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
         let (scale_x, scale_y) = match fit {
             Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),

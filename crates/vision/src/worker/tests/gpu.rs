@@ -65,7 +65,7 @@ async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried()
         let refused = stage.ask(1).await.unwrap().unwrap_err();
         assert!(matches!(refused, InferenceError::Unavailable(_)));
     }
-    // The GPU returns after all.
+    // The GPU comes back after all.
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 3);

@@ -5,7 +5,7 @@ use super::*;
 type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<CameraSlot>, InferenceError>>>;
 
 impl Stage {
-    /// Asks for a spare run of `camera`'s picture that begins within `wait`.
+    /// Requests a spare run of `camera`'s picture that begins within `wait`.
     fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
         let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
         tokio::spawn(async move {
@@ -38,7 +38,7 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_they_take_all_the_ti
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let spare = stage.ask_spare(7, Duration::from_millis(1500));
-    // It waits for the run in progress, and for the frame that comes meanwhile.
+    // The spare run waits for the run in progress and for the frame that arrives meanwhile.
     let second = stage.ask(1);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);
@@ -50,10 +50,10 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_they_take_all_the_ti
     stage.end(Step::Answer);
     second.await.unwrap().unwrap();
 
-    // The next one gets its turn.
+    // The next spare run gets its turn.
     let spare = stage.ask_spare(8, TIMEOUT);
     assert_eq!(stage.next_run().await, [8]);
-    // A frame that comes while it runs is next.
+    // A frame that arrives during the spare run is next.
     let third = stage.ask(2);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);

@@ -149,17 +149,17 @@ fn an_unknown_or_ambiguous_model_is_rejected_with_every_head_that_was_tried() {
     let boxes: (&str, &[i64]) = ("pred_boxes", &[1, 300, 4]);
     for (signature, reason) in [
         (model(&[("logits", &[1, 1000])]), "none of them"),
-        // YOLOv5: three boxes a cell.
+        // YOLOv5: three boxes per cell.
         (large, "none of them"),
-        // A transformer of unknown scores and colours.
+        // A transformer with unknown scores and colours.
         (model(&[("logits", &[1, 300, 80]), boxes]), "none of them"),
-        // One class of YOLOX, or 84 finished boxes.
+        // Either YOLOX with one class, or 84 finished boxes.
         (
             model(&[("output", &[1, 84, 6])]),
             "each of end-to-end, yolox",
         ),
         (ultralytics(("task", "segment")), "`segment`"),
-        // Metadata and shape contradict each other.
+        // Metadata that contradicts the shape.
         (ultralytics(("end2end", "True")), "`end-to-end`"),
     ] {
         let refusal = recognised(&signature).unwrap_err();
