@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Runs every test that can run here and ends with one line that counts them: "N passed, N failed, N skipped".
 #
-# A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all others run, without
-# any of these needs, as in a fresh clone; the run says what the marked ones need, and those whose needs are met run
-# then. The rest is skipped.
+# A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all other tests run without
+# any of these needs, as in a fresh clone. Its output lists the marked tests and their needs; those whose needs are met run
+# next, and the rest are skipped.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -11,9 +11,9 @@ export ALBIREO_SHARED="${ALBIREO_SHARED:-$(cd .. && pwd)/shared}"
 export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxruntime.so* 2>/dev/null | head -n 1)}"
 export ORT_DISABLE_TELEMETRY=1
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
-# Most of the time of most tests is waiting for processes.
+# Most tests spend most of their time waiting for processes.
 export RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * $(nproc)))}"
-# hadolint comes with that environment.
+# hadolint is installed in the same environment.
 export PATH="$PATH:$(dirname "$ALBIREO_PYTHON")"
 
 missing=()
@@ -36,7 +36,7 @@ need "hadolint" command -v hadolint
 need "Docker Compose" bash -c "docker compose version || command -v docker-compose"
 need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
 
-# With the feature turbojpeg where it can be built; its tests are named scaled_…
+# Enables the feature turbojpeg where it can be built; its tests are named scaled_…
 read -ra options <<< "--locked $(bash tests/features.sh)"
 left_out=0
 [[ "${options[*]}" != *turbojpeg* ]] && left_out=$(grep -rh 'fn scaled_' crates | wc -l)
@@ -45,8 +45,8 @@ cargo test "${options[@]}" --no-run || { echo "0 passed, 1 failed, 0 skipped"; e
 
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT
-# Runs the given tests, writes their output to the file $1 and shows it. A process that a failed test left behind holds
-# only that file open, so that the run ends when the tests end.
+# Runs the given tests, writes their output to the file $1 and shows it. A process left behind by a failed test keeps only
+# that file open, so the run ends when the tests end.
 run() {
     local output=$1 tests
     shift
@@ -67,7 +67,7 @@ for what in ${missing[@]+"${missing[@]}"}; do
 done
 run "$log.marked" --tests -- --ignored --exact ${skip[@]+"${skip[@]}"} || status=1
 
-# How many of the log $2 $1.
+# Prints the number of tests in the log $2 with the result $1.
 count() { awk -v what="$1" '/^test result:/ { for (i = 1; i < NF; i++) if ($(i + 1) ~ "^" what) n += $i } END { print n + 0 }' "$2"; }
 passed=$(($(count passed "$log") + $(count passed "$log.marked")))
 failed=$(($(count failed "$log") + $(count failed "$log.marked")))
