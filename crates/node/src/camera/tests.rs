@@ -121,20 +121,7 @@ impl Bench {
     }
 
     fn put(&self, index: u64, epoch: u64, received: Instant) {
-        let frame = Frame {
-            sequence: index,
-            time_ns: 0,
-            clip: Some("drive".into()),
-            picture: self.picture.clone(),
-            received,
-            payload_bytes: 0,
-        };
-        let frame = SequencedFrame {
-            frame,
-            index,
-            epoch,
-            query: None,
-        };
+        let frame = sequenced(index, epoch, self.picture.clone(), received);
         let pushed = self.receiver.ring.push(frame, 0);
         assert!(matches!(pushed, Pushed::Queued));
     }
@@ -154,6 +141,23 @@ impl Bench {
             clips.push(clip);
         }
         (self.board, clips)
+    }
+}
+
+fn sequenced(index: u64, epoch: u64, picture: EncodedPicture, received: Instant) -> SequencedFrame {
+    let frame = Frame {
+        sequence: index,
+        time_ns: 0,
+        clip: Some("drive".into()),
+        picture,
+        received,
+        payload_bytes: 0,
+    };
+    SequencedFrame {
+        frame,
+        index,
+        epoch,
+        query: None,
     }
 }
 
@@ -242,23 +246,11 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut published = Vec::new();
     let mut skipped = 0;
     for index in 0..60 {
-        let picture = bench.scene.frame(index).jpeg(85).unwrap();
-        let frame = SequencedFrame {
-            frame: Frame {
-                sequence: index,
-                time_ns: 0,
-                clip: Some("drive".into()),
-                picture: EncodedPicture {
-                    bytes: picture.into(),
-                    ..bench.picture.clone()
-                },
-                received: Instant::now(),
-                payload_bytes: 0,
-            },
-            index,
-            epoch: 0,
-            query: None,
+        let picture = EncodedPicture {
+            bytes: bench.scene.frame(index).jpeg(85).unwrap().into(),
+            ..bench.picture.clone()
         };
+        let frame = sequenced(index, 0, picture, Instant::now());
         bench.receiver.ring.push(frame, 0);
         let mut message = loop {
             if let News::Frame(event) = &events.recv().await.unwrap().news {

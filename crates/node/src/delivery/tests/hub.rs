@@ -86,6 +86,11 @@ impl HubFile {
         self.file.with_extension("db-wal")
     }
 
+    /// The number that a query returns.
+    pub(super) fn number(&self, query: &str) -> i64 {
+        self.other.query_row(query, [], |row| row.get(0)).unwrap()
+    }
+
     /// Contents of the file and of its write-ahead log.
     pub(super) fn read(&self) -> (Vec<u8>, Vec<u8>) {
         let log = std::fs::read(self.log_file()).unwrap_or_default();
@@ -247,11 +252,7 @@ impl Hub {
                 ));
             }
         }
-        let number = |text: &str| {
-            (self.file.other)
-                .query_row(text, [], |row| row.get::<_, i64>(0))
-                .unwrap()
-        };
+        let number = |query| self.file.number(query);
         let (counted, stored) = (
             number("SELECT COALESCE(sum(stored), 0) FROM report_counts"),
             number("SELECT count(*) FROM clips"),

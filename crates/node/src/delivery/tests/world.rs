@@ -126,10 +126,10 @@ impl World {
             }
             if self.time.now_ms > self.end_ms + SETTLED_WITHIN {
                 let counts: Vec<_> = self.nodes.iter().map(Node::counts).collect();
-                return Err(format!("it does not settle: {counts:?}"));
+                return Err(format!("not settled: {counts:?}"));
             }
         }
-        Err("nothing happens any more".to_owned())
+        Err("no events are left".to_owned())
     }
 
     fn handle(&mut self, event: Event) {

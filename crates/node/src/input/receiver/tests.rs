@@ -1,4 +1,4 @@
-//! What a receiver promises of the order and the numbering of frames.
+//! Tests of the order and numbering of received frames.
 
 use super::*;
 use crate::config::NodeConfig;

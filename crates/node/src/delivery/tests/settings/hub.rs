@@ -223,12 +223,8 @@ impl Hub {
 
     /// Number of rollouts so far.
     pub(super) fn rollouts(&self) -> u64 {
-        let text = "SELECT COALESCE(max(id), 0) FROM runs";
-        let many = self
-            .file
-            .other
-            .query_row(text, [], |row| row.get::<_, i64>(0));
-        many.unwrap().unsigned_abs()
+        let query = "SELECT COALESCE(max(id), 0) FROM runs";
+        self.file.number(query).unsigned_abs()
     }
 
     /// The file and the length of its log.
@@ -287,12 +283,8 @@ impl Hub {
     /// Unanswered orders, running rollouts, and rollouts whose nodes do not have the resulting value.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
-        let text = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
-        let open: i64 = self
-            .file
-            .other
-            .query_row(text, [], |row| row.get(0))
-            .unwrap();
+        let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
+        let open = self.file.number(query);
         if open > 0 {
             wrong.push(format!("{open} orders are open"));
         }
