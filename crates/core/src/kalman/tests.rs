@@ -1,4 +1,4 @@
-//! The filter against the textbook's, over random lives.
+//! Compares the filter with the textbook's over random lives.
 
 use super::dense::DenseFilter;
 use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};

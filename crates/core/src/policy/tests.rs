@@ -1,4 +1,4 @@
-//! What every policy promises, whatever is done to it.
+//! The promises that every policy keeps under any sequence of events.
 
 mod camera;
 

@@ -1,4 +1,4 @@
-//! Points against OpenCV's `calcOpticalFlowPyrLK` on the same pictures; `tests/parity/flow.py` makes the fixture.
+//! Compares tracked points with OpenCV's `calcOpticalFlowPyrLK` on the same pictures; `tests/parity/flow.py` makes the fixture.
 
 use super::*;
 use serde::Deserialize;

@@ -1,4 +1,4 @@
-//! A camera for the tests of the policies: frames one after the other, and evidence on request.
+//! A camera for the policies' tests: it plays frames one by one and provides evidence on request.
 
 use super::*;
 use std::convert::Infallible;

@@ -1,4 +1,4 @@
-//! The target of a board: who switches it on and off, and what of it survives.
+//! The target of a board: who switches it on and off, and what survives a restart.
 
 use super::*;
 use crate::state::board::set_by_hand;

@@ -1,5 +1,4 @@
-//! The heads on tensors made by hand. What the models' own code makes of whole outputs is compared in
-//! `tests/head_fixtures.rs`.
+//! The heads on handmade tensors. `tests/head_fixtures.rs` compares whole outputs with the results of the vendors' code.
 
 use super::*;
 use crate::detector::{ElementType, Metadata, TensorSpec};

@@ -1,4 +1,4 @@
-//! The letterbox against a slow reference, and the way back against the way there.
+//! Compares the letterbox with a slow reference, and its inverse with the letterbox.
 
 use super::*;
 use proptest::prelude::*;

@@ -1,4 +1,4 @@
-//! The worker in any order of asking, giving up, failing and waiting.
+//! The worker under requests, abandoned requests, failures and pauses in any order.
 
 use super::*;
 use proptest::prelude::*;

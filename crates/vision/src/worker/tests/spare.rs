@@ -1,4 +1,4 @@
-//! The picture that runs when no camera waits.
+//! Spare runs, which begin only when no camera waits.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! The search against a slow one, and on shapes that are difficult for a search by rows.
+//! Compares the search with a slow one, also on shapes that are difficult for a search by rows.
 
 use super::*;
 use proptest::prelude::*;

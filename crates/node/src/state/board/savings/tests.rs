@@ -1,5 +1,5 @@
-//! The estimate of what was saved, on a machine whose watts are given, beside the truth: what the same clip costs there
-//! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
+//! Compares the estimated saving, on a machine of known watts, with the true one: the extra cost of the same clip with a detector
+//! call on every frame. The clock is paused; the detector is a lock held for 40 ms.
 
 use crate::camera::clip::tests::report;
 use crate::camera::clip::{ClipConfig, ClipTracker};
