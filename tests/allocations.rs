@@ -1,5 +1,5 @@
-//! A frame of the decision core allocates nothing once its buffers have grown. One test alone in its
-//! process, as the allocations of the whole process are counted.
+//! The decision core allocates nothing per frame once its buffers have grown. The test is alone in its process, because
+//! dhat counts the allocations of the whole process.
 
 #![allow(clippy::unwrap_used)]
 
@@ -39,14 +39,14 @@ fn detections(frame: usize) -> Vec<Detection> {
         .collect()
 }
 
-/// A grey picture of the same film: stripes that stand still for three frames and then move on.
+/// A grey picture of the same film: stripes that move every three frames.
 fn grey_picture(frame: usize) -> Vec<u8> {
     let moved = frame % PERIOD / 3;
     let pixel = |place: usize| 200 * ((place / 7 + moved) % 2) as u8;
     (0..GREY.pixels() as usize).map(pixel).collect()
 }
 
-/// A grey picture of the same film for those that follow: a texture that drifts as the objects do.
+/// A grey picture of the same film for policies with optical flow: a texture that drifts with the objects.
 fn drifting_picture(frame: usize) -> Vec<u8> {
     let phase = (frame % PERIOD) as f64 / PERIOD as f64 * std::f64::consts::TAU;
     let (width, height) = (DRIFTING.width as usize, f64::from(DRIFTING.height));
@@ -58,12 +58,11 @@ fn drifting_picture(frame: usize) -> Vec<u8> {
     (0..DRIFTING.pixels() as usize).map(pixel).collect()
 }
 
-/// A frame of the film.
+/// The detections and the grey picture of a frame.
 type Frame = (Vec<Detection>, Vec<u8>);
 
-/// What decides a film: a policy that waits for its evidence, or one that answers at once.
+/// Decides a film: a policy that waits for its evidence, or one that answers at once.
 trait Decider {
-    /// Decides a frame.
     fn frame(&mut self, head: FrameHead, known: FrameEvidence<'_>, outcome: &mut Outcome);
 }
 
@@ -73,7 +72,7 @@ impl Decider for Box<dyn Policy> {
     }
 }
 
-/// Answers at once; what a frame needs comes two frames later. All frames are settled too.
+/// Answers at once, gets the evidence of a frame two frames later, and settles all frames.
 struct TwoFramesLate<'f> {
     late: LatePolicy,
     settler: Settler,
@@ -117,7 +116,7 @@ fn evidence<'a>(frame: usize, found: &'a [Detection], pixels: &'a [u8]) -> Frame
     }
 }
 
-/// Allocations of each frame of one period, by frame state.
+/// The state and the allocations of each frame of one period.
 fn period(
     decider: &mut dyn Decider,
     outcome: &mut Outcome,
@@ -199,12 +198,12 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
         &mut waiting
     };
     let first = period(decider, &mut outcome, &film, 0);
-    // The counter counts: the first frames do allocate.
+    // The counter works: the first frames do allocate.
     assert!(first.iter().any(|&(_, allocations)| allocations > 0));
     for round in 1..3 {
         period(decider, &mut outcome, &film, round * PERIOD);
     }
-    // The least of several rounds, since the test's own main thread may allocate beside it.
+    // The minimum of several rounds, since the test's main thread may allocate in parallel.
     let mut least: BTreeMap<(usize, FrameState), u64> = BTreeMap::new();
     for round in 3..6 {
         let counted = period(decider, &mut outcome, &film, round * PERIOD);

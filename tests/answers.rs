@@ -1,4 +1,4 @@
-//! Answers at once and settled answers of a node whose detector is slower than its camera, fails and hangs in between.
+//! Immediate and settled answers of a node whose detector is slower than its camera, fails and hangs.
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
@@ -14,10 +14,10 @@ use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::time::{interval, timeout};
 
-/// Time between two frames: the detector takes five of them.
+/// The time between two frames, a fifth of a detector run.
 const PERIOD: Duration = Duration::from_millis(20);
 
-/// A node that answers at once, with a detector of some 100 ms that must answer within 1 s.
+/// A node that answers at once; its detector takes about 100 ms and times out after 1 s.
 fn at_once(policy: &str) -> NodeConfig {
     let mut config = configuration();
     config.node.answer = AnswerTime::AtOnce;
@@ -29,12 +29,12 @@ fn at_once(policy: &str) -> NodeConfig {
     config
 }
 
-/// All that was published and not yet taken.
+/// Drains the channel.
 fn taken<T>(messages: &mut UnboundedReceiver<T>) -> Vec<T> {
     std::iter::from_fn(|| messages.try_recv().ok()).collect()
 }
 
-/// A drive, and what the node published of it.
+/// A drive and the messages of the node about it.
 struct Drive {
     bench: Bench,
     late: UnboundedReceiver<DetectionsMessage>,
@@ -43,7 +43,7 @@ struct Drive {
     sent: u64,
     live: Vec<DetectionsMessage>,
     finals: BTreeMap<u64, DetectionsMessage>,
-    /// Frames at the most that were answered after a frame and before its final answer.
+    /// The most frames answered between a frame and its final answer.
     most_ahead: u64,
 }
 
@@ -66,7 +66,7 @@ impl Drive {
         }
     }
 
-    /// Sends these pictures over and over, at the camera's pace, until a final answer comes that `is_wanted`.
+    /// Sends these pictures in a loop, at the camera's pace, until a final answer `is_wanted`.
     async fn until(
         &mut self,
         pictures: &[Vec<u8>],
@@ -98,7 +98,7 @@ impl Drive {
         self.sent += 1;
     }
 
-    /// Stops the node, and checks what holds whatever the detector did.
+    /// Stops the node, and checks the invariants that hold in any state of the detector.
     async fn stop(mut self) -> Ended {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
@@ -131,11 +131,11 @@ impl Drive {
             .map(|live| live.latency_ms.total)
             .collect();
         took.sort_by(f64::total_cmp);
-        // Half a run of the detector; a busy machine may hold single answers up.
+        // Half a detector run; a busy machine may delay single answers.
         let half = took[took.len() / 2];
         assert!(
             half < 50.0,
-            "half take {half} ms: they wait for the detector"
+            "median {half} ms: answers wait for the detector"
         );
         assert!(self.finals.values().all(|message| !message.pending));
         assert_eq!(counted, (frames, degraded));
@@ -166,7 +166,7 @@ struct Ended {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fails() {
+async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_failing() {
     let scene = pictures(100);
     let [white, dark] = [255, 36].map(|value| [grey_jpeg(value, [640, 360])]);
     let is_seen = |late: &DetectionsMessage| !late.degraded && !late.boxes.is_empty();
@@ -175,17 +175,17 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         for _ in 0..3 {
             drive.until(&scene, is_seen).await;
         }
-        // Not back at its deadline, and back again afterwards.
+        // A run that misses its deadline, then a good one.
         drive.most_ahead = 0;
         drive.until(&white, |late| late.degraded).await;
-        // The deadline is as long as fifty frames.
+        // The deadline is fifty frames long.
         let ahead = drive.most_ahead;
-        assert!(ahead >= 10, "only {ahead} frames were answered meanwhile");
+        assert!(ahead >= 10, "only {ahead} frames were answered in between");
         drive.until(&scene, is_seen).await;
-        // Its run fails, and its session is built again.
+        // A run that fails, then a good one in a rebuilt session.
         drive.until(&dark, |late| late.degraded).await;
         drive.until(&scene, is_seen).await;
-        // A picture that ends in its middle.
+        // A truncated picture.
         let half = scene[0][..scene[0].len() / 2].to_vec();
         drive.until(&[half], |late| late.degraded).await;
         drive.until(&scene, is_seen).await;
@@ -203,7 +203,7 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_clip_is_reported_when_its_pending_frame_has_its_final_answer() {
+async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {
     let mut config = at_once("expected-loss:0.3");
     config.cameras[0].reset_at_clip = false;
     let mut drive = Drive::start(&config).await;

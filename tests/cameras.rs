@@ -1,10 +1,10 @@
-//! Live cameras: opened by the node itself or by `albireo publish`, lost and reconnected, with hidden passwords.
+//! Live cameras, opened by the node or by `albireo publish`: they reconnect, and their passwords stay hidden.
 
 use crate::node_frames::attachment;
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
 use crate::support::{
-    Node, PATIENCE, albireo, assert_says, collected, heard, listening_peer, memory_mb, next,
-    replay, run, signal, test_video, until, zenoh_client,
+    Node, PATIENCE, albireo, assert_contains, collected, listening_peer, memory_mb, next, replay,
+    run, signal, subscribe, test_video, until, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -21,10 +21,10 @@ use tokio::time::timeout;
 use zenoh::sample::Sample;
 
 const USER: &str = "viewer";
-/// With what an address must not have as it is.
+/// A password with characters that an address must encode.
 const PASSWORD: &str = "hid/den@7:x";
 const LOGIN: [&str; 2] = [USER, PASSWORD];
-/// Where the addresses of [`with_login`] find both.
+/// The variables in the addresses of [`with_login`].
 const ENVIRONMENT: [(&str, &str); 2] = [("GATE_USER", USER), ("GATE_PASSWORD", PASSWORD)];
 
 fn with_login(camera: &RtspCamera) -> String {
@@ -37,13 +37,13 @@ fn picture() -> Vec<u8> {
     scene.frame(0).jpeg(80).unwrap()
 }
 
-/// A frame as a subscriber gets it.
+/// A frame as a subscriber receives it.
 struct Received {
     said: FrameAttachment,
     bytes: Vec<u8>,
 }
 
-/// `albireo publish` with somebody who takes its frames.
+/// `albireo publish` with a subscriber to its frames.
 struct Publisher {
     child: Child,
     frames: UnboundedReceiver<Received>,
@@ -58,7 +58,7 @@ impl Publisher {
             said: read(&sample.attachment().unwrap().to_bytes()).unwrap(),
             bytes: sample.payload().to_bytes().into_owned(),
         };
-        let frames = heard(&session, "albireo/node/front/frame", received).await;
+        let frames = subscribe(&session, "albireo/node/front/frame", received).await;
         let mut child = albireo()
             .arg("publish")
             .args(arguments)
@@ -89,7 +89,7 @@ impl Publisher {
         frames
     }
 
-    /// Ends it as a service manager does; its log.
+    /// Stops it as a service manager does, and returns its log.
     async fn stop(mut self) -> String {
         signal(self.child.id().unwrap(), "-TERM");
         let status = timeout(PATIENCE, self.child.wait()).await.unwrap().unwrap();
@@ -100,7 +100,7 @@ impl Publisher {
     }
 }
 
-/// The processes that a process has started, in whichever of its threads.
+/// The child processes of all threads of a process.
 fn children(parent: u32) -> Vec<u32> {
     let mut found = std::collections::BTreeSet::new();
     for thread in std::fs::read_dir(format!("/proc/{parent}/task")).unwrap() {
@@ -120,20 +120,20 @@ fn command_line(process: u32) -> String {
     String::from_utf8_lossy(&line).replace('\0', " ")
 }
 
-/// Every form in which the password could leak.
+/// Asserts that `text` has the password in no form.
 fn assert_hidden(text: &str) {
     for form in [PASSWORD, "hid%2Fden", "den@7", "den%407"] {
         assert!(!text.contains(form), "the password is shown: {text}");
     }
 }
 
-/// What a node says of its only camera.
+/// A node's report on its only camera.
 async fn front(node: &Node) -> Value {
     let cameras: Value = serde_json::from_str(&node.text("/api/v1/cameras").await).unwrap();
     cameras["cameras"][0].clone()
 }
 
-/// Frames that a node has processed of its camera.
+/// The number of frames that a node has processed.
 async fn processed(node: &Node) -> u64 {
     front(node).await["frames"].as_u64().unwrap()
 }
@@ -142,7 +142,7 @@ async fn until_processed(node: &Node, frames: u64) {
     until("frames come", async || processed(node).await >= frames).await;
 }
 
-/// Settings of a node's camera `front` with this source.
+/// Settings of a node whose camera `front` has this source.
 fn source(address: &str, more: &str) -> String {
     let head = "[[camera]]\nname = \"front\"\n# development: ring=64\n";
     format!("{head}source = \"{address}\"\n{more}\n")
@@ -150,7 +150,7 @@ fn source(address: &str, more: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
+async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, address) = (camera.port, with_login(&camera));
     let settings = source(&address, "# development: source_timeout_s=20");
@@ -169,7 +169,7 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
     camera.kill().await;
     let ready = async || node.text("/readyz").await;
     let failed = "\"reason\":\"failed: ";
-    until("the node says so", async || ready().await.contains(failed)).await;
+    until("it is reported", async || ready().await.contains(failed)).await;
     let mut shown = ready().await;
     let _camera = RtspCamera::start_at(port, "h264", &LOGIN).await;
     let subject = "\"subject\":\"front\"";
@@ -177,17 +177,17 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
         !ready().await.contains(subject)
     })
     .await;
-    // More than may have waited in the ring since before.
+    // More frames than the ring may still hold from before.
     until_processed(&node, processed(&node).await + 70).await;
     for path in ["/metrics", "/api/v1/cameras", "/api/v1/frame-states"] {
         shown += &node.text(path).await;
     }
     let address = format!("127.0.0.1:{port}/stream");
-    assert_says(&shown, &["; next attempt in ", &address]);
+    assert_contains(&shown, &["; next attempt in ", &address]);
     assert_hidden(&shown);
     let programs = children(node.id());
     let log = node.stop_well().await;
-    assert_says(&log, &["next attempt in"]);
+    assert_contains(&log, &["next attempt in"]);
     assert_hidden(&log);
     for process in programs {
         let place = format!("/proc/{process}");
@@ -197,7 +197,7 @@ async fn a_node_s_own_camera_reconnects_and_its_password_never_leaks() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn a_published_camera_reconnects_with_a_new_numbering() {
+async fn a_published_camera_reconnects_and_restarts_its_numbering() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, source) = (camera.port, with_login(&camera));
     let mut publisher = Publisher::start(&[&source], &ENVIRONMENT).await;
@@ -226,12 +226,12 @@ async fn a_published_camera_reconnects_with_a_new_numbering() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn motion_jpeg_is_passed_on_byte_for_byte_from_one_connection_and_within_the_limit() {
+async fn motion_jpeg_is_forwarded_unchanged_over_one_connection_within_the_rate_limit() {
     let picture = picture();
     let camera = MotionJpegCamera::start(picture.clone(), Duration::from_millis(10)).await;
     let mut publisher = Publisher::start(&[&camera.address, "--rate", "5"], &[]).await;
     let frames = publisher.take(16).await;
-    // By the publisher's clock, fifteen slots of a fifth of a second follow the first frame's; that may come late in its own.
+    // By the publisher's clock, fifteen slots of 0.2 s follow the first frame's slot; that frame may come late in its slot.
     let [first, last] = [0, 15].map(|frame: usize| frames[frame].said.t_ns.unwrap());
     let took = Duration::from_nanos(last - first);
     assert!(took >= Duration::from_millis(2700), "{took:?}");
@@ -242,18 +242,18 @@ async fn motion_jpeg_is_passed_on_byte_for_byte_from_one_connection_and_within_t
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
-async fn motion_jpeg_by_rtsp_is_found_out_and_not_coded_again() {
+async fn motion_jpeg_over_rtsp_is_detected_and_not_encoded_again() {
     let camera = RtspCamera::start("jpeg", &[]).await;
     let arguments = [&camera.address(), "--hardware", "cuda"];
     let mut publisher = Publisher::start(&arguments, &[]).await;
-    // Nothing is decoded, so a decoder that is not here is not missed, once it is known what comes.
+    // Nothing is decoded, so the missing CUDA decoder does not matter.
     publisher.take(20).await;
     publisher.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs RTSP server"]
-async fn a_gstreamer_pipeline_is_a_camera_and_stands_in_where_there_is_no_ffmpeg() {
+async fn a_gstreamer_pipeline_is_a_camera_and_replaces_a_missing_ffmpeg() {
     let pipeline =
         "videotestsrc is-live=true ! video/x-raw,width=160,height=120,framerate=20/1 ! jpegenc";
     let mut publisher = Publisher::start(&[pipeline], &[]).await;
@@ -272,7 +272,7 @@ async fn a_gstreamer_pipeline_is_a_camera_and_stands_in_where_there_is_no_ffmpeg
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
-async fn a_file_is_a_camera_that_never_ends() {
+async fn a_video_file_is_a_camera_that_never_ends() {
     let folder = tempfile::tempdir().unwrap();
     let file = test_video(folder.path(), "drive 1.mp4", "rate=20:duration=1");
     let begun = Instant::now();
@@ -315,17 +315,17 @@ async fn a_sender_that_restarts_loses_no_frame() {
 #[case("rtsp://${NOBODY_SETS_THIS}@camera/stream", &["NOBODY_SETS_THIS"])]
 #[case("rtsp://camera/stream", &["ffmpeg", "gst-launch-1.0", "apt-get install ffmpeg"])]
 #[case("a ! jpegenc", &["gstreamer1.0-tools"])]
-fn a_source_that_cannot_be_opened_is_named_with_what_to_do(
+fn a_source_that_cannot_be_opened_is_named_with_a_remedy(
     #[case] source: &str,
     #[case] parts: &[&str],
 ) {
     let said = run(&["publish", source], &[("PATH", "/nowhere")]).fails();
-    assert_says(&said, parts);
+    assert_contains(&said, parts);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_failed_source_says_why_and_when_it_is_tried_again() {
+async fn a_failed_source_reports_why_and_when_it_retries() {
     let camera = RtspCamera::start("h264", &[USER, "another"]).await;
     let password = "hid%2Fden%407%3Ax";
     let login = format!("rtsp://{USER}:{password}@");
@@ -339,7 +339,7 @@ async fn a_failed_source_says_why_and_when_it_is_tried_again() {
     assert_eq!(entry["source"], camera.address());
     assert!(entry.get("key").is_none(), "{entry}");
     let reason = "\"reason\":\"failed: 401 Unauthorized; next attempt in ";
-    assert_says(&node.text("/readyz").await, &[reason]);
+    assert_contains(&node.text("/readyz").await, &[reason]);
     let (_, _, log, _) = node.stop().await;
     let attempts = log.matches("next attempt in 2 s").count();
     assert_eq!(attempts, 1, "once for each attempt: {log}");
@@ -348,7 +348,7 @@ async fn a_failed_source_says_why_and_when_it_is_tried_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
-async fn a_source_that_falls_silent_fails_when_it_is_to() {
+async fn a_silent_source_fails_after_its_timeout() {
     let script = Script::FallSilent(vec![picture(); 20]);
     let camera = MotionJpegCamera::playing(script, Duration::from_millis(10)).await;
     let timeout = "# development: source_timeout_s=3";
@@ -366,8 +366,8 @@ async fn a_source_that_falls_silent_fails_when_it_is_to() {
     })
     .await;
     let said = "failed: no picture for more than 3 s";
-    assert_says(fault.as_str().unwrap(), &[said]);
-    // Far sooner than the 15 s without this setting; the last pictures may have waited for the detector.
+    assert_contains(fault.as_str().unwrap(), &[said]);
+    // Far sooner than the default of 15 s; the last pictures may have waited for the detector.
     let silent = last.1.elapsed();
     assert!(silent < Duration::from_secs(10), "{silent:?}");
     node.stop().await;
@@ -375,7 +375,7 @@ async fn a_source_that_falls_silent_fails_when_it_is_to() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn a_picture_that_never_ends_does_not_fill_the_memory() {
+async fn an_endless_picture_does_not_fill_the_memory() {
     let camera = MotionJpegCamera::playing(Script::EndlessPart, Duration::ZERO).await;
     let publisher = Publisher::start(&[&camera.address], &[]).await;
     let mut peak = 0.0_f64;
@@ -386,7 +386,7 @@ async fn a_picture_that_never_ends_does_not_fill_the_memory() {
         camera.clients() >= 3
     })
     .await;
-    println!("ffmpeg had at most {peak:.0} MB");
+    println!("ffmpeg peaks at {peak:.0} MB");
     assert!((1.0..300.0).contains(&peak), "{peak:.0} MB");
     let log = publisher.stop().await;
     assert!(log.contains("next attempt in"), "{log}");
@@ -394,7 +394,7 @@ async fn a_picture_that_never_ends_does_not_fill_the_memory() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
+async fn a_stream_of_broken_pictures_is_not_reopened_endlessly() {
     let broken = Script::Repeat(vec![b"no picture".to_vec()]);
     let camera = MotionJpegCamera::playing(broken, Duration::from_millis(10)).await;
     let publisher = Publisher::start(&[&camera.address], &[]).await;
@@ -403,7 +403,7 @@ async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
     assert!(camera.clients() <= 6, "{} times", camera.clients());
     publisher.stop().await;
 
-    // One broken picture in a good stream is left out.
+    // A broken picture in a good stream is dropped.
     let picture = picture();
     let mut parts = vec![picture.clone(); 20];
     parts[0] = b"broken".to_vec();
@@ -418,7 +418,7 @@ async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
+async fn source_options_reach_the_camera_and_its_secrets_leak_nowhere() {
     let camera = MotionJpegCamera::start(picture(), Duration::from_millis(10)).await;
     let address = camera.address.replace("http://", "http://viewer:hidden@");
     let arguments = [
@@ -433,7 +433,7 @@ async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
     publisher.take(3).await;
     let request = camera.first_request();
     let given = ["X-Gate: opened by hidden", "Authorization: Basic"];
-    assert_says(&request, &given);
+    assert_contains(&request, &given);
     let programs = children(publisher.child.id().unwrap());
     assert_eq!(programs.len(), 1);
     let environment = std::fs::read(format!("/proc/{}/environ", programs[0])).unwrap();
@@ -446,7 +446,7 @@ async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
     assert!(!log.contains("opened by"), "{log}");
 }
 
-/// A camera with Zenoh's own settings, shared memory among them, that sends some frames and goes.
+/// Connects a camera with Zenoh's defaults, shared memory among them, sends ten frames and disconnects.
 async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
     let session = zenoh_client(endpoint).await;
     for seq in 0..10 {
@@ -462,8 +462,8 @@ async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn cameras_that_come_and_go_leave_no_memory_in_the_node() {
-    // For figures by hand: how many, and with which setting.
+async fn cameras_that_come_and_go_leak_no_memory() {
+    // For measurements by hand: the number of sessions, and settings of the node.
     let count = std::env::var("ALBIREO_SESSIONS").map_or(200, |count| count.parse().unwrap());
     let more = std::env::var("ALBIREO_SESSIONS_NODE").unwrap_or_default();
     let node = Node::start(&format!(

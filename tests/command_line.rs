@@ -1,9 +1,9 @@
-//! The command line as a user meets it: help, `check`, and the environment.
+//! The command line: help, `check`, and environment variables.
 
 use crate::support::run;
 use rstest::rstest;
 
-/// The shipped configuration, whatever this machine has.
+/// Checks the shipped configuration without looking at this machine.
 const CHECK: [&str; 3] = ["check", "--file-only", "config/node.toml"];
 const NODE: [&str; 3] = ["node", "--config", "config/node.toml"];
 
@@ -24,7 +24,7 @@ fn check_examines_the_machine_unless_file_only_is_given() {
     run(&CHECK, &missing[..2]).succeeds();
 }
 
-/// What `check` says of anything but ONNX Runtime, which these tests do not need.
+/// The output of `check` except about ONNX Runtime, which these tests do not need.
 fn without_onnxruntime(said: &str) -> String {
     let lines = said.lines();
     let lines = lines.filter(|line| !line.starts_with("  detector.onnxruntime: "));
@@ -35,13 +35,13 @@ const CAMERAS: &str =
     r#"[{name="a",key="x/y"},{name="b",key="x/y"},{name="c",key="albireo/node/a/detections"}]"#;
 
 #[rstest]
-#[case::of_cameras_that_would_receive_each_others_messages("ALBIREO_CAMERA", CAMERAS)]
-#[case::of_a_token_that_can_be_guessed("ALBIREO_HTTP__TOKEN", "secret")]
-#[case::of_a_word_for_a_number("ALBIREO_CLIP__WINDOW_S", "soon")]
-#[case::of_a_number_out_of_range("ALBIREO_CLIP__WINDOW_S", "-1")]
-#[case::of_an_unknown_key("ALBIREO_CLIP__WINDOW", "1")]
-#[case::of_one_underscore("ALBIREO_CLIP_WINDOW_S", "1")]
-#[case::of_an_open_address("ALBIREO_HTTP__LISTEN", "0.0.0.0:80")]
+#[case::cameras_with_the_same_key("ALBIREO_CAMERA", CAMERAS)]
+#[case::a_short_token("ALBIREO_HTTP__TOKEN", "secret")]
+#[case::a_word_for_a_number("ALBIREO_CLIP__WINDOW_S", "soon")]
+#[case::a_number_out_of_range("ALBIREO_CLIP__WINDOW_S", "-1")]
+#[case::an_unknown_key("ALBIREO_CLIP__WINDOW", "1")]
+#[case::a_single_underscore("ALBIREO_CLIP_WINDOW_S", "1")]
+#[case::an_open_address("ALBIREO_HTTP__LISTEN", "0.0.0.0:80")]
 fn check_names_the_variable_and_the_reason(#[case] name: &str, #[case] value: &str) {
     let case = std::thread::current().name().unwrap().to_owned();
     let case = case.rsplit("::").next().unwrap();
@@ -52,7 +52,7 @@ fn check_names_the_variable_and_the_reason(#[case] name: &str, #[case] value: &s
 #[case(&NODE, ("RUST_LOG", "loud"), "environment variable RUST_LOG: `loud`")]
 #[case(&NODE, ("ALBIREO_HTTP__TOKEN", "secret"), "http.token: has fewer than 16 characters")]
 #[case(&["node", "--config", "/nowhere/node.toml"], ("A", "b"), "/nowhere/node.toml cannot be used")]
-fn the_node_does_not_start_on_what_check_refuses(
+fn the_node_does_not_start_with_what_check_rejects(
     #[case] arguments: &[&str],
     #[case] variable: (&str, &str),
     #[case] expected: &str,
@@ -75,7 +75,7 @@ fn check_names_file_key_and_reason() {
 #[rstest]
 #[case("ALBIREO_NODE__NAME", "car-7", "node `car-7`")]
 #[case("ALBIREO_CAMERA", r#"[{name="a"},{name="b"}]"#, "2 cameras")]
-#[case::one_of_the_tests_is_left_alone("ALBIREO_SHARED", "/somewhere", "1 camera")]
+#[case::an_unrelated_variable_is_ignored("ALBIREO_SHARED", "/somewhere", "1 camera")]
 fn environment_variables_override_the_file(
     #[case] name: &str,
     #[case] value: &str,

@@ -1,8 +1,7 @@
-//! `albireo compare`, as a user runs it: the node's own code with YOLOX-Nano, a clip of a few
-//! seconds, and its report.
+//! `albireo compare` end to end: the code of the node with YOLOX-Nano on a clip of a few seconds, and the report.
 
 use crate::support::{
-    Ended, assert_has, assert_says, fake_nvpmodel, fake_tegrastats, project, run,
+    Ended, assert_contains, assert_has, fake_nvpmodel, fake_tegrastats, project, run,
 };
 use rstest::rstest;
 use serde_json::{Value, json};
@@ -11,8 +10,8 @@ use std::path::{Path, PathBuf};
 /// Two rounds of two seconds.
 const SHORT: &str = "compare --seconds 2 --repeat 2 --warm-up 0.5 --cool-down 0 --u=1e-3";
 
-/// Compares vanilla and albireo on a machine with that `[power]` section and with constants changed: the words it prints,
-/// what it says of its progress, and its report.
+/// Compares vanilla and albireo with that `[power]` section and with changed constants. Returns the printed words, the
+/// progress messages and the report.
 fn compared(
     folder: &Path,
     power: &str,
@@ -28,12 +27,12 @@ fn compared(
     let progress = ended.err.clone();
     let said = ended.succeeds();
     let report = written(&out, &said);
-    // The lines may be broken anywhere.
+    // Lines may wrap anywhere.
     let words: Vec<_> = said.split_whitespace().collect();
     (words.join(" "), progress, report)
 }
 
-/// Runs a comparison, with constants changed.
+/// Runs a comparison with changed constants.
 fn compare(development: &str, arguments: &[&str]) -> Ended {
     let arguments: Vec<_> = SHORT.split(' ').chain(arguments.iter().copied()).collect();
     run(&arguments, &[("ALBIREO_DEVELOPMENT", development)])
@@ -52,7 +51,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap()
 }
 
-/// What was written to `folder`, after a comparison that printed that.
+/// Checks the files in `folder` against the printed text, and returns the report.
 fn written(folder: &Path, said: &str) -> Value {
     let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
     assert_eq!(said, read("compare.txt"));
@@ -68,10 +67,10 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
     let folder = tempfile::tempdir().unwrap();
     let power = "source = \"estimate\"";
     let (words, progress, found) = compared(folder.path(), power, "", &[]);
-    assert_says(&words, &["There is no power meter here", "ESTIMATED"]);
-    assert_says(&words, &["detector calls", ", AP@50"]);
-    // Where there is no terminal for a bar, a line a run says how far it is.
-    assert_says(&progress, &["run 4 of 4, vanilla …"]);
+    assert_contains(&words, &["There is no power meter here", "ESTIMATED"]);
+    assert_contains(&words, &["detector calls", ", AP@50"]);
+    // Without a terminal for a progress bar, one line per run reports the progress.
+    assert_contains(&progress, &["run 4 of 4, vanilla …"]);
     let verdict = &found["verdicts"][0];
     let calls = number(&verdict["detector_calls_percent"]);
     assert!(calls < 0.0, "{verdict}");
@@ -88,7 +87,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
         assert_eq!(frames + dropped, 20, "the warm-up is not counted: {report}");
         let expected = json!({"clip": "measured", "energy": {"quality": "estimated"}});
         assert_has(report, &expected);
-        // The clip's last frame has its time too.
+        // The duration includes the last frame.
         let seconds = number(&report["duration_s"]);
         assert!(seconds > 1.95, "{seconds}");
         assert!(number(&run["cpu_s"]) > 0.0);
@@ -135,7 +134,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
         "Energy is measured by `tegrastats`",
         "Power mode: MODE_30W.",
     ];
-    assert_says(&words, &measured);
+    assert_contains(&words, &measured);
     for run in found["comparison"]["runs"].as_array().unwrap() {
         let report = &run["report"];
         assert_eq!(report["frames"], 20, "unpaced drops nothing: {report}");
@@ -160,11 +159,11 @@ fn the_boards_own_meter_is_read_in_every_run() {
 #[case(["--model", "no/such.onnx"], "--detector no/such.onnx: no such file")]
 #[case(["--speed", "0"], "must be a number from 0.001")]
 #[case(["--config", "no/node.toml"], "no/node.toml")]
-fn what_cannot_be_compared_is_refused_with_what_to_do(
+fn an_invalid_comparison_is_rejected_with_a_remedy(
     #[case] arguments: [&str; 2],
     #[case] expected: &str,
 ) {
     let ended = compare("", &arguments);
     assert_ne!(ended.code, Some(0));
-    assert_says(&ended.err, &[expected]);
+    assert_contains(&ended.err, &[expected]);
 }

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Installs Debian packages that are missing, where this user may. Arguments: COMMAND:PACKAGE …, or :PACKAGE for one that
-# has no command.
-# A package that cannot be installed is named; the tests that need it then fail and say so.
+# Installs missing Debian packages if this user is allowed to. Arguments: COMMAND:PACKAGE …, or :PACKAGE for a package without
+# a command. Names a package that cannot be installed; the tests that need it are then skipped or fail.
 set -u
 missing=()
 for pair in "$@"; do

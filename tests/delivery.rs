@@ -1,17 +1,18 @@
-//! Clip reports on their way to a hub, with a small stand-in for it: a real queryable on its own session that
-//! commits to a file before it answers.
+//! Delivery of clip reports to a fake hub: a queryable on its own session that commits to a file before it answers.
 
 mod hub;
 
 use crate::support::camera::Camera;
-use crate::support::{Client, Node, assert_says, free_port, heard, next, project, run, until};
+use crate::support::{
+    Client, Node, assert_contains, free_port, next, project, run, subscribe, until,
+};
 use hub::{Hub, Manner};
 use std::time::{Duration, Instant};
 use zenoh::sample::Sample;
 
 const ACKNOWLEDGED: &str = "albireo_outbox_acknowledged_total";
 
-/// Settings of a node that answers quickly and tries a hub again quickly.
+/// Settings of a node with short timeouts and backoffs.
 fn settings() -> String {
     let model = project("tests/fixtures/models/boxes.onnx");
     format!(
@@ -21,7 +22,7 @@ fn settings() -> String {
     )
 }
 
-/// A folder with a node's state in it.
+/// A folder for a node's state, and settings that name it.
 fn folder() -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
@@ -38,7 +39,7 @@ async fn wait_for(node: &Node, name: &str, wanted: f64) {
     until(name, async || metric(node, name).await == wanted).await;
 }
 
-/// A node with a state of its own, and its camera.
+/// A node with a state directory, and its camera.
 async fn node_and_camera() -> (Node, Camera, String) {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -48,7 +49,7 @@ async fn node_and_camera() -> (Node, Camera, String) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn reports_reach_the_hub_once_and_are_removed_then() {
+async fn reports_reach_the_hub_once_and_are_then_removed() {
     let (node, mut camera, _) = node_and_camera().await;
     let hub = Hub::start(&node.zenoh, Manner::Honest).await;
     camera.clips(6).await;
@@ -64,7 +65,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_that_stops_in_a_pause_tries_once_more() {
+async fn a_node_that_stops_during_a_backoff_tries_once_more() {
     let (node, mut camera, _) = node_and_camera().await;
     // An hour.
     let retry_after_ms = 3_600_000;
@@ -84,7 +85,7 @@ async fn a_node_that_stops_in_a_pause_tries_once_more() {
 async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
     let (node, mut camera, settings) = node_and_camera().await;
     let key = |sample: Sample| sample.key_expr().to_string();
-    let mut keys = heard(&camera.session, "albireo/**", key).await;
+    let mut keys = subscribe(&camera.session, "albireo/**", key).await;
     camera.clips(1).await;
     camera.clips(4).await;
     for _ in 0..4 {
@@ -101,7 +102,7 @@ async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
+async fn twenty_waiting_reports_survive_a_hub_that_crashes_at_once() {
     let (node, mut camera, _) = node_and_camera().await;
     camera.clips(21).await;
     wait_for(&node, "albireo_outbox_waiting", 20.0).await;
@@ -118,7 +119,7 @@ async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice() {
+async fn a_hub_that_commits_and_hangs_before_answering_gets_no_report_twice() {
     let (node, mut camera, _) = node_and_camera().await;
     let hub = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
     camera.clips(4).await;
@@ -132,7 +133,7 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
+async fn a_busy_hub_is_retried_after_the_time_it_names() {
     let (node, mut camera, _) = node_and_camera().await;
     let retry_after_ms = 700;
     let hub = Hub::start(&node.zenoh, Manner::Busy { retry_after_ms }).await;
@@ -155,7 +156,7 @@ async fn a_clip_that_just_closed_survives_a_kill() {
         let mut camera = Camera::at(&node.zenoh, "node").await;
         camera.clips(4).await;
         closed += 3;
-        // Milliseconds after their end: the file is synced, their energy need not be known yet.
+        // Milliseconds after the clips end: the file is synced, although their energy may not be known yet.
         wait_for(&node, "albireo_outbox_kept_total", 3.0).await;
         folder = node.kill().await;
     }
@@ -165,7 +166,7 @@ async fn a_clip_that_just_closed_survives_a_kill() {
     hub.assert_gapless(closed);
 }
 
-/// How long frames and requests for health take, each one after the other.
+/// The times of alternating frames and health checks.
 async fn times(node: &Node, camera: &mut Camera, frames: u64) -> [Vec<Duration>; 2] {
     let mut took = [Vec::new(), Vec::new()];
     for _ in 0..frames {
@@ -173,7 +174,7 @@ async fn times(node: &Node, camera: &mut Camera, frames: u64) -> [Vec<Duration>;
         camera.clips(1).await;
         took[0].push(start.elapsed());
         let start = Instant::now();
-        assert_says(&node.text("/healthz").await, &["ok"]);
+        assert_contains(&node.text("/healthz").await, &["ok"]);
         took[1].push(start.elapsed());
     }
     took
@@ -187,27 +188,27 @@ fn median(times: &[Duration]) -> Duration {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
-async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
+async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
     let (node, mut camera, _) = node_and_camera().await;
     let without = times(&node, &mut camera, 200).await;
     let endpoint = format!("{}#so_rcvbuf=4096", node.zenoh);
     let deaf = Client::listen(&endpoint, "albireo/node/**", false).await;
     deaf.freeze();
-    // Two messages a frame, a clip's report among them: far more than the buffers between here and there hold.
+    // Two messages per frame, among them a clip report: far more than the buffers in between hold.
     let with = times(&node, &mut camera, 1700).await;
     for (without, with) in without.iter().zip(&with) {
         let (without, longest) = (median(without), *with.iter().max().unwrap());
         let with = median(&with[1500..]);
-        println!("median {without:?} without it, {with:?} with it; at the most {longest:?}");
+        println!("median {without:?} without it, {with:?} with it; maximum {longest:?}");
         assert!(with < without * 10 + Duration::from_millis(50));
-        // A put that waits for the subscriber waits for seconds.
+        // A put that waited for the subscriber would take seconds.
         assert!(longest < Duration::from_millis(2500));
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
+async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
     let other = tempfile::tempdir().unwrap();
@@ -215,20 +216,20 @@ async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
     let listen = "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:0\"]\n";
     std::fs::write(&file, format!("{listen}{settings}")).unwrap();
     let said = run(&["node", "--config", file.to_str().unwrap()], &[]).fails();
-    assert_says(&said, &["in use by another node"]);
+    assert_contains(&said, &["in use by another node"]);
     drop(node);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_starts_without_its_router_answers_health_and_survives_its_replacement() {
+async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_restart() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let settings = format!(
         "zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n{}",
         settings()
     );
     let node = Node::start_unready(&settings).await;
-    assert_says(&node.text("/healthz").await, &["ok"]);
+    assert_contains(&node.text("/healthz").await, &["ok"]);
     until("its router is missed", async || {
         let ready = node.text("/readyz").await;
         assert!(

@@ -1,12 +1,12 @@
-//! `albireo demo` with its hub, as a user runs it.
+//! `albireo demo` with its hub, end to end.
 
-use crate::support::{Ended, PATIENCE, albireo, assert_says, json_at, signal, until};
+use crate::support::{Ended, PATIENCE, albireo, assert_contains, json_at, signal, until};
 use serde_json::Value;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::time::timeout;
 
-/// After the first detection comes a table of clips without another line in it: the road's clips in order.
+/// Asserts that an uninterrupted table of the road's clips, in order, follows the first detection.
 fn assert_is_a_table(lines: &[String]) {
     let is_first = |line: &String| line.starts_with("first detection after");
     let first = lines.iter().position(is_first);
@@ -26,9 +26,9 @@ fn assert_is_a_table(lines: &[String]) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen() {
+async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     let temporary = tempfile::tempdir().unwrap();
-    // Four times as fast, so that a clip does not take long.
+    // At four times the normal rate, so that clips are short.
     let mut demo = albireo()
         .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "40"])
         .env("TMPDIR", temporary.path())
@@ -50,7 +50,7 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     let clips = json_at(&page).await;
     let mut all = clips["clips"].as_array().unwrap().iter();
     assert!(all.all(|clip| clip["node"] == "demo"), "{clips}");
-    // Its status was sent before the hub could hear, perhaps; then the hub asks for it.
+    // The hub asks for the status if the node sent it too early.
     let node = format!("{hub}/api/v1/nodes/demo");
     until("the node is seen", async || {
         let node = json_at(&node).await;
@@ -66,13 +66,13 @@ async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen
     let ended = timeout(PATIENCE, demo.wait_with_output()).await.unwrap();
     let ended = Ended::from(ended.unwrap());
     let code = (ended.code, &*ended.err);
-    assert_eq!(code, (Some(0), ""), "nothing tears the table");
-    assert_says(&rest.join("\n"), &["detector skipped on"]);
+    assert_eq!(code, (Some(0), ""), "nothing interrupts the table");
+    assert_contains(&rest.join("\n"), &["detector skipped on"]);
     assert_is_a_table(&rest);
-    // ONNX Runtime leaves its own file there.
+    // ONNX Runtime leaves a file there.
     for left in std::fs::read_dir(temporary.path()).unwrap() {
         let name = left.unwrap().file_name().into_string().unwrap();
         let is_ours = name.starts_with("albireo");
-        assert!(!is_ours, "the hub's folder goes with it: {name}");
+        assert!(!is_ours, "the demo leaves {name}");
     }
 }

@@ -1,17 +1,17 @@
-//! The files shipped beside the programs: manual pages, completions, packages, containers, proxies.
+//! The shipped files: manual pages, completions, packages, containers, proxies.
 
-use crate::support::{assert_says, project, run, run_command, text};
+use crate::support::{assert_contains, project, run, run_command, text};
 use clap::CommandFactory;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
-/// What the program prints, which must succeed.
+/// The output of a run of the program, which must succeed.
 fn says(arguments: &[&str]) -> String {
     run(arguments, &[]).succeeds()
 }
 
-/// Runs a tool, which must find nothing wrong.
+/// Runs a tool, which must succeed.
 #[track_caller]
 fn accepts(program: &str, arguments: &[&str]) -> String {
     run_command(Command::new(program).args(arguments)).succeeds()
@@ -24,18 +24,18 @@ fn every_subcommand_has_a_manual_page_and_every_shell_its_completions() {
     for command in albireo::cli::Arguments::command().get_subcommands() {
         let page = format!("albireo-{}.1", command.get_name());
         let page = folder.path().join(page);
-        assert_says(&std::fs::read_to_string(page).unwrap(), &[".SH NAME"]);
+        assert_contains(&std::fs::read_to_string(page).unwrap(), &[".SH NAME"]);
     }
     for shell in ["bash", "zsh", "fish"] {
-        assert_says(&says(&["completions", shell]), &["node"]);
+        assert_contains(&says(&["completions", shell]), &["node"]);
     }
-    // A shell takes them.
+    // A shell can parse them.
     let script = folder.path().join("completions.bash");
     std::fs::write(&script, says(&["completions", "bash"])).unwrap();
     accepts("bash", &["-n", script.to_str().unwrap()]);
 }
 
-/// The scripts that are shipped.
+/// The shipped scripts.
 fn scripts() -> Vec<String> {
     let own = ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"];
     let mut found = own.map(str::to_owned).to_vec();
@@ -49,30 +49,30 @@ fn scripts() -> Vec<String> {
 }
 
 #[test]
-fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
+fn every_script_parses_and_stops_at_the_first_error() {
     let scripts = scripts();
     assert!(scripts.len() >= 6, "{scripts:?}");
     for script in scripts {
         let text = text(&script);
         let is_sh = text.starts_with("#!/bin/sh");
         accepts(if is_sh { "sh" } else { "bash" }, &["-n", &script]);
-        assert_says(&text, &["\nset -e"]);
+        assert_contains(&text, &["\nset -e"]);
         if script.starts_with("deploy/debian/") {
-            assert_says(&text, &["#DEBHELPER#"]);
+            assert_contains(&text, &["#DEBHELPER#"]);
         }
     }
 }
 
 #[test]
-fn manifests_and_changelog_have_one_version_and_a_tag_of_another_is_refused() {
+fn manifests_and_changelog_agree_on_the_version_and_another_tag_is_rejected() {
     let notes_of = |tag| run_command(Command::new("bash").args(["deploy/release-version.sh", tag]));
     let notes = notes_of(concat!("v", env!("CARGO_PKG_VERSION"))).succeeds();
-    assert!(!notes.is_empty(), "the changelog says nothing");
-    assert_says(&notes_of("v0.0.1").fails(), &["the tag has 0.0.1"]);
+    assert!(!notes.is_empty(), "no notes in the changelog");
+    assert_contains(&notes_of("v0.0.1").fails(), &["the tag has 0.0.1"]);
 }
 
 #[test]
-fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
+fn every_action_in_the_public_workflows_is_pinned_by_hash() {
     for file in ["ci", "release"] {
         let text = text(&format!(".github/workflows/{file}.yml"));
         let uses: Vec<_> = (text.lines())
@@ -90,7 +90,7 @@ fn every_action_of_the_public_workflows_is_pinned_by_its_hash() {
 
 #[test]
 #[ignore = "needs shellcheck"]
-fn shellcheck_finds_nothing_in_the_scripts() {
+fn shellcheck_accepts_the_scripts() {
     let scripts = scripts();
     let scripts: Vec<_> = scripts.iter().map(String::as_str).collect();
     let severity = ["--severity=warning"];
@@ -99,12 +99,12 @@ fn shellcheck_finds_nothing_in_the_scripts() {
 
 #[test]
 #[ignore = "needs hadolint"]
-fn hadolint_finds_nothing_in_the_images() {
+fn hadolint_accepts_the_images() {
     let images = ["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"];
     accepts("hadolint", &images);
 }
 
-/// Runs a maintainer script of `package` with everything it touches under `root`, and users and owners made up.
+/// Runs a maintainer script of `package` with `folder` as its root, and with fake user commands.
 fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
     let here = folder.display();
     let text = text(&format!("deploy/debian/{package}/{script}"))
@@ -124,7 +124,7 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
 }
 
 #[test]
-fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_takes_them_away() {
+fn installing_makes_a_token_and_a_name_upgrading_keeps_them_and_purging_removes_them() {
     use std::os::unix::fs::PermissionsExt;
     for package in ["node", "hub", "router"] {
         let folder = tempfile::tempdir().unwrap();
@@ -150,7 +150,7 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
         let kept = std::fs::read_to_string(&token).unwrap();
         assert_eq!(kept, first, "an upgrade keeps it");
         if package == "node" {
-            assert_says(&std::fs::read_to_string(&name).unwrap(), &["mine"]);
+            assert_contains(&std::fs::read_to_string(&name).unwrap(), &["mine"]);
         }
         runs_in(package, "postrm", "remove", folder.path());
         assert!(token.exists(), "{package}: a removal keeps it");
@@ -160,19 +160,19 @@ fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_ta
 }
 
 #[test]
-fn every_image_is_built_with_every_member_of_the_workspace() {
+fn every_image_copies_every_workspace_member() {
     let manifest: toml::Value = toml::from_str(&text("Cargo.toml")).unwrap();
     for image in ["Dockerfile", "Dockerfile.l4t"] {
         let steps = text(&format!("deploy/docker/{image}"));
         for member in manifest["workspace"]["members"].as_array().unwrap() {
             let folder = member.as_str().unwrap().split('/').next().unwrap();
-            assert_says(&steps, &[&format!("\nCOPY {folder} {folder}\n")]);
+            assert_contains(&steps, &[&format!("\nCOPY {folder} {folder}\n")]);
         }
     }
 }
 
 #[test]
-fn every_file_a_package_or_an_image_takes_along_is_there() {
+fn every_file_of_a_package_or_image_exists() {
     let manifest: toml::Value = toml::from_str(&text("Cargo.toml")).unwrap();
     let packages = &manifest["package"]["metadata"]["deb"];
     let variants = packages["variants"].as_table().unwrap();
@@ -181,7 +181,7 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
     for (name, variant) in variants {
         for asset in variant["assets"].as_array().unwrap() {
             let from = asset[0].as_str().unwrap();
-            // What `make dist` builds is not in the clone.
+            // `make dist` builds files that are not in the clone.
             let built = from.starts_with("target/");
             let place = project(from.trim_end_matches("/*"));
             assert!(built || place.exists(), "{name}: {from}");
@@ -206,19 +206,19 @@ fn every_file_a_package_or_an_image_takes_along_is_there() {
             .filter(|line| !line.starts_with("--from"));
         for line in copied {
             let words: Vec<&str> = line.split_whitespace().collect();
-            // What is named at build time comes along then.
+            // Skips names that are set at build time.
             let from = words[..words.len() - 1].iter();
             for from in from.filter(|word| !word.contains("${") && !word.starts_with('/')) {
                 assert!(project(from).exists(), "{from} of `{line}`");
             }
         }
-        assert_says(&image, &["\nUSER ", "\nHEALTHCHECK "]);
+        assert_contains(&image, &["\nUSER ", "\nHEALTHCHECK "]);
     }
 }
 
 #[test]
-fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
-    // The file alone: the model and the token come with the package.
+fn the_shipped_configurations_pass_check() {
+    // The file alone: the model and the token come from the package.
     says(&["check", "--file-only", "deploy/debian/node.toml"]);
     for node in ["car-1", "car-2", "car-3"] {
         let check = ["check", "--file-only", "deploy/docker/node.toml"];
@@ -231,14 +231,14 @@ fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used() {
         says(&["check", "deploy/docker/hub.toml"]);
         says(&[&router[..], &["deploy/docker/router.json5"]].concat());
         says(&[&router[..], &["config/zenoh-router.json5"]].concat());
-        // The access rules are written for each fleet.
+        // Access rules are written per fleet.
         let certified = ["deploy/zenoh/router.json5", "--no-access-control"];
         says(&[&router[..], &certified].concat());
     }
 }
 
 #[test]
-fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
+fn zenoh_accepts_every_shipped_configuration() {
     for file in [
         "config/zenoh-router.json5",
         "deploy/docker/router.json5",
@@ -252,11 +252,11 @@ fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
 }
 
 #[test]
-fn every_command_of_the_compose_file_is_one_of_the_program() {
+fn every_command_in_the_compose_file_parses() {
     let compose = text("deploy/docker/compose.yml");
     let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
     let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
-    // The bridge is another program.
+    // The bridge is a different program.
     let commands: Vec<_> = commands
         .filter(|words| !words[0].starts_with("--"))
         .collect();
@@ -270,7 +270,7 @@ fn every_command_of_the_compose_file_is_one_of_the_program() {
 
 #[test]
 #[ignore = "needs Docker Compose"]
-fn the_compose_file_is_one() {
+fn the_compose_file_is_valid() {
     let plugin = Command::new("docker").args(["compose", "version"]).output();
     let check = ["-f", "deploy/docker/compose.yml", "config", "--quiet"];
     if plugin.is_ok_and(|ended| ended.status.success()) {
@@ -283,7 +283,7 @@ fn the_compose_file_is_one() {
 #[cfg(feature = "hub")]
 #[tokio::test]
 #[ignore = "needs Caddy and curl"]
-async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_through() {
+async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     use crate::support::fleet::{HubProcess, settings, sqlite};
     use crate::support::{free_port, until};
     let folder = tempfile::tempdir().unwrap();
@@ -309,7 +309,7 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
         .kill_on_drop(true)
         .spawn()
         .unwrap();
-    // Its authority is made at the first start; curl trusts it and checks the name.
+    // Caddy creates its authority at the first start; curl trusts it and checks the name.
     let authority = folder.path().join("caddy/pki/authorities/local/root.crt");
     let asks = |path: &str, more: &[&str]| {
         let ended = Command::new("curl")
@@ -328,9 +328,9 @@ async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_throug
     let token = ["--header", "Authorization: Bearer a-long-random-secret"];
     let both = [&status[..], &token].concat();
     assert_eq!(asks("/api/v1/nodes", &both), "200");
-    // The first bytes of the stream come although it does not end.
+    // The first bytes of the stream arrive although it does not end.
     let included = ["--no-buffer", "--include", "--max-time", "3"];
     let included = [&token[..], &included].concat();
     let stream = asks("/api/v1/events", &included).to_lowercase();
-    assert_says(&stream, &["text/event-stream", "strict-transport-security"]);
+    assert_contains(&stream, &["text/event-stream", "strict-transport-security"]);
 }

@@ -1,4 +1,4 @@
-//! The systemd units: valid, as restricted as promised, and working with the real programs.
+//! The systemd units are valid, as restricted as promised, and work with the real programs.
 
 #[cfg(feature = "hub")]
 use crate::support::fleet::{behind, router_config, settings, sqlite};
@@ -14,7 +14,7 @@ fn unit(name: &str) -> String {
     text(&format!("deploy/systemd/{name}"))
 }
 
-/// The units with the program that was built instead of the installed one, and their drop-ins, in a folder.
+/// Writes the units for the program under test, with their drop-ins, to a folder.
 fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
     let program = env!("CARGO_BIN_EXE_albireo");
     let mut files = Vec::new();
@@ -35,14 +35,14 @@ fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
 fn verify(files: &[PathBuf]) -> String {
     let mut verify = Command::new("systemd-analyze");
     let said = run_command(verify.args(["verify", "--man=no"]).args(files)).err;
-    // Of the machine's own units the test says nothing.
+    // The units of the machine do not matter.
     let own = said.lines().filter(|line| line.contains("albireo"));
     own.collect::<Vec<_>>().join("\n")
 }
 
 #[test]
 #[ignore = "needs systemd"]
-fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
+fn systemd_accepts_the_units_and_their_drop_ins() {
     let folder = tempfile::tempdir().unwrap();
     let plain = here(folder.path(), &[]);
     assert_eq!(verify(&plain), "");
@@ -50,7 +50,7 @@ fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
     let all = [("node", "gpu.conf"), ("node", "rapl.conf")];
     let with_all = here(folder.path(), &all);
     assert_eq!(verify(&with_all), "");
-    // The check itself can fail.
+    // The check works: it finds a misspelt key.
     let text = std::fs::read_to_string(&plain[0]).unwrap();
     std::fs::write(&plain[0], text.replace("Restart=always", "Restrat=always")).unwrap();
     assert!(verify(&plain).contains("Restrat"));
@@ -58,10 +58,10 @@ fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
 
 #[test]
 #[ignore = "needs systemd"]
-fn the_units_are_as_closed_as_promised() {
+fn the_units_are_as_restricted_as_promised() {
     let folder = tempfile::tempdir().unwrap();
     let files = here(folder.path(), &[]);
-    // In tenths, as systemd counts.
+    // Exposure in tenths, as systemd counts it.
     for (file, most) in files.iter().zip([25, 15, 15]) {
         let mut security = Command::new("systemd-analyze");
         let threshold = format!("--threshold={most}");
@@ -71,7 +71,7 @@ fn the_units_are_as_closed_as_promised() {
 }
 
 #[test]
-fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
+fn a_drop_in_lifts_only_restrictions_with_a_stated_reason() {
     let gpu = [
         "PrivateDevices=no",
         "MemoryDenyWriteExecute=no",
@@ -98,10 +98,10 @@ fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
     }
 }
 
-/// A service manager's end of the notify socket.
+/// The service manager's end of the notify socket.
 struct Manager {
     socket: UnixDatagram,
-    /// Keeps the socket's place.
+    /// The folder of the socket and the log.
     folder: tempfile::TempDir,
     heard: Vec<String>,
 }
@@ -155,7 +155,7 @@ impl Manager {
         }
     }
 
-    /// What comes in that time.
+    /// Receives for that time.
     async fn during(&mut self, time: Duration) {
         let until = Instant::now() + time;
         while timeout(until.saturating_duration_since(Instant::now()), self.hear())
@@ -188,7 +188,7 @@ async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
 
 #[cfg(feature = "hub")]
 #[tokio::test]
-async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_for() {
+async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
     let settings = behind(&router, &sqlite(folder.path()));
@@ -215,7 +215,7 @@ async fn a_router_notifies_ready_and_feeds_its_watchdog() {
     ends_well(router, &mut manager).await;
 }
 
-/// A node with that model, and who manages it.
+/// A node with that model, and its manager.
 fn node(folder: &Path, model: &Path) -> (Child, Manager) {
     let file = folder.join("node.toml");
     let settings = format!(
@@ -245,9 +245,9 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
+async fn a_node_whose_detector_never_loads_starves_its_watchdog_and_reports_why() {
     let folder = tempfile::tempdir().unwrap();
-    // A pipe without a writer: loading it never ends.
+    // Loading a pipe without a writer never ends.
     let model = folder.path().join("detector.onnx");
     pipe(&model);
     let (_node, mut manager) = node(folder.path(), &model);

@@ -1,5 +1,5 @@
-//! Prometheus rules and Grafana dashboards: every alert is played, and node, hub or router really exports every metric
-//! that a rule or a dashboard names.
+//! Prometheus rules and Grafana dashboards: every alert has a test, and node, hub or router exports every metric that a rule
+//! or a dashboard names.
 
 use crate::http_api::served::Served;
 use crate::support::fleet::{HubProcess, router_config, settings, sqlite};
@@ -13,9 +13,9 @@ fn text(path: &str) -> String {
     crate::support::text(&format!("deploy/{path}"))
 }
 
-/// The metrics that an expression names: words that are no function, label or keyword.
+/// The metrics in an expression: words other than functions, labels and keywords.
 fn metrics_of(expression: &str) -> BTreeSet<String> {
-    // Text in quotes and braces is labels.
+    // Text in quotes or braces is labels.
     let mut plain = String::new();
     let (mut quoted, mut depth) = (false, 0_u32);
     for c in expression.chars() {
@@ -67,7 +67,7 @@ fn dashboards() -> Vec<(String, Value)> {
         .collect()
 }
 
-/// The names of the samples that a text of metrics may have.
+/// The names of the samples in a metrics text.
 fn names(exposition: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for line in exposition.lines() {
@@ -85,7 +85,7 @@ fn names(exposition: &str) -> BTreeSet<String> {
     names
 }
 
-async fn of_a_node() -> BTreeSet<String> {
+async fn node_metrics() -> BTreeSet<String> {
     let node = Served::start().await;
     node.board.set_power(PowerSnapshot {
         hottest: Some(("cpu".to_owned(), 50.0)),
@@ -94,7 +94,7 @@ async fn of_a_node() -> BTreeSet<String> {
     names(&node.metrics().await)
 }
 
-async fn of_a_hub() -> BTreeSet<String> {
+async fn hub_metrics() -> BTreeSet<String> {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&settings);
@@ -102,7 +102,7 @@ async fn of_a_hub() -> BTreeSet<String> {
     names(&hub.metrics().await)
 }
 
-async fn of_a_router() -> BTreeSet<String> {
+async fn router_metrics() -> BTreeSet<String> {
     let folder = tempfile::tempdir().unwrap();
     let http = format!("127.0.0.1:{}", free_port());
     let _router = albireo()
@@ -122,10 +122,10 @@ async fn of_a_router() -> BTreeSet<String> {
 }
 
 #[tokio::test]
-async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
-    let mut there = of_a_node().await;
-    there.extend(of_a_hub().await);
-    there.extend(of_a_router().await);
+async fn every_metric_in_a_rule_or_dashboard_is_exported() {
+    let mut there = node_metrics().await;
+    there.extend(hub_metrics().await);
+    there.extend(router_metrics().await);
     let (expressions, recorded) = rules();
     there.extend(recorded);
     assert!(expressions.len() > 20, "{expressions:?}");
@@ -158,7 +158,7 @@ async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
             look(name, query.as_str().unwrap_or_default());
         }
     }
-    assert!(missing.is_empty(), "no program gives: {missing:#?}");
+    assert!(missing.is_empty(), "no program exports {missing:#?}");
 }
 
 #[test]
@@ -184,7 +184,7 @@ fn every_alert_fires_when_it_should_and_not_before() {
 }
 
 #[test]
-fn every_alert_is_played() {
+fn every_alert_has_a_test() {
     let alerts = |file: &str, start: &str| -> BTreeSet<String> {
         text(file)
             .lines()

@@ -1,6 +1,6 @@
-//! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
+//! Model exports of many kinds through the whole detector: recognised and run, rejected, or survived.
 
-use super::support::assert_says;
+use super::support::assert_contains;
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, one_colour, refusal, started,
 };
@@ -12,7 +12,7 @@ use albireo_vision::detector::{
 
 const NAMES: [&str; 2] = ["car", "traffic light"];
 
-/// With both classes named and reported.
+/// A configuration that names and reports both classes.
 fn named(name: &str) -> DetectorConfig {
     changed(name, |config| {
         config.class_names = Some(ClassNames::List(NAMES.map(str::to_owned).to_vec()));
@@ -22,7 +22,7 @@ fn named(name: &str) -> DetectorConfig {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata() {
+async fn a_dynamic_export_runs_at_the_size_in_its_metadata() {
     let network = DetectorNetwork::open(&config("yolo_open.onnx")).unwrap();
     assert_eq!(network.head(), HeadName::Yolo);
     assert_eq!(network.input_format().size, PictureSize::new(64, 32));
@@ -41,7 +41,7 @@ async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata()
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
+async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
     for name in ["yolo_float16.onnx", "yolo_bytes.onnx"] {
         let detector = started(&named(name)).await;
         assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
@@ -55,7 +55,7 @@ async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn classes_are_filtered_and_renamed_as_configured() {
-    // By default only the classes of BDD100K: a traffic light is none.
+    // By default only the classes of BDD100K are reported, without traffic lights.
     let detector = started(&config("yolo_open.onnx")).await;
     assert!(detected(&detector, [0, 204, 0]).await.detections.is_empty());
     let class = async |detector: &DetectorHandle, color| {
@@ -75,12 +75,12 @@ async fn classes_are_filtered_and_renamed_as_configured() {
         assert_eq!(found.detections.len(), expected, "{name}");
     }
     let error = refusal(&only("lorry")).await;
-    assert_says(&error, &["detector.report_classes", "lorry"]);
+    assert_contains(&error, &["detector.report_classes", "lorry"]);
 }
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_reported() {
+async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_reported() {
     let detector = started(&config("end_to_end.onnx")).await;
     let found = detected(&detector, [230, 0, 0]).await;
     assert_the_box(&found, 2, 0.902);
@@ -92,10 +92,10 @@ async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_r
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_finds_only_the_impossible_is_named_and_works_again_by_itself() {
+async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_itself() {
     const DARK: [u8; 3] = [51, 0, 0];
     let detector = started(&config("dark_overflows.onnx")).await;
-    // One run may be bad, and one that is not ends the row.
+    // A few bad runs in a row are tolerated, and a good one ends the row.
     for _ in 0..2 {
         for _ in 0..4 {
             assert!(detected(&detector, DARK).await.detections.is_empty());
@@ -111,7 +111,7 @@ async fn a_model_that_finds_only_the_impossible_is_named_and_works_again_by_itse
     let status = detector.status().borrow().clone();
     let reason = status.fault().unwrap().to_owned();
     assert!(reason.contains("impossible"), "{reason}");
-    assert!(detector.accepts().is_ok(), "it is asked on");
+    assert!(detector.accepts().is_ok(), "it still accepts frames");
 
     assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     assert_eq!(detector.status().borrow().fault(), None);
@@ -121,7 +121,7 @@ async fn a_model_that_finds_only_the_impossible_is_named_and_works_again_by_itse
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
+async fn boxes_above_the_cap_are_counted_and_dropped() {
     let detector = started(&config("crowd.onnx")).await;
     let found = detected(&detector, [204, 0, 0]).await;
     assert_eq!(found.detections.len(), 42);
@@ -134,13 +134,13 @@ async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the_next() {
+async fn a_changed_output_shape_fails_that_frame_and_the_next_one_works() {
     let detector = started(&config("changing.onnx")).await;
     assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
     let red = one_colour([230, 0, 0]);
     let error = detector.detect(CAMERA, red).await.unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");
-    assert_says(&error.to_string(), &["[1, 7, 42]"]);
+    assert_contains(&error.to_string(), &["[1, 7, 42]"]);
     let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
     detector.status().wait_for(is_ready).await.unwrap();
     assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
@@ -150,11 +150,11 @@ async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_without_class_names_is_refused_and_so_is_another_size_than_its_own() {
+async fn a_model_without_class_names_or_with_another_input_size_is_rejected() {
     let error = refusal(&config("yolo_float16.onnx")).await;
     assert!(error.starts_with("detector.class_names"), "{error}");
-    assert_says(&error, &["2 classes"]);
+    assert_contains(&error, &["2 classes"]);
     let mut resized = named("yolo_bytes.onnx");
     resized.input_size = Some([128, 64]);
-    assert_says(&refusal(&resized).await, &["64x32", "128x64"]);
+    assert_contains(&refusal(&resized).await, &["64x32", "128x64"]);
 }

@@ -1,4 +1,4 @@
-//! Real models on real frames find what their README says.
+//! Real models on real frames find the objects in their README.
 
 use super::support::shared;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -38,7 +38,7 @@ fn frame(clip: &str, number: u32, size: PictureSize) -> Arc<Picture> {
 
 const SIZE: PictureSize = PictureSize::new(720, 576);
 
-/// A car is found within 2 px and 0.01 of what the model's README says.
+/// Returns whether a car is found within 2 px and 0.01 of the model's README.
 fn is_found(detector: &DetectorHandle, detected: &Detected, score: f64, place: [f64; 4]) -> bool {
     detected.detections.iter().any(|detection| {
         let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(SIZE);
@@ -53,7 +53,7 @@ fn is_found(detector: &DetectorHandle, detected: &Detected, score: f64, place: [
 #[case::yolox("yolox_nano_416.onnx", None, 0.5, [
     (0.88, [554.0, 324.0, 659.0, 396.0]), (0.82, [455.0, 325.0, 528.0, 396.0]),
 ])]
-// As its README has it: below 0.6 it finds what is not there.
+// As its README says, it has false detections below 0.6.
 #[case::fastestdet("fastestdet_352.onnx", Some("coco80.txt"), 0.6, [
     (0.88, [558.0, 320.0, 662.0, 398.0]), (0.83, [463.0, 325.0, 528.0, 401.0]),
 ])]

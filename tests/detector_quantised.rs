@@ -1,5 +1,4 @@
-//! A model that ONNX Runtime's own tool has quantised: read as the one it was made from, and finding what that
-//! finds.
+//! A model quantised by ONNX Runtime's own tool is read like its original, and finds the same objects.
 
 use albireo_core::detection::Detection;
 use albireo_eval::footage::{FrameSource, Pictures};
@@ -7,10 +6,10 @@ use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};
 use albireo_vision::picture::{FrameLimits, Picture, PixelLayout, decode};
 use std::path::Path;
 
-/// A clip of the road that the quantised model was not calibrated with, and how many frames lie between two that are looked at.
+/// A clip of the road outside the calibration data, of which every third frame is used.
 const CLIP: &str = "busy";
 const EVERY: usize = 3;
-/// What one of the two is sure of, the other must find.
+/// An object with confidence `SURE` in one model must have `FOUND` in the other.
 const SURE: f64 = 0.6;
 const FOUND: f64 = 0.5;
 
@@ -23,7 +22,7 @@ fn network(file: &str, confidence: f64) -> DetectorNetwork {
     .unwrap()
 }
 
-/// What the two have found of the same pictures.
+/// The agreement of both models on the same pictures.
 #[derive(Debug, Default)]
 struct Agreement {
     overlaps: Vec<f64>,
@@ -32,7 +31,7 @@ struct Agreement {
 }
 
 impl Agreement {
-    /// Looks in `others` for each of `sure` that is sure enough.
+    /// Looks in `others` for each object in `sure` of confidence `SURE`.
     fn add(&mut self, sure: &[Detection], others: &[Detection]) {
         for wanted in sure.iter().filter(|found| found.confidence >= SURE) {
             let nearest = others
@@ -63,7 +62,7 @@ fn median(values: &mut [f64]) -> f64 {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_from() {
+fn a_quantised_export_is_recognised_with_the_classes_of_its_original() {
     let [float, quantised] = [
         "models/yolox_nano.onnx",
         "tests/fixtures/models/yolox_nano_int8.onnx",
@@ -75,12 +74,12 @@ fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_fr
     assert_eq!(quantised.class_names(), float.class_names());
 }
 
-/// The tolerances leave room around what was measured on this clip, on a processor with instructions for 8-bit dot products
-/// (VNNI): per anchor, of 133 scores that the float model has above 0.6, 2 are below 0.5 in the quantised one; scores differ
-/// by 0.013 in the median and 0.15 at most.
+/// The tolerances leave room around measurements on this clip, on a processor with 8-bit dot products (VNNI): per anchor, of
+/// 133 scores above 0.6 in the float model, 2 are below 0.5 in the quantised one; scores differ by 0.013 in the median and by
+/// 0.15 at most.
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
+fn a_quantised_export_finds_what_its_original_finds() {
     let mut float = network("models/yolox_nano.onnx", FOUND);
     let mut quantised = network("tests/fixtures/models/yolox_nano_int8.onnx", FOUND);
     let mut agreement = Agreement::default();
@@ -104,10 +103,7 @@ fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
     let asked = agreement.overlaps.len() + agreement.missed.len();
     assert!(asked >= 60, "only {asked} objects to compare");
     let missed = agreement.missed;
-    assert!(
-        missed.len() * 25 <= asked,
-        "of {asked} are missed: {missed:?}"
-    );
+    assert!(missed.len() * 25 <= asked, "missed of {asked}: {missed:?}");
     let overlap = median(&mut agreement.overlaps);
     assert!(overlap >= 0.9, "median overlap {overlap}");
     let difference = median(&mut agreement.differences);

@@ -1,7 +1,7 @@
-//! Models that need more memory or time than there is.
+//! Models that need too much memory or time.
 
 use super::support::detectors::{CAMERA, changed, detected, model, one_colour, started};
-use super::support::{Node, assert_says, until};
+use super::support::{Node, assert_contains, until};
 use albireo_vision::detector::{DetectorStatus, InferenceError};
 use std::time::Duration;
 
@@ -14,13 +14,13 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
     let red = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
     let error = red.unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");
-    // In plain words, and how much it was.
+    // The error explains itself and names the size.
     let said = [
         "there is not enough memory",
         "a smaller model or input size",
         "562949953421568",
     ];
-    assert_says(&error.to_string(), &said);
+    assert_contains(&error.to_string(), &said);
     let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
     detector.status().wait_for(is_ready).await.unwrap();
     assert_eq!(detected(&detector, DARK).await.detections.len(), 1);
@@ -32,7 +32,7 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_node_whose_model_never_finishes_loading_stops_when_told() {
+async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
     let settings = format!("detector.model = {:?}\n", model("endless.onnx"));
     let node = Node::start_unready(&settings).await;
     let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
@@ -46,7 +46,7 @@ async fn a_node_whose_model_never_finishes_loading_stops_when_told() {
     assert!(status.success(), "{status}:\n{log}");
     assert!(took < Duration::from_secs(10), "it took {took:?}:\n{log}");
     let said = ["loading the detector", "stopped before the node was ready"];
-    assert_says(&log, &said);
-    // What the end of ONNX Runtime did to a run that went on.
+    assert_contains(&log, &said);
+    // The unloading of ONNX Runtime must not break a run in progress.
     assert!(!log.contains("GetElementType"), "{log}");
 }

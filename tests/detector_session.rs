@@ -1,10 +1,10 @@
-//! ONNX Runtime itself, on models of a few hundred bytes: a model that fits runs, any other is refused at the
-//! start with a helpful error.
+//! ONNX Runtime with models of a few hundred bytes: a fitting model runs, any other is rejected at the start with a helpful
+//! error.
 
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,
 };
-use super::support::{assert_says, run_command};
+use super::support::{assert_contains, run_command};
 use albireo_vision::detector::{
     CameraSlot, Detected, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider,
     HeadName,
@@ -16,14 +16,13 @@ use std::sync::Arc;
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
+async fn a_fitting_model_runs_on_the_pixels_of_the_picture() {
     let detector = started(&config("colours.onnx")).await;
     assert_eq!(detector.model_name(), "colours.onnx");
     assert_eq!(detector.class_names().len(), 7);
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
-    // Its class scores are the means of the planes: here green, the second.
+    // The class scores are the means of the colour planes; green is the second.
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
-    // Nothing is bright enough here.
     let grey = detected(&detector, [100, 100, 100]).await;
     assert!(grey.detections.is_empty());
     assert_eq!(detector.counters().worker.completed, 2);
@@ -32,7 +31,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
 
 fn nothing(_: &mut DetectorConfig) {}
 
-/// The file, what of it is configured, and what is said.
+/// A model file, its configuration, and parts of the error.
 #[rstest]
 #[case::no_head("screen.onnx", nothing, &[
     "`logits` float32 [1, 2]", "is not recognised", "yolo: one output [1, 4 + classes, anchors]", "end-to-end:", "detr:",
@@ -54,16 +53,16 @@ fn nothing(_: &mut DetectorConfig) {}
 #[case::one_picture_a_run("colours.onnx", |c: &mut DetectorConfig| c.batch_size = 3, &["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"])]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_model_that_cannot_be_used_is_refused_with_what_was_looked_for(
+async fn an_unusable_model_is_rejected_with_what_was_expected(
     #[case] file: &str,
     #[case] change: fn(&mut DetectorConfig),
     #[case] parts: &[&str],
 ) {
     let error = refusal(&changed(file, change)).await;
-    assert_says(&error, parts);
-    // A setting that cannot be used is named, and else the file.
+    assert_contains(&error, parts);
+    // The error names the unusable setting, or else the file.
     let is_setting = parts[0].starts_with("detector.");
-    assert_says(&error, &[if is_setting { parts[0] } else { file }]);
+    assert_contains(&error, &[if is_setting { parts[0] } else { file }]);
 }
 
 #[tokio::test]
@@ -81,7 +80,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
         (&[TensorRt, Cuda], "`cuda`"),
     ] {
         let error = refusal(&of(providers)).await;
-        assert_says(&error, &[named, "detector.providers"]);
+        assert_contains(&error, &[named, "detector.providers"]);
     }
     let detector = started(&of(&[TensorRt, Cuda, Cpu])).await;
     // The status shows the provider that runs, not the requested one.
@@ -92,7 +91,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
+async fn outputs_that_are_not_numbers_are_counted_and_not_reported() {
     let detector = started(&config("not_a_number.onnx")).await;
     let found = detected(&detector, [9, 9, 9]).await;
     assert!(found.detections.is_empty());
@@ -107,7 +106,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
     let mut short = Arc::unwrap_or_clone(one_colour([51, 204, 0]));
     short.pixels.pop();
     let error = detector.detect(CAMERA, Arc::new(short)).await.unwrap_err();
-    assert_says(&error.to_string(), &["24575"]);
+    assert_contains(&error.to_string(), &["24575"]);
     let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
     assert!(is_ready);
     let found = detected(&detector, [51, 204, 0]).await;
@@ -116,7 +115,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
+async fn the_screen_follows_its_class_and_colour_order_settings() {
     // The fixture calls a picture empty while the mean of its first plane is below one half.
     let screen = |color_order, empty_is_second| ScreenConfig {
         model: Some(model("screen.onnx")),
@@ -142,17 +141,17 @@ async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_is_refused_as_a_screen() {
+async fn a_detector_is_rejected_as_a_screen() {
     let config = ScreenConfig {
         model: Some(model("colours.onnx")),
         ..ScreenConfig::default()
     };
     let error = ScreenHandle::start(&config, None).await.err().unwrap();
     let said = ["colours.onnx", "[1, 11, 1]", "`screen`", "[1, 2]"];
-    assert_says(&error.to_string(), &said);
+    assert_contains(&error.to_string(), &said);
 }
 
-/// What it finds in a picture of one colour of that camera: a score in hundredths by class.
+/// The detections of a camera in a picture of one colour, with scores in hundredths by class.
 async fn scores(
     detector: &DetectorHandle,
     camera: usize,
@@ -166,7 +165,7 @@ async fn scores(
     (answer, scores)
 }
 
-/// The model has an open batch; the score of a car is how red the picture is, that of a traffic light how green.
+/// The model has a dynamic batch; red is the score of a car, green that of a traffic light.
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
@@ -175,12 +174,12 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         config.confidence = 0.3;
         config.timeout_ms = 60_000;
         config.batch_size = 3;
-        // Far longer than three tasks need to ask: the run begins when the third has.
+        // Far longer than three tasks need to ask: the run begins with the third request.
         config.batch_wait_ms = 1000;
     });
     let detector = started(&config).await;
     let mut before = detector.counters().worker;
-    // The first round makes the cameras known: a batch waits for known cameras only.
+    // A batch waits only for known cameras; the first round makes the cameras known.
     for round in 0..2 {
         let (one, two, three) = tokio::join!(
             scores(&detector, 0, [204, 0, 0]),
@@ -194,7 +193,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         assert_eq!(after.completed - before.completed, 3);
         if round == 1 {
             assert_eq!(after.batches - before.batches, 1);
-            // Of one run's time each picture used an even part.
+            // The time of the run is shared evenly among its pictures.
             for found in [&one.0, &two.0, &three.0] {
                 assert_eq!((found.pictures, found.took), (3, one.0.took));
             }
@@ -203,10 +202,10 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
     }
 }
 
-/// ONNX Runtime records no runs, and so can send nothing.
+/// Without recorded runs ONNX Runtime has nothing to send.
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn onnx_runtime_leaves_nothing_under_the_users_home() {
+fn onnx_runtime_writes_nothing_under_the_users_home() {
     let home = tempfile::tempdir().unwrap();
     let mut detect = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
     detect

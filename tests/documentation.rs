@@ -1,12 +1,14 @@
-//! The documentation: the files that it names are there, its messages are those of the code, the program accepts every command
-//! in it, and commands marked `run` are run in their order.
+//! The documentation: the files that it names exist, its messages match the code, the program accepts its commands, and
+//! commands marked `run` are run in order.
 //!
-//! A block of commands is marked by the line before it: `<!-- run -->`, `<!-- not run: WHY -->`, or `<!-- by hand, DATE -->` where it needs
-//! more than a test has.
+//! The line before a block of commands marks it: `<!-- run -->`, `<!-- not run: WHY -->`, or `<!-- by hand, DATE -->` where it
+//! needs more than a test has.
 
 mod camera_page;
 
-use crate::support::{Node, PATIENCE, assert_says, free_port, project, python, text, until_ready};
+use crate::support::{
+    Node, PATIENCE, assert_contains, free_port, project, python, text, until_ready,
+};
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
     ClipReport, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -32,7 +34,6 @@ struct Block {
     commands: Vec<String>,
 }
 
-/// Every page there is.
 fn pages() -> Vec<String> {
     let folders = [
         "", "docs/", "demo/", "models/", "config/", "deploy/", "benches/", "web/",
@@ -85,7 +86,7 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
         .filter_map(|rest| rest.split(')').next())
 }
 
-/// The commands that are to be run of these pages.
+/// The commands marked `run` on these pages.
 fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
     let blocks = blocks()
         .into_iter()
@@ -94,7 +95,7 @@ fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
     blocks.flat_map(|block| block.commands).collect()
 }
 
-/// The words of a command, without the variables that are set for it and the comment behind it.
+/// The words of a command, without variables before it and a comment after it.
 fn words(line: &str) -> Vec<String> {
     let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
     words
@@ -115,7 +116,7 @@ fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
 }
 
 #[test]
-fn every_command_that_is_printed_is_one_the_program_takes() {
+fn every_documented_command_parses() {
     let mut seen = 0;
     for block in blocks() {
         let commands = block.commands.iter();
@@ -141,14 +142,14 @@ fn the_pages_are_few_and_short_and_the_readme_links_each() {
     let lines: usize = docs.iter().map(|name| text(name).lines().count()).sum();
     assert!(lines <= 2000, "{lines}");
     for name in docs {
-        assert_says(&readme, &[&format!("({name})")]);
+        assert_contains(&readme, &[&format!("({name})")]);
     }
 }
 
-/// The targets of a page's links in its folder, and text in backticks that begins with a folder of the
-/// project, but for what `make gpu` writes.
+/// Checks the relative links of each page, and text in backticks that begins with a folder of the project, except the output
+/// of `make gpu`.
 #[test]
-fn every_file_that_a_page_names_is_there() {
+fn every_file_named_in_a_page_exists() {
     let folders = [
         "crates/", "src/", "tests/", "benches/", "config/", "deploy/", "docs/", "models/", "web/",
     ];
@@ -170,10 +171,10 @@ fn every_file_that_a_page_names_is_there() {
         let gone = files.filter(|file| !file.exists());
         missing.extend(gone.map(|file| (page.clone(), file)));
     }
-    assert!(missing.is_empty(), "not there: {missing:#?}");
+    assert!(missing.is_empty(), "missing: {missing:#?}");
 }
 
-/// The anchors of a page's headings, as code forges make them.
+/// The anchors of a page's headings, as code hosts generate them.
 fn anchors(page: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(page).unwrap();
     let headings = text.lines().filter(|line| line.starts_with('#'));
@@ -190,7 +191,7 @@ fn anchors(page: &Path) -> Vec<String> {
 }
 
 #[test]
-fn every_heading_that_a_page_links_to_is_there() {
+fn every_linked_heading_exists() {
     let (mut seen, mut missing) = (0, Vec::new());
     for page in pages() {
         let text = text(&page);
@@ -210,10 +211,10 @@ fn every_heading_that_a_page_links_to_is_there() {
         }
     }
     assert!(seen > 10, "{seen}");
-    assert!(missing.is_empty(), "not there: {missing:#?}");
+    assert!(missing.is_empty(), "missing: {missing:#?}");
 }
 
-/// The fields of a schema, those that may be missing in asterisks; parts that are flattened into it among them.
+/// The fields of a schema with its flattened parts; optional ones in asterisks.
 fn fields(schemas: &Value, schema: &Value) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for part in schema["allOf"].as_array().into_iter().flatten() {
@@ -233,7 +234,7 @@ fn fields(schemas: &Value, schema: &Value) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_message_reference_has_the_messages_and_fields_of_the_code() {
+fn the_message_reference_matches_the_code() {
     let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let schemas = &document["components"]["schemas"];
     let page = text("docs/messages.md");
@@ -255,7 +256,7 @@ fn the_message_reference_has_the_messages_and_fields_of_the_code() {
         let described: BTreeSet<_> = entries.collect();
         assert_eq!(described, fields(schemas, &schemas[name]), "{name}");
     }
-    // A message as it is sent has no other fields.
+    // A sent message has no other fields.
     let sent = serde_json::to_value(crate::http_api::sample_detections()).unwrap();
     let known = fields(schemas, &schemas["DetectionsMessage"]);
     let known: BTreeSet<_> = known
@@ -266,7 +267,7 @@ fn the_message_reference_has_the_messages_and_fields_of_the_code() {
     assert!(sent.as_object().unwrap().keys().all(is_known), "{sent}");
 }
 
-/// What the program writes of an example that it read as a `T`.
+/// Reads an example as a `T` and writes it again.
 fn read_and_written<T: DeserializeOwned + Serialize>(
     example: &str,
 ) -> Result<Value, serde_json::Error> {
@@ -274,7 +275,7 @@ fn read_and_written<T: DeserializeOwned + Serialize>(
     serde_json::from_str(&serde_json::to_string(&message)?)
 }
 
-/// As [`read_and_written`], of an event, which the program only writes.
+/// Like [`read_and_written`], for an event, which the program only writes.
 fn event_written(example: &str) -> Result<Value, serde_json::Error> {
     let example: Value = serde_json::from_str(example)?;
     serde_json::to_value(ThresholdEvent {
@@ -283,9 +284,9 @@ fn event_written(example: &str) -> Result<Value, serde_json::Error> {
     })
 }
 
-/// An example is marked by the line before it, `<!-- example: NAME -->`.
+/// The line `<!-- example: NAME -->` marks an example.
 #[test]
-fn the_examples_of_messages_are_messages() {
+fn the_message_examples_are_valid_messages() {
     let text = text("docs/messages.md");
     let examples: Vec<_> = text.split("<!-- example: ").skip(1).collect();
     assert!(examples.len() >= 6);
@@ -302,16 +303,16 @@ fn the_examples_of_messages_are_messages() {
             "FrameAttachment" => read_and_written::<FrameAttachment>(example),
             "FrameAnswer" => read_and_written::<FrameAnswer>(example),
             "Desired" => read_and_written::<Desired>(example),
-            other => panic!("{other}: name its type in this test"),
+            other => panic!("{other}: add its type to this test"),
         };
-        // What the program does not know would not be written.
+        // A field unknown to the program would not be written.
         let example: Value = serde_json::from_str(example).unwrap();
         let written = written.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(written, example, "{name}");
     }
 }
 
-/// A folder with what the commands want of a checkout: models and pages.
+/// A folder with the parts of a checkout that the commands use.
 fn workshop() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for name in ["demo", "models", "docs"] {
@@ -326,10 +327,10 @@ fn workshop() -> tempfile::TempDir {
 fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
-    // As the README has it, from a folder that is not the checkout.
+    // As in the README, from a folder other than the checkout.
     let library = std::env::var_os("ORT_DYLIB_PATH");
     let library = library.unwrap_or_else(|| project(".cache/onnxruntime").into_os_string());
-    // With `env`, variables before the command are set, and the shell becomes the command.
+    // `env` sets the variables before the command, and `exec` replaces the shell with it.
     Command::new("sh")
         .args(["-c", &format!("exec env {line}")])
         .current_dir(folder)
@@ -359,7 +360,7 @@ async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> Str
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and curl"]
-async fn the_commands_of_the_pages_run_in_their_order() {
+async fn the_documented_commands_run_in_order() {
     let folder = workshop();
     let http = format!("127.0.0.1:{}", free_port());
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());
@@ -367,13 +368,13 @@ async fn the_commands_of_the_pages_run_in_their_order() {
         ("ALBIREO_HTTP__LISTEN", http.clone()),
         ("ALBIREO_ZENOH__LISTEN", format!("[\"{zenoh}\"]")),
     ];
-    // As the page says before: a node runs in another terminal.
+    // The page asks for a node in another terminal.
     let mut node = shell(folder.path(), "albireo node --config node.toml", &settings);
     until_ready(&format!("http://{http}")).await;
-    // Those of the page about cameras want cameras.
+    // The commands of the camera page need cameras.
     let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
-    // Commands that have nothing to do with each other run side by side.
+    // Independent commands run in parallel.
     let (with_node, without): (Vec<_>, Vec<_>) = (commands.into_iter())
         .partition(|command| command.contains("curl ") || command.contains(" replay "));
     let (comparing, others): (Vec<_>, Vec<_>) =
@@ -398,7 +399,7 @@ async fn the_commands_of_the_pages_run_in_their_order() {
     let mut log = String::new();
     let mut stderr = node.stderr.take().unwrap();
     stderr.read_to_string(&mut log).await.unwrap();
-    assert_says(&log, &["first frame"]);
+    assert_contains(&log, &["first frame"]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -416,11 +417,11 @@ async fn the_python_examples_publish_and_listen() {
     let listen = format!("'albireo/*/*/detections' {} 10", node.zenoh);
     let listening = shell(folder.path(), &example("listen.py", &listen), &[]);
     let publish = format!("busy albireo/node/front/frame {}", node.zenoh);
-    // The listener may come late: play until it has heard enough.
+    // The listener may start late: publish until it has received enough.
     let heard = tokio::spawn(listening.wait_with_output());
     while !heard.is_finished() {
         let said = run_line(folder.path(), &example("publish.py", &publish), &[]).await;
-        assert_says(&said, &["88 frames sent on albireo/node/front/frame"]);
+        assert_contains(&said, &["88 frames sent on albireo/node/front/frame"]);
     }
     let output = timeout(PATIENCE, heard).await.unwrap().unwrap().unwrap();
     assert!(output.status.success(), "{output:?}");

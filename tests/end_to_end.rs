@@ -1,7 +1,6 @@
-//! The whole way over real processes: `albireo node`, `albireo replay`, and a client that shares no code
-//! with them.
+//! A clip end to end through real processes: `albireo node`, `albireo replay`, and a client that shares no code with them.
 
-use crate::support::{Client, Node, answer_of, project, python, replay, shared, value_of};
+use crate::support::{Client, Node, ask_script, project, python, replay, shared, value_of};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -15,7 +14,7 @@ fn settings() -> String {
     )
 }
 
-/// Detections until the report of `clip` comes, and that report.
+/// The detections before the report of `clip`, and that report.
 async fn until_clip(client: &mut Client, clip: &str) -> (Vec<Value>, Value) {
     let mut detections = Vec::new();
     loop {
@@ -59,7 +58,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     let [joules, edp] = ["joules", "edp"].map(|figure| number(&report["energy"][figure]));
     assert!(joules > 0.0);
     let expected = joules * number(&report["duration_s"]) * 1e3 / detections.len() as f64;
-    // Both were sent with six significant digits.
+    // Both have six significant digits.
     assert!((edp - expected).abs() < 2e-5 * expected, "{edp} {expected}");
 
     // A client that comes late gets the report from the publisher's cache.
@@ -69,10 +68,10 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     late.finish().await;
 
     let metrics = node.text("/metrics").await;
-    // The families that Prometheus' own strict parser finds.
+    // The families according to Prometheus' own strict parser.
     let mut parser = std::process::Command::new(python());
     parser.arg(project("tests/clients/parse_metrics.py"));
-    let families = answer_of(&mut parser, &metrics.clone().into());
+    let families = ask_script(&mut parser, &metrics.clone().into());
     for family in [
         "frames",
         "frames_dropped",

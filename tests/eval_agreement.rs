@@ -1,5 +1,4 @@
-//! The evaluation agrees with what others compute on the same boxes: the published evaluator's figures and
-//! COCO's own tool.
+//! The evaluation gives the figures of the published evaluator on the same boxes.
 
 use crate::support::shared;
 use albireo_core::policy::{PolicyConfig, Profile};
@@ -29,7 +28,6 @@ fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {
         .collect()
 }
 
-/// Every policy of the published summary, run by this program, gives the published figures.
 #[test]
 #[ignore = "needs ../shared"]
 fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {

@@ -1,4 +1,4 @@
-//! The audit's intervals on recordings, where the comparison of all frames is known.
+//! The intervals of the audit on recordings, where the result for all frames is known.
 
 use crate::support::shared;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
@@ -7,11 +7,11 @@ use albireo_eval::against_detector::against_detector;
 use albireo_eval::data::recorded;
 use albireo_eval::run::Settings;
 
-/// How each frame without the detector compares with it.
+/// The comparison of each frame without a detector call against the detector.
 type Camera = Vec<Option<Box<AuditSums>>>;
 
-/// The sums of the frames that are drawn with `seed`; every recording is a camera with its own draw. Drawn frames with
-/// `crowded` detected boxes or more are missed.
+/// The sums of the frames drawn with `seed`; every recording is a camera with its own draw. Drawn frames with at least
+/// `crowded` detected boxes are missed.
 fn sample(cameras: &[Camera], share: f64, seed: u64, crowded: u64) -> AuditSums {
     let mut sums = AuditSums::default();
     for (camera, frames) in (0u64..).zip(cameras) {
@@ -48,11 +48,11 @@ fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
     (compared, all)
 }
 
-/// The estimate of a sample of 2, 5 and 10 % is that of all frames on average, and its intervals contain the comparison of
-/// all frames at least 93 times of 100, where 95 are promised: with 1000 samples the share itself is known to 1.4 points.
+/// The mean estimate of samples of 2, 5 and 10 % equals the result for all frames, and the intervals cover that result at
+/// least 93 times in 100, where 95 are promised: 1,000 samples give the coverage itself within 1.4 points.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_audits_estimates_are_unbiased_and_its_intervals_hold_at_their_rate() {
+fn shared_audit_estimates_are_unbiased_and_their_intervals_hold_at_the_promised_rate() {
     for policy in ["albireo:5e-4", "expected-loss:0.3", "fixed-skip:3"] {
         let (cameras, all) = cameras(policy);
         for share in [0.02, 0.05, 0.1] {
@@ -76,10 +76,10 @@ fn shared_the_audits_estimates_are_unbiased_and_its_intervals_hold_at_their_rate
     }
 }
 
-/// Where crowded frames are missed, what is compared is another sample, and the interval still contains all frames.
+/// If crowded frames are missed, the sample is biased, and the interval must still cover the result for all frames.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_interval_contains_all_frames_where_the_crowded_ones_are_missed() {
+fn shared_the_interval_covers_all_frames_even_when_crowded_ones_are_missed() {
     let (cameras, all) = cameras("expected-loss:0.5");
     let truth = all.recall().expect("there are boxes").rate;
     for seed in 0..50 {

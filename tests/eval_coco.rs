@@ -1,8 +1,8 @@
-//! Average precision is what COCO's own tool computes on the same boxes, where the definitions coincide.
+//! Average precision equals that of COCO's own tool on the same boxes, where the definitions coincide.
 //!
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 
-use crate::support::{answer_of, project, python, shared};
+use crate::support::{ask_script, project, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
@@ -14,15 +14,15 @@ use std::process::Command;
 /// A name, predictions and ground truth.
 type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 
-/// What pycocotools says about these boxes, one answer a case.
+/// The answer of pycocotools per case.
 fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
     let mut script = Command::new(python());
     script.arg(project("tests/python/coco_average_precision.py"));
-    answer_of(&mut script, &json!({"clips": clips}))
+    ask_script(&mut script, &json!({"clips": clips}))
 }
 
-/// A case in the form the script takes.
+/// A case in the format of the script.
 fn frames((_, predictions, truth): &Case) -> Value {
     let predicted = |b: &ScoredBox| {
         let c = b.corners;
@@ -91,7 +91,7 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
                 object: None,
             };
             there.push(real);
-            // Most are found, roughly, some twice, some under a wrong name.
+            // Most are found, roughly, some twice, some with a wrong class.
             while uniform() < 0.6 {
                 let near = [x, y, x + w, y + h].map(|side| side + (uniform() - 0.5) * 16.0);
                 found.push(ScoredBox {

@@ -1,6 +1,6 @@
-//! `albireo eval` as a user runs it: its output, its files, and its errors for bad input.
+//! `albireo eval` end to end: its output, its files, and its errors for bad input.
 
-use crate::support::{Ended, assert_says, run};
+use crate::support::{Ended, assert_contains, run};
 use albireo_core::policy::FrameState;
 use albireo_eval::trace;
 use rstest::rstest;
@@ -70,12 +70,12 @@ fn one_command_compares_sweeps_traces_and_reports() {
         "fixedskip-2",
         "p: projected",
     ];
-    assert_says(&table, &labels);
+    assert_contains(&table, &labels);
     let lacks = [
         "unlabelled: no ground truth",
         "nothing: the whole clip has no detections",
     ];
-    assert_says(&complaint, &lacks);
+    assert_contains(&complaint, &lacks);
 
     let path = traces.join("albireo-u3e-4-erd-detections/drive.jsonl.gz");
     let frames = trace::read(&path).expect("the trace is there");
@@ -98,10 +98,10 @@ fn one_command_compares_sweeps_traces_and_reports() {
     }
     let page = std::fs::read_to_string(out.join("report.html")).expect("the page");
     assert_eq!(page.matches("<figure class=\"plot\"").count(), 3);
-    // The conclusion comes before figures and tables.
+    // The conclusion precedes figures and tables.
     let places = ["class=\"conclusion\"", "class=\"plot\"", "<table"].map(|part| page.find(part));
     assert!(places[0].is_some() && places.is_sorted(), "{places:?}");
-    assert_says(&page, &["p: projected"]);
+    assert_contains(&page, &["p: projected"]);
     for outside in ["src=", "<link", "@import", "url("] {
         let is_loaded = page.contains(outside);
         assert!(!is_loaded, "the page loads something: {outside}");
@@ -119,7 +119,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn the_reports_names_are_safe_in_its_page() {
+fn names_are_escaped_in_the_html_report() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let index = r#"{"sequences": [{"name": "<b>&", "width": 64, "height": 48, "frames": 2}]}"#;
     write(folder.path(), "sequences.json", index);
@@ -132,7 +132,7 @@ fn the_reports_names_are_safe_in_its_page() {
     assert!(!page.contains("<b>&"));
 }
 
-/// In place of FOLDER stands a good recording, whose file of detections is replaced by `drive`.
+/// FOLDER stands for a valid recording whose detections are replaced by `drive`.
 #[rstest]
 #[case("recorded /nowhere", "", &["/nowhere/sequences.json", "sequences.json that lists"])]
 #[case("recorded FOLDER", "0,1,1,9,9,0.9,2\n0,1,1,9,zwei,0.9,2\n", &["detections/drive.csv:3:", "`y2` is `zwei`"])]
@@ -145,7 +145,7 @@ fn the_reports_names_are_safe_in_its_page() {
 #[case("recorded FOLDER --confidence 1.5", "", &["--confidence 1.5"])]
 #[case("recorded FOLDER --policy vanilla --sweep u=1e-3", "", &["no policy of this run has a setting `u`"])]
 #[case("recorded FOLDER --energy-model /nowhere.toml", "", &["cannot read /nowhere.toml"])]
-fn bad_input_ends_with_what_was_wrong_where_and_what_to_do(
+fn bad_input_is_reported_with_its_place_cause_and_remedy(
     #[case] command: &str,
     #[case] drive: &str,
     #[case] parts: &[&str],

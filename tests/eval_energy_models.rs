@@ -1,10 +1,10 @@
-//! The shipped energy models say where they come from.
+//! The shipped energy models state their source.
 
 use albireo_eval::energy_model::EnergyModel;
 use std::path::Path;
 
 #[test]
-fn every_shipped_energy_model_says_where_it_comes_from_and_how_far_it_misses() {
+fn every_shipped_energy_model_states_its_source_and_its_error() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/energy");
     let mut boards = Vec::new();
     for file in std::fs::read_dir(folder).expect("the shipped models") {

@@ -1,11 +1,11 @@
-//! Evaluation on pictures: the stored results of a run give the same decisions again, and both equal those of a
-//! policy that calls detector and screen itself, frame by frame, as in the node.
+//! Evaluation on pictures: stored results replay to the same decisions, and these equal those of a policy that calls detector
+//! and screen frame by frame, as in the node.
 
 mod bad_input;
 mod live;
 
 use crate::support::detectors::model;
-use crate::support::{assert_says, run, shared};
+use crate::support::{assert_contains, run, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::PolicyConfig;
@@ -31,7 +31,7 @@ fn detector(name: &str) -> String {
     model(name).display().to_string()
 }
 
-/// Runs `albireo eval` with the words of `command`, in which these names stand for paths.
+/// Runs `albireo eval` with the words of `command`, after these names are replaced by paths.
 fn eval(command: &str, paths: &[(&str, &Path)]) -> String {
     let path = |word| {
         let named = paths.iter().find(|(name, _)| *name == word);
@@ -41,8 +41,8 @@ fn eval(command: &str, paths: &[(&str, &Path)]) -> String {
     run(&[&["eval"], &arguments[..]].concat(), &[]).succeeds()
 }
 
-/// A folder of JPEG pictures. The fixture detector's confidences are the means of the three colours, and the
-/// fixture screen calls a picture empty while red is below one half: here they come and go.
+/// Writes JPEG pictures. The confidences of the fixture detector are the means of the three colours, and the fixture screen
+/// calls a picture empty while red is below one half: here both vary.
 fn write_pictures(folder: &Path, frames: u32) {
     let size = PictureSize::new(1280, 720);
     for frame in 0..frames {
@@ -107,7 +107,7 @@ const NO_PIXELS: [&str; 8] = [
     "kill+erd-10d",
 ];
 
-/// Stores the clip and replays the files: every policy decides as it did on the pictures.
+/// Asserts that every policy decides on the stored clip as on the pictures.
 fn assert_replays_alike(pictured: &Clip, confidence: f64) -> Vec<ClipResult> {
     let folder = tempfile::tempdir().unwrap();
     recorded::write(folder.path(), std::slice::from_ref(pictured)).unwrap();
@@ -149,7 +149,7 @@ fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
     assert!(empty > 10 && empty < 50, "{empty} of 60 frames are empty");
     for confidence in [0.1, 0.5, 0.6] {
         let results = assert_replays_alike(&pictured, confidence);
-        // Where everything is taken for a detection, predictions skip; where little is, the screen does.
+        // At a low confidence frames are skipped by prediction, at a high one by the screen.
         let states = results[1].states;
         match confidence {
             0.1 => assert!(states.p > 0, "{states:?}"),
@@ -161,7 +161,7 @@ fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_against() {
+fn saved_detections_replay_with_the_same_traces_and_the_reference_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let [drive, saved, first, second] =
         ["drive", "saved", "first", "second"].map(|name| folder.path().join(name));
@@ -179,7 +179,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
         ],
     );
     let times = ["Time of the detector", "projected from an energy model"];
-    assert_says(
+    assert_contains(
         &said,
         &["Judged against vanilla", "statues-25", times[0], times[1]],
     );
@@ -202,7 +202,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detections() {
+fn boxes_at_arrival_and_settled_score_the_same_from_pictures_and_stored_detections() {
     let folder = tempfile::tempdir().unwrap();
     let [sequence, saved, first, second] =
         ["boxes", "saved", "first", "second"].map(|name| folder.path().join(name));
@@ -237,7 +237,7 @@ fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detectio
     }
 }
 
-/// A sequence as MOTChallenge lays it out: pictures of boxes and their exact places.
+/// Writes a sequence in the MOTChallenge layout: pictures of boxes and their exact places.
 fn write_sequence(folder: &Path, frames: u64) {
     use std::fmt::Write;
     let size = PictureSize::new(640, 360);
@@ -267,7 +267,7 @@ fn write_sequence(folder: &Path, frames: u64) {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn pictures_are_judged_by_their_ground_truth() {
+fn pictures_are_scored_against_their_ground_truth() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = folder.path().join("boxes");
     write_sequence(&sequence, 40);
@@ -281,7 +281,7 @@ fn pictures_are_judged_by_their_ground_truth() {
             ("OUT", &out),
         ],
     );
-    assert_says(&said, &["Judged by ground truth"]);
+    assert_contains(&said, &["Judged by ground truth"]);
     let report = std::fs::read(out.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let ap50 = |policy: usize| report["policies"][policy]["ap50"].as_f64().unwrap();
@@ -289,7 +289,7 @@ fn pictures_are_judged_by_their_ground_truth() {
     assert!(ap50(1) < ap50(0), "every second frame is predicted");
 }
 
-/// A clip made by hand: one sure car on every frame, and round times.
+/// An artificial clip: one confident car on every frame, and round times.
 fn by_hand(frames: usize) -> Clip {
     let car = ScoredBox {
         corners: Corners {
@@ -321,7 +321,7 @@ fn by_hand(frames: usize) -> Clip {
 }
 
 #[test]
-fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
+fn the_time_of_a_frame_is_composed_of_the_steps_it_needed() {
     let pictured = by_hand(30);
     let policies = specs(&["fixed-skip:2", "erd-only"], ScreenRule::Recorded);
     let settings = settings(0.5, ScreenRule::Recorded);
@@ -331,7 +331,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
         assert_eq!(time.provenance, Provenance::Composed);
         time.milliseconds.mean
     };
-    // The decisions themselves are measured; on a busy machine they are still far below the steps.
+    // The time of the decisions is measured; even on a busy machine it is far below that of the steps.
     for (index, result) in results.iter().enumerate() {
         let detector = result.detector_frames as f64;
         let screen = result.screen_frames as f64;
@@ -346,7 +346,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
 }
 
 #[test]
-fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
+fn vanilla_is_perfect_against_itself_and_unsure_detections_are_not_ground_truth() {
     let mut pictured = by_hand(5);
     let unsure = ScoredBox {
         confidence: 0.3,
@@ -363,7 +363,7 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 }
 
 #[test]
-fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
+fn only_a_policy_that_uses_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
     let asked = |policies: &[&str]| PassSettings::for_policies(&specs(policies, nonempty)).unwrap();
     assert_eq!(asked(&NO_PIXELS), PassSettings::default());
@@ -372,7 +372,7 @@ fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
     assert_eq!((flow.keep_grey, flow.keep_small), (false, Some(320)));
 }
 
-/// YOLOX-Nano and the upstream screen over a real clip.
+/// YOLOX-Nano and the upstream screen.
 fn real_models() -> (DetectorConfig, ScreenConfig) {
     let detector = DetectorConfig {
         model: shared("models/yolox_nano_416.onnx"),
@@ -400,7 +400,7 @@ fn real_clip() -> Video {
 #[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections() {
     let (detector, screen) = real_models();
-    // Every second frame: a run of the detector is long.
+    // Every second frame: detector runs are slow.
     let mut clip = real_clip();
     let rate = clip.rate() / 2.0;
     let mut video = Downsampled::new(&mut clip, rate);
@@ -409,7 +409,7 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
     let results = assert_replays_alike(&pictured, 0.5);
     assert!(results[1].states.p > 0, "{:?}", results[1].states);
     video.rewind().unwrap();
-    // One each that asks the detector, the screen, and for pictures; all policies are tried on the fixtures.
+    // One policy each that uses the detector, the screen and pixels; the fixtures test all policies.
     let policies = ["albireo", "erd-only", "statues:25"];
     live::assert_live_alike(&mut video, &detector, &screen, &pictured, 0.5, &policies);
 }

@@ -1,8 +1,8 @@
-//! HOTA and IDF1 are what TrackEval computes on the same boxes.
+//! HOTA and IDF1 equal those of TrackEval on the same boxes.
 
 use crate::golden_traces::replay::{Screen, decide_frame};
 use crate::golden_traces::shared_data::{detections, sequences};
-use crate::support::{answer_of, project};
+use crate::support::{ask_script, project};
 use albireo_core::policy::{Outcome, PolicyConfig};
 use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_eval::data::Clip;
@@ -10,7 +10,7 @@ use albireo_eval::tracking::tracking;
 use serde_json::{Value, json};
 use std::process::Command;
 
-/// What `policy` shows of a recording.
+/// The boxes that `policy` shows for a recording.
 fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
     let mut config = PolicyConfig::default();
     config.select(policy).expect("a policy");
@@ -31,7 +31,7 @@ fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
     boxes
 }
 
-/// A clip in the form the script takes.
+/// A clip in the format of the script.
 fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
     let row = |found: &ScoredBox| {
         let c = found.corners;
@@ -65,7 +65,7 @@ fn shared_wheel_tracks_of_every_recorded_sequence_score_as_in_trackeval() {
     assert_eq!(ours.len(), 3 * 17);
     let mut script = Command::new(crate::wheel::python());
     script.arg(project("tests/python/tracking_scores.py"));
-    let theirs = answer_of(&mut script, &json!(requests));
+    let theirs = ask_script(&mut script, &json!(requests));
     let theirs: Vec<(f64, f64)> = serde_json::from_value(theirs).expect("two figures a clip");
     assert_eq!(theirs.len(), ours.len());
     for ((what, ours), (hota, idf1)) in ours.iter().zip(theirs) {

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-/// Number of the live camera's first frame.
+/// The number of the live camera's first frame.
 const LIVE: u64 = 100;
 
 const TAPES: [&str; 2] = ["tape-a", "tape-b"];
@@ -28,7 +28,7 @@ async fn put(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) {
         .unwrap();
 }
 
-/// What the node answers to a frame that it is asked to take.
+/// Sends a frame as a query, and returns the node's answer.
 async fn ask(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) -> FrameAnswer {
     let replies = session
         .get(format!("albireo/node/{camera}/frame"))
@@ -43,7 +43,7 @@ async fn ask(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) -
     albireo_wire::read(&sample.payload().to_bytes()).unwrap()
 }
 
-/// Sends frames as `albireo replay --every` does: the next one when the last was taken.
+/// Sends frames as `albireo replay --every` does: each after the previous one was accepted.
 fn send_each(session: &zenoh::Session, camera: &'static str, picture: &[u8]) -> JoinHandle<()> {
     let (session, picture) = (session.clone(), picture.to_vec());
     tokio::spawn(async move {
@@ -55,7 +55,7 @@ fn send_each(session: &zenoh::Session, camera: &'static str, picture: &[u8]) -> 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 #[ignore = "needs ONNX Runtime"]
-async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
+async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     let mut config = configuration();
     let policy: PolicyConfig = config.policy.clone();
     config.cameras = vec![CameraConfig::named(CAMERA)];
@@ -64,7 +64,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         ring: 1,
         ..CameraConfig::named(tape)
     }));
-    // The tapes' policies wait until this is dropped, however the test ends.
+    // The policies of the tapes wait until `shut` is dropped, however the test ends.
     let (shut, gate) = channel::<()>();
     let gate = Arc::new(Mutex::new(gate));
     let prepared = PreparedNode::new(&config)
@@ -75,14 +75,14 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
                 return Ok(inner);
             }
             let gate = Arc::clone(&gate);
-            // The other tasks of this worker thread go on.
+            // `block_in_place` lets the other tasks of this worker thread continue.
             let pass = move || assert!(gate.lock().unwrap().recv().is_err());
             let before = move || tokio::task::block_in_place(&pass);
             Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
         }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);
-    // More than the loop and the ring hold: those that were put wait, and those that are asked for are not answered.
+    // More frames than the loop and the ring hold: puts wait, and queries stay unanswered.
     let mut senders = Vec::new();
     for tape in TAPES {
         for seq in 0..4 {
@@ -90,14 +90,14 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         }
         senders.push(send_each(&bench.session, tape, &picture));
     }
-    // The tapes have numbers below this one, so that answers can be distinguished.
+    // Frames of the tapes have lower numbers, so that answers can be distinguished.
     for seq in LIVE..LIVE + 3 {
         put(&bench.session, CAMERA, seq, &picture).await;
         assert_eq!(bench.answer().await.seq, seq);
         let replies = bench.session.get("albireo/node/tape-a/threshold").await;
         let answered = replies.unwrap().recv_async().await;
-        // That this policy has none is an answer too.
-        answered.expect("who asks for a threshold is answered");
+        // An error, because this policy has no threshold, is an answer too.
+        answered.expect("a threshold query is answered");
     }
     assert!(senders.iter().all(|sender| !sender.is_finished()));
     drop(shut);
@@ -112,7 +112,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
     assert_eq!(seen, (0..24).map(|n| n / 2).collect::<Vec<_>>());
     for tape in TAPES {
         let tape = bench.board.camera(tape).unwrap();
-        // A frame is counted after its answer is out.
+        // A frame is counted after its answer is sent.
         until("every frame is counted", async || {
             tape.snapshot().states.frames() == 12
         })
@@ -124,7 +124,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
+async fn an_unusable_frame_is_rejected_with_a_reason_and_counted() {
     let mut bench = Bench::start(&configuration()).await;
     let answer = ask(&bench.session, CAMERA, 0, b"not a picture").await;
     assert!(answer.refused.is_some());

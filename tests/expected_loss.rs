@@ -1,4 +1,4 @@
-//! What the expected-loss policy reaches on the recordings.
+//! The accuracy of the expected-loss policy on the recordings.
 
 use crate::support::shared;
 
@@ -18,8 +18,8 @@ fn ap50(point: &Point) -> f64 {
     point.mean(|found| found.ap50)
 }
 
-/// AP@50 of expected-loss at `skip_rate`. One setting of the threshold is a sample of a noisy curve, so the mean of the
-/// settings at and around the rate counts.
+/// The AP@50 of expected-loss at `skip_rate`, as the mean over thresholds around the rate: a single one is a sample of a noisy
+/// curve.
 fn accuracy(recordings: &Recordings, skip_rate: f64) -> f64 {
     let points: Vec<_> = [-0.02, -0.01, 0.0, 0.01, 0.02]
         .iter()
@@ -68,11 +68,11 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_t
     assert!(accuracy(&clips, 0.65) >= vanilla);
 }
 
-/// With detections that the detector is unsure of, expected-loss beats Vanilla with the same ones while it
-/// calls the detector on less than half the frames.
+/// With low-confidence detections, expected-loss beats vanilla with the same ones at a detector call on less than half the
+/// frames.
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_unsure_detections_pay_more_than_vanilla_with_the_same() {
+fn shared_expected_loss_with_unsure_detections_beats_vanilla_with_the_same() {
     let clips = recordings(false, 0.1);
     let vanilla = ap50(&clips.run(&clips.clips, "vanilla").expect("it runs"));
     assert!((vanilla - 0.765).abs() < 1e-3, "{}", vanilla);

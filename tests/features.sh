@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Prints the cargo options that every development command uses, so that none recompiles a dependency that another has
+# Prints the cargo options that all development commands share, so that none recompiles a dependency that another one has
 # compiled: the workspace, the optional features that can be built here, and those that the tests' dependencies add.
-# Reports missing tools on the error output.
+# Reports missing tools on standard error.
 needed=(cmake)
 [ "$(uname -m)" = x86_64 ] && needed+=(nasm)
 missing=()

@@ -16,13 +16,13 @@ use std::time::{Duration, Instant};
 pub(crate) struct Car {
     pub(crate) name: String,
     settings: String,
-    /// While it runs.
+    /// The node, while it runs.
     pub(crate) node: Option<Node>,
     camera: Option<Camera>,
-    /// Its folder, while it does not run.
+    /// The node's folder, while it does not run.
     folder: Option<tempfile::TempDir>,
     seq: u64,
-    /// Clips whose reports the node published before it was killed: those it had on its disk.
+    /// The clips whose reports the node published before a kill, all of which were on its disk.
     reported: BTreeSet<String>,
 }
 
@@ -31,7 +31,6 @@ impl Car {
         Self::under("vanilla", name, router)
     }
 
-    /// One under that policy.
     pub(crate) fn under(policy: &str, name: &str, router: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let settings = format!(
@@ -62,7 +61,7 @@ impl Car {
         (self.node, self.camera) = (Some(node), Some(camera));
     }
 
-    /// Sends frames of a clip each.
+    /// Sends frames, each of its own clip.
     pub(crate) async fn drive(&mut self, clips: u64) {
         let camera = self.camera.as_mut().unwrap();
         camera.clips(clips).await;
@@ -80,14 +79,14 @@ impl Car {
 
     pub(crate) async fn end(&mut self) {
         let mut camera = self.camera.take().unwrap();
-        // A frame that was sent and not answered has taken its number.
+        // A frame that was sent without an answer has used its number.
         self.seq = camera.seq;
         self.folder = Some(self.node.take().unwrap().kill().await);
         self.reported.append(camera.reported());
         camera.close().await;
     }
 
-    /// Waits until the last clip that was closed is on the disk, and the hub has acknowledged everything.
+    /// Waits until the last closed clip is on the disk and the hub has acknowledged everything.
     async fn until_delivered(&mut self) {
         let last = format!("clip-{}", self.seq - 2);
         let http = &self.node.as_ref().unwrap().http;
@@ -98,7 +97,7 @@ impl Car {
         until(&what, async || kept() && waiting().await == 0.0).await;
     }
 
-    /// Ends it. How many reports it made, as its own disk says, each with a number.
+    /// Ends the node, and returns its name, the number of reports it made according to its disk, and the reported clips.
     async fn made(mut self) -> (String, u64, BTreeSet<String>) {
         self.end().await;
         let file = self.folder.as_ref().unwrap().path().join("state/node.db");
@@ -109,7 +108,7 @@ impl Car {
     }
 }
 
-/// The hub has every report that the node made, each once; how many those are.
+/// Asserts that the hub has every report of the node exactly once, and returns their number.
 async fn every_report_once(hub: &HubProcess, car: Car) -> u64 {
     let (name, made, reported) = car.made().await;
     let clips = hub.clips(&name).await;
@@ -132,8 +131,8 @@ async fn every_report_once(hub: &HubProcess, car: Car) -> u64 {
         "{name}: no clip under two numbers"
     );
     let lost: Vec<_> = reported.difference(&names).collect();
-    assert!(lost.is_empty(), "{name}: {lost:?} were reported");
-    assert!(!reported.is_empty(), "{name}: its reports are heard");
+    assert!(lost.is_empty(), "{name}: {lost:?} are lost");
+    assert!(!reported.is_empty(), "{name}: no reports were published");
     stored
 }
 
@@ -157,7 +156,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
         .declare_subscriber("albireo/car-1/*/counters")
         .await
         .unwrap();
-    // The node is not watched: it serves no picture, and three polls of the uplink's thread have sent no counters.
+    // Nobody watches the node: it serves no picture, and three polls of the uplink's thread send no counters.
     let nothing = listener.get("albireo/car-1/front/picture").await.unwrap();
     assert!(nothing.recv_async().await.is_err());
     let silence = tokio::time::timeout(Duration::from_secs(3), counters.recv_async()).await;
@@ -178,7 +177,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     assert!(picture.headers().contains_key("albireo-frame"));
     assert!(picture.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
 
-    // None goes out unless its configuration says so.
+    // Pictures are sent only if the configuration allows them.
     car.end().await;
     car.settings = car.settings.replace("pictures = true", "pictures = false");
     car.start().await;
@@ -190,7 +189,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     assert_eq!(reqwest::get(&path).await.unwrap().status(), 404);
 }
 
-/// What can be killed.
+/// The processes that can be killed.
 struct Fleet {
     endpoint: String,
     settings: Settings,
@@ -202,7 +201,7 @@ struct Fleet {
 }
 
 impl Fleet {
-    /// Starts what does not run.
+    /// Starts the parts that do not run.
     async fn heal(&mut self) {
         if !self.database_up {
             self.database.up();
@@ -233,7 +232,7 @@ impl Fleet {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
-async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_double_none() {
+async fn node_hub_router_and_database_killed_in_any_order_lose_and_duplicate_no_report() {
     // More by hand: ALBIREO_KILLS=1000; another order: ALBIREO_SEED=7.
     let kills = from_environment("ALBIREO_KILLS", 24);
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
@@ -289,7 +288,7 @@ async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_dou
                 fleet.database_up = false;
             }
         }
-        // Often the next is killed while this one is still away.
+        // Often the next part is killed while this one is still down.
         if below(2) == 0 {
             fleet.heal().await;
         }

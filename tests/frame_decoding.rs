@@ -1,4 +1,4 @@
-//! Pictures are decoded right, or refused: never wrong, never a panic, never more memory than allowed.
+//! Pictures are decoded correctly or rejected, without panics and within the memory limit.
 
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{
@@ -115,8 +115,8 @@ fn luma_of(pixels: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_jpeg_comes_out_as_it_went_in_in_colour_and_in_grey() {
-    // Sizes that are no multiple of a block, and one smaller than a block.
+fn a_jpeg_decodes_to_the_encoded_picture_in_colour_and_in_grey() {
+    // Among them sizes other than multiples of a block, and one below a block.
     for (width, height) in [(64, 48), (61, 35), (5, 3)] {
         let pixels = gradient(width, height);
         for progressive in [false, true] {
@@ -133,7 +133,7 @@ fn a_jpeg_comes_out_as_it_went_in_in_colour_and_in_grey() {
 }
 
 #[test]
-fn a_jpeg_with_any_part_of_its_end_missing_is_undecodable() {
+fn a_truncated_jpeg_is_undecodable() {
     for progressive in [false, true] {
         let picture = rgb_jpeg(64, 48, progressive);
         let whole = picture.bytes.len();
@@ -148,7 +148,7 @@ fn a_jpeg_with_any_part_of_its_end_missing_is_undecodable() {
 }
 
 #[test]
-fn bytes_after_the_end_of_a_jpeg_do_no_harm() {
+fn bytes_after_the_end_of_a_jpeg_are_ignored() {
     let picture = rgb_jpeg(32, 16, false);
     let padded = [&picture.bytes[..], &[0; 64]].concat();
     let padded = encoded(PictureFormat::Jpeg, 32, 16, padded);
@@ -156,7 +156,7 @@ fn bytes_after_the_end_of_a_jpeg_do_no_harm() {
 }
 
 #[test]
-fn a_picture_that_contradicts_the_size_it_was_announced_with_is_undecodable() {
+fn a_picture_of_another_size_than_announced_is_undecodable() {
     let jpeg = rgb_jpeg(32, 16, false);
     let png = png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &gradient(32, 16));
     for picture in [jpeg, png] {
@@ -196,9 +196,9 @@ fn every_kind_of_png_gives_its_colours() {
 }
 
 #[test]
-fn an_interlaced_png_is_put_together() {
-    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each
-    // row with its filter byte. Stored without compression, so that the file can be written here.
+fn an_interlaced_png_is_decoded() {
+    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each row with its filter
+    // byte, without compression.
     let rows = [0, 10, 0, 30, 0, 20, 0, 40, 50, 60];
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     let mut chunk = |kind: &[u8; 4], data: &[u8]| {
@@ -307,7 +307,7 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
 }
 
 #[test]
-fn a_buffer_is_used_again() {
+fn a_buffer_is_reused() {
     let mut into = Picture::default();
     let limits = FrameLimits::default();
     let large = rgb_jpeg(64, 48, false);
@@ -322,7 +322,7 @@ fn a_buffer_is_used_again() {
 }
 
 #[test]
-fn anything_becomes_a_jpeg_to_look_at() {
+fn every_format_can_be_shown_as_jpeg() {
     let limits = FrameLimits::default();
     let jpeg = rgb_jpeg(32, 16, false);
     assert_eq!(to_jpeg(&jpeg, &limits).unwrap(), jpeg.bytes);
@@ -360,10 +360,10 @@ fn specimens() -> Vec<EncodedPicture> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// A damaged file decodes to a picture of its size or is refused; it is never a panic (a contained
-    /// one included) and never leaves a buffer above the limit.
+    /// A damaged file decodes to a picture of its size or is rejected, without even a contained panic, and never leaves a buffer
+    /// above the limit.
     #[test]
-    fn damage_is_refused_or_decoded_and_never_more(
+    fn a_damaged_file_is_rejected_or_decoded_within_its_memory_limit(
         specimen in 0_usize..4,
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..12),
         cut in prop::option::weighted(0.3, any::<prop::sample::Index>()),

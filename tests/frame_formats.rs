@@ -1,4 +1,4 @@
-//! Every payload format of a camera is read, and unreadable payloads are counted by kind.
+//! Every payload format of a camera is read, and unreadable payloads are rejected by kind.
 
 use crate::node_frames::rmw_attachment;
 use albireo_core::geometry::PictureSize;
@@ -23,7 +23,7 @@ fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -
     }
 }
 
-/// A frame, or the number and the fault of a sample that is none.
+/// A frame, or the number and the fault of an unreadable sample.
 type Read = Result<Frame, (FrameNumber, FrameFault)>;
 
 fn read_as(sample: RawSample<'_>, format: PayloadFormat, limits: &FrameLimits) -> Read {
@@ -69,7 +69,7 @@ fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
 }
 
 #[test]
-fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
+fn trailing_padding_of_a_ros2_message_is_ignored_and_every_truncation_is_rejected() {
     let mut payload = fixture("compressed_image_0.cdr");
     let whole = payload.len();
     payload.extend_from_slice(&[0; 3]);
@@ -85,7 +85,7 @@ fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
     assert_eq!(rejected.1.kind(), "unknown_format");
 }
 
-/// An Image message in CDR, written here field by field.
+/// An Image message in CDR, field by field.
 fn ros_image(
     little_endian: bool,
     encoding: &str,
@@ -144,7 +144,7 @@ fn a_ros2_image_is_read_with_and_without_row_padding() {
 }
 
 #[test]
-fn a_ros2_image_that_contradicts_itself_is_refused() {
+fn an_inconsistent_ros2_image_is_rejected() {
     for (encoding, width, height, step, bytes, kind) in [
         ("bgr8", 3, 2, 8, 18, "undecodable"),
         ("bgr8", 3, 2, 9, 17, "undecodable"),
@@ -171,7 +171,7 @@ fn a_ros2_camera_is_numbered_by_its_own_attachment() {
 }
 
 #[test]
-fn the_encoding_or_the_first_bytes_name_the_format() {
+fn the_format_comes_from_the_encoding_or_the_first_bytes() {
     let (jpeg, png) = picture_files();
     for (payload, encoding, format) in [
         (&jpeg, "image/jpeg", PictureFormat::Jpeg),
@@ -207,7 +207,7 @@ fn raw_pictures_take_their_size_from_the_attachment() {
         ("rgb8", 18),
         ("bgr8", 18),
         ("gray8", 6),
-        // Luma 6, chroma rounded up to 2x1 pairs.
+        // 6 bytes of luma, and chroma rounded up to 2x1 pairs.
         ("nv12", 10),
         ("rgba8", 24),
     ] {
@@ -232,7 +232,7 @@ fn raw_pictures_take_their_size_from_the_attachment() {
 }
 
 #[test]
-fn an_attachment_that_cannot_be_read_is_refused_without_a_number() {
+fn an_unreadable_attachment_is_rejected_without_a_number() {
     let (jpeg, _) = picture_files();
     for attachment in [r#"{"v":2,"seq":1}"#, "seq=1"] {
         let rejected = read(&jpeg, "image/jpeg", Some(attachment)).unwrap_err();

@@ -1,7 +1,6 @@
 //! With profile `reference`, the policies decide as the published code does, frame by frame.
 //!
-//! The traces are those of the shared data, over its recorded detections; excerpts are in
-//! `fixtures/golden`.
+//! The traces are those of the shared data, on its recorded detections; `fixtures/golden` has excerpts.
 
 use crate::support::text;
 use albireo_core::geometry::PictureSize;
@@ -12,7 +11,7 @@ use shared_data::{detections, golden, sequences};
 pub(crate) mod replay;
 pub(crate) mod shared_data;
 
-/// The policy and the screen that go by the name `label` in the golden traces.
+/// The policy and the screen named `label` in the golden traces.
 fn labelled(label: &str) -> (String, Screen) {
     if let Some(n) = label.strip_prefix("fixedskip-") {
         return (format!("fixed-skip:{n}"), Screen::NeverEmpty);

@@ -1,4 +1,4 @@
-//! Heads and preprocessing against numbers that the vendors' own code made (`make parity` writes them).
+//! Heads and preprocessing against results of the vendors' own code, written by `make parity`.
 
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::head::{self, Suppression, TensorView, keep_best, suppress};
@@ -19,7 +19,7 @@ struct Tensor {
     values: Vec<f32>,
 }
 
-/// What one head's vendor makes of outputs: rows of x1, y1, x2, y2, score, class in input pixels.
+/// Outputs of a head and the vendor's boxes: rows of x1, y1, x2, y2, score, class in input pixels.
 #[derive(Deserialize)]
 struct HeadFixture {
     columns: i64,
@@ -39,7 +39,7 @@ struct Case {
     boxes: Tensor,
 }
 
-/// A picture (rows, columns, colours) and the input made of it.
+/// A picture (rows, columns, colours) and the vendor's input for it.
 #[derive(Deserialize)]
 struct InputFixture {
     picture: Tensor,
@@ -62,12 +62,12 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
     }
 }
 
-/// The fixture's outputs are read as the whole detector does it.
+/// The fixture's outputs are read as in the detector.
 #[rstest]
-#[case::of_yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
-#[case::of_end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
-#[case::of_detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
-fn the_boxes_agree_with_the_vendors(
+#[case::yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
+#[case::end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
+#[case::detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
+fn the_boxes_agree_with_the_vendors_code(
     #[case] name: &str,
     #[case] expected_head: HeadName,
     #[case] least_boxes: usize,
@@ -112,7 +112,7 @@ fn the_boxes_agree_with_the_vendors(
         assert_eq!(candidates.len(), expected.len());
         boxes += expected.len();
         for expected in expected {
-            // Boxes of equal score may come in another order.
+            // Boxes of equal score may be in another order.
             let same = candidates.iter().any(|candidate| {
                 let corners = candidate.corners;
                 let sides = [corners.x1, corners.y1, corners.x2, corners.y2];
@@ -133,7 +133,7 @@ fn the_boxes_agree_with_the_vendors(
             assert!(same, "{expected:?} is not among {candidates:?}");
         }
     }
-    assert!(boxes >= least_boxes, "{boxes} boxes prove nothing");
+    assert!(boxes >= least_boxes, "only {boxes} boxes");
 }
 
 /// The largest and the mean difference of our input from the vendor's, in levels of 0 to 255.
@@ -180,14 +180,14 @@ fn input_differences(name: &str, fit: Fit, value_range: ValueRange) -> (f64, f64
 }
 
 #[test]
-fn the_input_of_yolo_models_is_that_of_ultralytics_to_two_levels() {
+fn the_input_of_yolo_models_matches_ultralytics_within_two_levels() {
     let (largest, mean) = input_differences("input_yolo", Fit::Centre(114), ValueRange::ToOne);
     assert!(largest < 2.01 && mean < 0.25, "{largest} {mean}");
 }
 
 #[test]
-fn the_input_of_rf_detr_is_its_own_to_rounding() {
-    // Theirs is not rounded to whole levels; ours is, once for each direction.
+fn the_input_of_rf_detr_matches_its_own_code_up_to_rounding() {
+    // Only ours rounds to whole levels, once per direction.
     let (largest, mean) = input_differences("input_detr", Fit::Stretch, ValueRange::ImageNet);
     assert!(largest < 1.51 && mean < 0.5, "{largest} {mean}");
 }

@@ -1,8 +1,7 @@
-//! The hub as a process when its disk fails or a node floods it: it acknowledges only what is on the disk, and loses
-//! nothing.
+//! The hub as a process with a failing disk or a flooding node: it acknowledges only reports on the disk, and loses nothing.
 
 use crate::support::fleet::{HubProcess, deliver, now_ns, report, send, settings, sqlite, uplink};
-use crate::support::{assert_says, memory_mb, metric};
+use crate::support::{assert_contains, memory_mb, metric};
 use albireo_wire::{
     BatchCompression, LARGEST_BATCH_BYTES, PullRequest, RefusalReason, ReportBatch, VERSION,
 };
@@ -15,12 +14,10 @@ use tokio_util::sync::CancellationToken;
 const NODE: &str = "car-1";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_there_is_room_again()
- {
+async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
-    // A file that may not grow acts like a full disk, without a separate disk. The limit is soft, so that it
-    // can be lifted while the hub runs.
+    // A file size limit acts like a full disk. It is a soft limit, which can be lifted while the hub runs.
     let mut command = Command::new("sh");
     command
         .args(["-c", "trap '' XFSZ; ulimit -S -f 2048; exec \"$0\" hub"])
@@ -39,7 +36,7 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
             Some(Err(refusal)) => break refusal,
             None => {}
         }
-        assert!(last < 100_000, "the limit is never met");
+        assert!(last < 100_000, "the limit is never reached");
     };
     assert_eq!(refusal.reason, RefusalReason::Unavailable, "{refusal:?}");
     assert!(refusal.retry_after_ms.is_some(), "{refusal:?}");
@@ -47,10 +44,10 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
         .until("/readyz", |answer| answer["ready"] == false)
         .await;
     let reason = ready["reasons"]["database"].as_str().unwrap();
-    assert_says(reason, &["cannot be used now"]);
+    assert_contains(reason, &["cannot be used now"]);
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
 
-    // Room again.
+    // There is space again.
     let lifted = std::process::Command::new("prlimit")
         .args(["--pid", &hub.id().to_string(), "--fsize=unlimited"])
         .status();
@@ -62,7 +59,7 @@ async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_can_be_written() {
+async fn a_read_only_database_is_reported_and_reports_wait_for_a_writable_one() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
     let begun = now_ns();
@@ -93,7 +90,7 @@ async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
+async fn a_hub_with_another_prefix_acknowledges_nothing_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
     settings.push(("ALBIREO_HUB__PREFIX", "fleet/north".to_owned()));
@@ -112,7 +109,7 @@ async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
     assert_eq!(hub.clips(NODE).await.len(), 3, "{refused:?}");
 }
 
-/// What a hostile node sends, by the kind of key.
+/// The payloads of a hostile node, by kind of key.
 fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
     let batch = |clip: String| {
         let mut report = report("hostile", 1, now_ns());
@@ -128,7 +125,7 @@ fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
     let pull = PullRequest { v: 1, revision: 0 };
     vec![
         ("report", batch("small".to_owned())),
-        // Two megabytes that are a kilobyte on the wire.
+        // 2 MB that compress to 1 kB.
         ("report", batch("x".repeat(LARGEST_BATCH_BYTES - 4096))),
         ("report", b"nonsense".to_vec()),
         ("report", vec![b'x'; 2 << 20]),
@@ -139,7 +136,7 @@ fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// Sends as fast as it can, and reads no answer; how often.
+/// Sends as fast as it can without reading answers, and returns the number of messages.
 async fn flood(
     session: zenoh::Session,
     kind: &str,
@@ -162,11 +159,11 @@ async fn flood(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_up_nobody() {
+async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     const OTHERS: usize = 100;
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, mut settings) = settings(&sqlite(folder.path()));
-    // Its share is no limit here: the hub has to deal with everything that it sends.
+    // Without a limit on its share, so that the hub has to process everything.
     let unlimited = (1_u64 << 40).to_string();
     settings.push(("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited));
     let hub = HubProcess::start(&settings);
@@ -201,26 +198,27 @@ async fn a_node_that_floods_the_hub_in_every_way_costs_little_memory_and_holds_u
     for node in 0..OTHERS {
         assert_eq!(hub.clips(&format!("car-{node}")).await.len(), 10);
     }
-    // An optimised hub on a quiet machine keeps within a second.
+    // An optimised hub on a quiet machine needs less than 1 s.
     assert!(slow < Duration::from_secs(10), "{slow:?}");
     assert!(peak < 200.0, "{peak} MB");
 }
 
-/// What the system calls of a hub say of its disk and its answers.
+/// The disk writes and answers of a hub according to its system calls.
 #[derive(Debug, Default)]
 struct Traced {
-    /// Writes to the database's log that no sync has ended after.
+    /// Writes to the database's log without a later sync.
     unsynced: u64,
-    /// Syncs under way, by thread: how many writes each began after.
+    /// Syncs in progress, by thread: the number of writes before each began.
     syncing: BTreeMap<u32, u64>,
-    /// Acknowledgements sent, and those of them with a write that was not synced.
+    /// Acknowledgements sent.
     acknowledged: u64,
+    /// Acknowledgements sent before a write was synced.
     too_early: u64,
     syncs: u64,
 }
 
 impl Traced {
-    /// Takes a line of `strace -f -y`: `4711 pwrite64(11</tmp/x/hub.db-wal>, "…", 4096, 0) = 4096`.
+    /// Reads a line of `strace -f -y`: `4711 pwrite64(11</tmp/x/hub.db-wal>, "…", 4096, 0) = 4096`.
     fn take(&mut self, line: &str) {
         let Some((thread, call)) = line.split_once(' ') else {
             return;
@@ -247,7 +245,7 @@ impl Traced {
         }
     }
 
-    /// A sync has ended: what was written before it began is on the disk.
+    /// Records the end of a sync: the writes before its begin are on the disk.
     fn synced(&mut self, begun: u64) {
         self.syncs += 1;
         self.unsynced -= begun.min(self.unsynced);
@@ -278,13 +276,13 @@ fn a_trace_with_an_answer_before_its_sync_is_caught() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs strace"]
-async fn what_is_acknowledged_was_synced_to_the_disk_before() {
+async fn reports_are_synced_to_disk_before_they_are_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let trace = folder.path().join("trace");
     let (zenoh, settings) = settings(&sqlite(folder.path()));
     let mut command = Command::new("strace");
     command
-        // With -D the hub is the child, so that it ends with the test whatever happens; strace ends with it.
+        // With -D the hub is the child process, so that it always ends with the test, and strace with it.
         .args(["-D", "-f", "-y", "-s", "4096", "-e"])
         .arg("trace=pwrite64,fsync,fdatasync,write,writev,sendto,sendmsg")
         .arg("-o")

@@ -1,4 +1,4 @@
-//! The hub as a process, killed in the middle of ingest: every report is one row in its database.
+//! The hub as a process, killed during ingest: every report is one row in its database.
 
 use crate::support::fleet::{HubProcess, from_environment, now_ns, send, settings, sqlite, uplink};
 use crate::support::postgres::Postgres;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 const NODES: usize = 4;
 
-/// A node: it makes reports, keeps them until they are acknowledged, and sends them again until then.
+/// A node that makes reports and sends them until they are acknowledged. Returns the number of reports.
 async fn node(
     index: usize,
     zenoh: String,
@@ -41,49 +41,44 @@ async fn node(
             stored = last;
             acknowledged.fetch_add(more, Ordering::Relaxed);
         }
-        // A pause, so that a hub that is not there is not asked without end.
+        // A pause between attempts while the hub is down.
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
+async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    killed_in_the_middle_of_ingest(&sqlite(folder.path())).await;
+    killed_during_ingest(&sqlite(folder.path())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice() {
+async fn postgres_a_hub_killed_during_ingest_loses_and_duplicates_no_report() {
     let server = Postgres::start();
-    killed_in_the_middle_of_ingest(&server.url()).await;
+    killed_during_ingest(&server.url()).await;
 }
 
-async fn killed_in_the_middle_of_ingest(database: &str) {
+async fn killed_during_ingest(database: &str) {
     let (zenoh, settings) = settings(database);
     let mut hub = HubProcess::start(&settings);
     let stop = Arc::new(AtomicBool::new(false));
     let acknowledged = Arc::new(AtomicU64::new(0));
     let nodes: Vec<_> = (0..NODES)
         .map(|index| {
-            (
-                index,
-                zenoh.clone(),
-                Arc::clone(&stop),
-                Arc::clone(&acknowledged),
-            )
+            let (stop, acknowledged) = (Arc::clone(&stop), Arc::clone(&acknowledged));
+            tokio::spawn(node(index, zenoh.clone(), stop, acknowledged))
         })
-        .map(|(index, zenoh, stop, said)| tokio::spawn(node(index, zenoh, stop, said)))
         .collect();
     // More by hand: ALBIREO_KILLS=1000.
     for kill in 0..from_environment("ALBIREO_KILLS", 12) {
         let before = acknowledged.load(Ordering::Relaxed);
-        // Then the hub is in the middle of it.
+        // Then the hub is in the middle of ingest.
         until("more is acknowledged", async || {
             acknowledged.load(Ordering::Relaxed) > before + kill % 7 * 5
         })
         .await;
-        // At another moment of a commit each time.
+        // At a different moment of a commit each time.
         tokio::time::sleep(Duration::from_millis(kill * 13 % 40)).await;
         hub.kill().await;
         hub = HubProcess::start(&settings);

@@ -1,4 +1,4 @@
-//! Promises of the whole program, one file each.
+//! The promises of the whole program, one per file.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

@@ -1,7 +1,7 @@
-//! A node in this process, with a real Zenoh session, ONNX Runtime and a detector that finds coloured boxes: what it
-//! does with frames good and bad, with thresholds, and at the end.
+//! A node in this process, with a real Zenoh session, ONNX Runtime and a detector of coloured boxes, handles good and bad
+//! frames, thresholds and its own shutdown.
 
-use crate::support::{PATIENCE, both_ways, heard, next, project, until, zenoh_client};
+use crate::support::{PATIENCE, next, project, subscribe, until, until_connected, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::PayloadFormat;
@@ -43,7 +43,7 @@ pub(crate) struct Bench {
     pub(crate) stopped: JoinHandle<Result<(), NodeError>>,
     pub(crate) session: Session,
     detections: UnboundedReceiver<DetectionsMessage>,
-    /// Where the node's session listens.
+    /// The endpoints of the node's session.
     pub(crate) endpoints: Vec<String>,
 }
 
@@ -52,14 +52,14 @@ impl Bench {
         Self::start_prepared(config, PreparedNode::new(config).unwrap()).await
     }
 
-    /// As [`start`](Self::start), with a specially prepared node.
+    /// Like [`start`](Self::start), with a prepared node.
     pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let bench = Self::start_unmatched(config, prepared).await;
-        both_ways(&bench.session, "node", CAMERA).await;
+        until_connected(&bench.session, "node", CAMERA).await;
         bench
     }
 
-    /// As [`start_prepared`](Self::start_prepared), of a node that need not have the usual camera.
+    /// Like [`start_prepared`](Self::start_prepared), for a node without the usual camera.
     async fn start_unmatched(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let shutdown = CancellationToken::new();
         let board = Arc::clone(prepared.board());
@@ -77,7 +77,7 @@ impl Bench {
         }
     }
 
-    /// Sends a JPEG picture, and waits until the node has taken or refused it.
+    /// Sends a JPEG picture, and waits until the node has accepted or refused it.
     pub(crate) async fn send(&self, picture: impl Into<ZBytes>, seq: u64) {
         self.send_as(picture, "image/jpeg", seq, None).await;
     }
@@ -105,12 +105,12 @@ impl Bench {
         replies.recv_async().await.expect("the node answers");
     }
 
-    /// The clip reports of the camera from now on.
+    /// Subscribes to the camera's clip reports.
     pub(crate) async fn reports(&self) -> UnboundedReceiver<ClipReport> {
         self.published("clip").await
     }
 
-    /// What the node publishes of the camera on `key` from now on.
+    /// Subscribes to the camera's messages on `key`.
     pub(crate) async fn published<T: DeserializeOwned + Send + 'static>(
         &self,
         key: &str,
@@ -118,12 +118,11 @@ impl Bench {
         published(&self.session, &format!("albireo/node/{CAMERA}/{key}")).await
     }
 
-    /// What the board shows of the camera.
     pub(crate) fn snapshot(&self) -> CameraSnapshot {
         self.board.camera(CAMERA).unwrap().snapshot()
     }
 
-    /// The threshold that the next frame was decided with.
+    /// Sends a frame, and returns the threshold of its decision.
     async fn answered_threshold(&mut self, seq: u64) -> Option<f64> {
         self.send(pictures(1).remove(0), seq).await;
         let threshold = self.answer().await.threshold;
@@ -145,16 +144,15 @@ impl Bench {
     }
 }
 
-/// What is published on `key` from now on.
+/// Subscribes to JSON messages on `key`.
 async fn published<T: DeserializeOwned + Send + 'static>(
     session: &Session,
     key: &str,
 ) -> UnboundedReceiver<T> {
     let read = |sample: Sample| serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-    heard(session, key, read).await
+    subscribe(session, key, read).await
 }
 
-/// The attachment of a frame.
 pub(crate) fn attachment(seq: u64, stream: Option<u64>, clip: Option<&str>) -> Vec<u8> {
     let attachment = FrameAttachment {
         v: VERSION,
@@ -167,7 +165,7 @@ pub(crate) fn attachment(seq: u64, stream: Option<u64>, clip: Option<&str>) -> V
     serde_json::to_vec(&attachment).unwrap()
 }
 
-/// Pictures of boxes, small to be quick.
+/// Pictures of boxes, small for speed.
 pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
     let scene = BoxScene::new(5, PictureSize::new(640, 360));
     (0..count)
@@ -188,7 +186,7 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
     bench.send(vec![0; 400_001], 11).await;
     bench.send_as("hello", "text/plain", 12, None).await;
     bench.send("not a picture", 13).await;
-    // Half a picture has a sound header: only decoding shows that it is broken.
+    // Half a picture has a valid header: only decoding shows that it is broken.
     let half = picture[..picture.len() / 2].to_vec();
     bench.send(half, 14).await;
     bench.send(picture.clone(), 18).await;
@@ -214,7 +212,7 @@ async fn a_predicted_frame_is_never_decoded() {
     let is_broken = async || camera.snapshot().dropped.undecodable > 0;
     let mut predicted = 0;
     for (seq, picture) in pictures(40).into_iter().enumerate() {
-        // Once a frame was predicted, only headers are sound: what follows is noise no decoder takes.
+        // After the first predicted frame only the headers are valid, and noise follows that no decoder accepts.
         let mut payload = picture;
         if predicted > 0 {
             let from = payload.len() / 3;
@@ -223,7 +221,7 @@ async fn a_predicted_frame_is_never_decoded() {
         bench.send(payload, seq as u64).await;
         let message = tokio::select! {
             message = bench.answer() => message,
-            // It was dropped: a detector frame's turn came, and its picture was broken.
+            // A broken picture was dropped, since it was a detector frame's turn.
             () = until("the picture is dropped", &is_broken) => break,
         };
         if message.state == albireo_core::policy::FrameState::P {
@@ -240,8 +238,7 @@ async fn a_predicted_frame_is_never_decoded() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_after_a_restart_and_a_bad_one_is_refused()
- {
+async fn a_threshold_over_zenoh_applies_from_the_next_frame_survives_a_restart_and_is_validated() {
     let state = tempfile::tempdir().unwrap();
     let mut config = configuration();
     config.policy.name = "albireo".to_owned();
@@ -272,7 +269,7 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_after_a_restart_an
     let change = r#"{"threshold":{"name":"u","value":7e-4}}"#;
     let put = bench.session.put("albireo/node/front/threshold", change);
     put.await.unwrap();
-    // On one link a query comes after the put before it.
+    // On one link a query arrives after an earlier put.
     assert_eq!(ask(&bench.session, None).await, Ok(7e-4));
     assert_eq!(bench.answered_threshold(2).await, Some(7e-4));
     bench.stop().await;
@@ -281,7 +278,7 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_after_a_restart_an
     bench.stop().await;
 }
 
-/// Asks for the threshold, or changes it by a query with a payload.
+/// Asks for the threshold, or changes it if there is a payload.
 async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
     let mut query = session.get("albireo/node/front/threshold");
     if let Some(payload) = payload {
@@ -304,8 +301,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of_the_open_clip_too()
-{
+async fn without_a_meter_every_report_even_of_the_open_clip_is_sent_before_the_node_stops() {
     const CLIPS: u64 = 40;
     let mut config = configuration();
     config.power.source = albireo_power::PowerSource::None;
@@ -332,7 +328,7 @@ async fn without_a_meter_every_report_is_out_before_the_node_has_stopped_that_of
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() {
+async fn a_camera_restart_that_begins_with_a_broken_frame_resets_the_policy() {
     let mut config = configuration();
     config.policy.name = "fixed-skip".to_owned();
     config.policy.fixed_skip.n = 4.0;
@@ -351,7 +347,7 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() 
         let answer = bench.answer().await;
         seen.push((answer.seq, answer.state.as_str()));
     }
-    // The stray frame 100 changes nothing: of a stream the first frame is the detector's.
+    // The stray frame 100 changes nothing: only the first frame of a stream goes to the detector.
     let expected = [(1000, "I"), (1001, "P"), (1002, "P"), (1, "I"), (2, "P")];
     assert_eq!(seen, expected);
     let dropped = bench.snapshot().dropped;
@@ -360,7 +356,7 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_start_over() 
     bench.stop().await;
 }
 
-/// The attachment of rmw_zenoh: number, time, and the publisher's id.
+/// The attachment of rmw_zenoh: number, time and publisher id.
 pub(crate) fn rmw_attachment(seq: u64, publisher: u8) -> Vec<u8> {
     let mut attachment = seq.to_le_bytes().to_vec();
     attachment.extend_from_slice(&1_700_000_000_000_000_000_i64.to_le_bytes());
@@ -371,7 +367,7 @@ pub(crate) fn rmw_attachment(seq: u64, publisher: u8) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
+async fn a_second_publisher_on_a_cameras_key_costs_it_no_frame() {
     let camera = |name: &str, format| CameraConfig {
         ring: 512,
         format,
@@ -405,11 +401,11 @@ async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
                 .await
                 .unwrap();
         };
-        both_ways(&bench.session, "node", name).await;
+        until_connected(&bench.session, "node", name).await;
         for seq in 100..120 {
             put(true, seq).await;
         }
-        // One frame, then a publisher that is there for a while, then the camera alone.
+        // A single foreign frame, then a second publisher for a while, then the camera alone.
         put(false, 5).await;
         for seq in 120..140 {
             put(true, seq).await;

@@ -1,5 +1,4 @@
-//! The web pages: their types are current, and they are small. `make browser` tests them in a browser against the
-//! program itself.
+//! The web pages have current types and are small. `make browser` tests them in a browser against the program.
 
 use crate::support::{project, run_command};
 use std::path::PathBuf;
@@ -9,8 +8,8 @@ fn web() -> PathBuf {
     project("web")
 }
 
-/// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` overwrites it; then
-/// `npm run types` in `web` makes the types.
+/// Compares a description with the stored one, which the pages' types are generated from. `ALBIREO_UPDATE=1` overwrites the
+/// stored one; then `npm run types` in `web` generates the types.
 #[cfg(feature = "hub")]
 fn current(service: &str, document: &impl serde::Serialize) {
     let path = web().join("api").join(format!("{service}.json"));
@@ -22,14 +21,14 @@ fn current(service: &str, document: &impl serde::Serialize) {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == now,
-        "{} is not what the program says: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
+        "{} is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
         path.display()
     );
 }
 
 #[cfg(feature = "hub")]
 #[test]
-fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
+fn the_descriptions_behind_the_pages_are_current() {
     current("node", &albireo_node::api::http::openapi());
     current("hub", &albireo_hub::http::openapi());
 }
@@ -45,7 +44,7 @@ fn run(program: &str, arguments: &[&str]) {
 
 #[test]
 #[ignore = "needs Node.js"]
-fn the_pages_types_are_current_and_their_sums_right() {
+fn the_pages_types_are_current_and_their_own_tests_pass() {
     run("node", &["scripts/types.mjs", "--check"]);
     run("npx", &["--no-install", "tsc", "--noEmit"]);
     run("npx", &["--no-install", "vitest", "run"]);

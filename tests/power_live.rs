@@ -1,5 +1,5 @@
-//! A node with a board's power monitor (a copy of the sysfs tree): where its watts and joules are
-//! reported, and what happens to frames when the monitor hangs.
+//! A node with a board's power monitor, in a copy of the sysfs tree, reports watts and joules, and its frames do not wait for
+//! a hanging monitor.
 
 use crate::support::{
     Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use tokio::time::timeout;
 
-/// 24 W in three rails, a hot sensor, and a power mode.
+/// A sysfs tree with 24 W on three rails and a temperature sensor.
 fn board(root: &Path) -> PathBuf {
     let sysfs = root.join("sys");
     let write = |file: &str, text: &str| {
@@ -60,14 +60,14 @@ delivery = "every"
     )
 }
 
-/// Plays so many frames of the demonstration's road as one clip.
+/// Replays that many frames of the demo as one clip.
 async fn drive(node: &Node, frames: &str) {
     let clip = "--node bench --clip drive --clip-seconds 1000 --frames";
     let clip: Vec<_> = clip.split(' ').chain([frames]).collect();
     replay(node, "demo", &clip).await;
 }
 
-/// The next message of that kind that `wanted` takes.
+/// The next message of that kind that satisfies `wanted`.
 async fn next(client: &mut Client, kind: &str, wanted: impl Fn(&Value) -> bool) -> Value {
     loop {
         let (key, message) = client.next().await.unwrap();
@@ -81,7 +81,7 @@ fn near(value: &Value, expected: f64) -> bool {
     (value.as_f64().unwrap() / expected - 1.0).abs() < 1e-3
 }
 
-/// 24 W over the whole clip of 25 frames.
+/// Asserts 24 W over the whole clip of 25 frames.
 fn assert_energy(report: &Value) {
     let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
     assert_eq!(energy["quality"], "measured", "{report}");
@@ -169,7 +169,7 @@ async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
-async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
+async fn neither_frames_nor_shutdown_wait_for_a_hanging_meter() {
     let folder = tempfile::tempdir().unwrap();
     let sysfs = board(folder.path());
     let node = Node::start(&settings(&sysfs)).await;
@@ -204,10 +204,10 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
 }
 
 #[tokio::test]
-async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told() {
+async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_script() {
     let folder = tempfile::tempdir().unwrap();
     let program = fake_tegrastats(folder.path(), &json!({"curve": [[0, 20], [1, 20]]}));
-    // A stand-in for sudo that notes what it was asked for and runs it.
+    // A fake sudo that logs its arguments and runs them.
     let sudo = "printf '%s\\n' \"$*\" >> \"$0.log\"\nshift\nexec \"$@\"";
     script(folder.path(), "sudo", sudo);
     let by_sudo = format!("exec sudo -n {} \"$@\"", program.display());

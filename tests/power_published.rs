@@ -1,4 +1,4 @@
-//! The published per-clip results, recomputed from their inputs by the code that makes clip reports.
+//! The code of clip reports recomputes the published results per clip from their inputs.
 //!
 //! The expected values are in the README of the shared data; the means are over 200 clips.
 
@@ -39,7 +39,7 @@ fn states(row: &Row) -> FrameStates {
     states
 }
 
-/// J·ms/frame of a clip, as its report has it.
+/// The energy-delay product of a clip as in its report, J·ms per frame.
 fn energy_delay_product(row: &Row) -> f64 {
     let energy = ClipEnergy {
         joules: Some(row.energy_j),
@@ -53,7 +53,7 @@ fn energy_delay_product(row: &Row) -> f64 {
 
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_the_published_energy_delay_products_and_skip_rates_come_out() {
+fn shared_the_published_energy_delay_products_and_skip_rates_are_reproduced() {
     let file = shared("data/published-results/thor/albireo/yolo26x/summary-selected-columns.csv");
     let rows: Vec<Row> = csv::Reader::from_path(file)
         .unwrap()

@@ -1,5 +1,5 @@
-//! Known curves of power, on fixture trees of sysfs that change as time goes, come out of the sampler to
-//! 0.1 %, through the same code as on a machine. Time is tokio's paused clock, so nothing here waits.
+//! The sampler measures known power curves on changing sysfs trees to 0.1 %, with the same code as on a machine. Time is
+//! tokio's paused clock, so nothing waits.
 
 use albireo_power::{self as power, PowerConfig, PowerHandle, PowerSource};
 use albireo_wire::{ClipEnergy, EnergyQuality};
@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 const RANGE_UJ: u64 = 262_143_328_850;
 
-/// A tree that shows `watts(seconds)` in an INA3221 and, integrated, in a RAPL counter near its end.
+/// A tree that shows `watts(seconds)` in an INA3221 and, integrated, in a RAPL counter near its wrap.
 struct Tree {
     folder: tempfile::TempDir,
     start: Instant,
@@ -57,7 +57,7 @@ impl Tree {
         self.write(counter, &(microjoules % RANGE_UJ).to_string());
     }
 
-    /// Lets time go on by `seconds`, half-way between the sampler's ticks.
+    /// Advances time by `seconds`, with writes half-way between the sampler's ticks.
     async fn play(&mut self, seconds: f64, watts: impl Fn(f64) -> f64) {
         let step = Duration::from_millis(10);
         let until = Instant::now() + Duration::from_secs_f64(seconds);
@@ -82,13 +82,13 @@ async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationTok
     (power, stop)
 }
 
-/// The node's energy between two moments.
+/// The node's energy between two times.
 pub(crate) async fn energy(power: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
     let measured = power.camera().measure(start);
     measured.finish(end, Duration::MAX).await.unwrap().energy
 }
 
-/// Plays `watts` for ten seconds before both meters and gives back what each says of eight of them.
+/// Plays `watts` to both meters for 10 s, and returns the energy of each over 8 s of it.
 async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [ClipEnergy; 2] {
     let mut found = Vec::new();
     for source in [PowerSource::Ina, PowerSource::Rapl] {
@@ -120,7 +120,7 @@ fn check(found: &ClipEnergy, joules: f64) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_constant_power_is_its_watts_times_the_time_across_a_counter_wrap() {
+async fn constant_power_integrates_to_watts_times_time_across_a_counter_wrap() {
     for found in &both(|_| 15.0).await {
         check(found, 120.0);
     }

@@ -1,7 +1,7 @@
-//! Known curves of power, printed in real time by a stand-in for `tegrastats`, come out of the sampler to
-//! 0.1 %, through the same code as on a board.
+//! The sampler measures known power curves, printed in real time by a fake `tegrastats`, to 0.1 %, with the same code as on a
+//! board.
 
-use crate::support::{assert_says, until};
+use crate::support::{assert_contains, until};
 use albireo_power::{self as power, PowerConfig, PowerHandle, PowerSource};
 use albireo_wire::{ClipEnergy, EnergyQuality};
 use serde_json::{Value, json};
@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// A stand-in that does `task`, and the configuration that finds it.
+/// A fake `tegrastats` that does `task`, and the configuration that uses it.
 fn stand_in(task: &Value) -> (tempfile::TempDir, PowerConfig) {
     let folder = tempfile::tempdir().unwrap();
     let program = crate::support::fake_tegrastats(folder.path(), task);
@@ -43,9 +43,9 @@ async fn run(task: &Value) -> Running {
 }
 
 impl Running {
-    /// Watches for `length` and gives back the mean watts over what was covered, with the whole answer.
+    /// Measures for `length`, and returns the mean watts over the covered time and the whole result.
     async fn watch(&self, length: Duration) -> (f64, ClipEnergy) {
-        // Begin where a sample is: the meter has just been opened.
+        // Starts at a sample: the meter was just opened.
         let start = Instant::now() + Duration::from_millis(250);
         let end = start + length;
         tokio::time::sleep_until(end).await;
@@ -69,7 +69,7 @@ fn close(found: f64, expected: f64) -> bool {
 }
 
 #[tokio::test]
-async fn a_constant_power_is_its_watts_times_the_time() {
+async fn constant_power_integrates_to_watts_times_time() {
     let running = run(&json!({"curve": [[0, 21.5], [1, 21.5]]})).await;
     let (mean, found) = running.watch(Duration::from_secs(3)).await;
     assert!(close(mean, 21.5), "{found:?}");
@@ -88,7 +88,7 @@ async fn a_constant_power_is_its_watts_times_the_time() {
 
 #[tokio::test]
 async fn a_square_wave_keeps_its_mean_and_its_peak() {
-    // Steps so small that lines which a busy machine prints late do not count, and still larger than what is allowed.
+    // The steps are so small that late lines on a busy machine do not matter, yet larger than the tolerance.
     let wave = json!([
         [0, 39.9],
         [0.5, 39.9],
@@ -116,7 +116,7 @@ async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
 }
 
 #[test]
-fn a_program_that_took_long_for_its_first_line_does_not_stall() {
+fn a_slow_first_line_is_not_a_stall() {
     let task = json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]});
     let (_folder, config) = stand_in(&task);
     let mut meter = power::open(&config).unwrap();
@@ -124,7 +124,7 @@ fn a_program_that_took_long_for_its_first_line_does_not_stall() {
 }
 
 #[tokio::test]
-async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading() {
+async fn a_child_that_exits_is_restarted_and_its_partial_last_line_is_ignored() {
     let task = json!({"curve": [[0, 30], [1, 30]], "die_at": 1.5});
     let running = run(&task).await;
     let (mean, found) = running.watch(Duration::from_secs(6)).await;
@@ -140,7 +140,7 @@ async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading
 }
 
 #[test]
-fn a_program_without_rails_says_that_root_is_needed_and_another_program_is_refused() {
+fn missing_rails_are_explained_by_missing_root_rights_and_another_program_is_rejected() {
     let line = "RAM 998/15389MB (lfb 3313x4MB) CPU [4%@883] EMC_FREQ 0% GR3D_FREQ 0% cpu@56.8C";
     let denied = "permission denied; it prints no power rails for this user";
     for (line, said) in [
@@ -149,6 +149,6 @@ fn a_program_without_rails_says_that_root_is_needed_and_another_program_is_refus
     ] {
         let (_folder, config) = stand_in(&json!({"lines": [line]}));
         let error = power::open(&config).err().unwrap();
-        assert_says(&error.to_string(), said);
+        assert_contains(&error.to_string(), said);
     }
 }

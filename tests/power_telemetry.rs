@@ -1,4 +1,4 @@
-//! Every recorded line of `tegrastats` says what an independent reading of it says.
+//! Every recorded line of `tegrastats` is read as an independent reader does.
 
 use crate::support::{shared, text};
 use albireo_power::{Domain, RailMap, Value, tegrastats_rails};
@@ -39,7 +39,7 @@ fn expected() -> BTreeMap<String, Expected> {
 }
 
 #[test]
-fn every_line_kept_here_says_what_it_says() {
+fn every_stored_line_is_read_as_expected() {
     let (expected, lines) = (expected(), fixture("tegrastats_lines.tsv"));
     assert_eq!(lines.lines().count(), 26);
     for line in lines.lines() {
@@ -50,7 +50,7 @@ fn every_line_kept_here_says_what_it_says() {
 
 #[test]
 #[ignore = "needs ../shared"]
-fn shared_every_recorded_line_says_what_it_says() {
+fn shared_every_recorded_line_is_read_as_expected() {
     let expected = expected();
     let boards = "agx_orin_jp5 agx_orin_jp6 agx_orin_jp7 agx_thor edited_by_test_authors orin_nano orin_nx xavier_and_older";
     for board in boards.split(' ') {

@@ -1,7 +1,7 @@
-//! `albireo replay` plays a camera: every frame arrives, in order, with its number, time and clip.
+//! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
-    PATIENCE, assert_says, free_port, grey_jpeg, listening_peer, script, test_video,
+    PATIENCE, assert_contains, free_port, grey_jpeg, listening_peer, script, test_video,
 };
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
@@ -28,7 +28,7 @@ fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
     Command::parse_from([&["replay", source], more].concat()).replay
 }
 
-/// Takes frames as a node does that is to miss none, with a small queue that holds the sender back.
+/// Receives every frame as a node does, with a small queue that slows down the sender.
 async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
     let (sender, receiver) = channel(2);
     let queries = session
@@ -57,7 +57,7 @@ async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
     receiver
 }
 
-/// Replays to a subscriber that lets each frame wait for `work`; all frames that arrived.
+/// Replays to a receiver that does `work` per frame, and returns all frames.
 async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> (Vec<Frame>, Sent) {
     let (session, endpoint) = listening_peer().await;
     let mut receiver = take_each(&session).await;
@@ -85,7 +85,7 @@ async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> 
     (frames, sent.unwrap())
 }
 
-/// A folder of `count` JPEG files of 64x48.
+/// A folder of `count` JPEG files of 64x48 pixels.
 fn pictures(count: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for number in 0..count {
@@ -96,7 +96,7 @@ fn pictures(count: u32) -> tempfile::TempDir {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
+async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
     let more = "--rate 200 --clip drive --clip-seconds 0.025";
     let more: Vec<_> = more.split(' ').collect();
@@ -117,8 +117,8 @@ async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
-    // Far more than the rings, the queues and the sockets hold: 300 frames of 300 KB.
+async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
+    // 300 frames of 300 kB: far more than the rings, queues and sockets hold.
     let folder = tempfile::tempdir().unwrap();
     let mut noise = 1_u32;
     let pixels: Vec<u8> = (0..640 * 480)
@@ -141,7 +141,7 @@ async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
     assert_eq!(sequence, (0..300).collect::<Vec<_>>());
 }
 
-/// Why a replay of that many frames fails.
+/// The error of a replay of that many frames.
 async fn refusal(frames: u32, more: &[&str]) -> String {
     let folder = pictures(frames);
     let arguments = arguments(folder.path(), more);
@@ -150,26 +150,26 @@ async fn refusal(frames: u32, more: &[&str]) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_missing_subscriber_or_node_is_an_error_that_says_so() {
+async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
     let connect = ["--connect", &endpoint];
     let error = refusal(1, &[&connect[..], &["--wait-for-subscriber=1"]].concat()).await;
     let nobody = "no node took frames on `albireo/node/front/frame`";
-    assert_says(&error, &[nobody]);
+    assert_contains(&error, &[nobody]);
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
     let fast = [&connect[..], &["--rate", "max"]].concat();
     let error = refusal(3, &[&fast[..], &["--camera", "frnt"]].concat()).await;
-    assert_says(&error, &["no node subscribed to `albireo/node/frnt/frame`"]);
+    assert_contains(&error, &["no node subscribed to `albireo/node/frnt/frame`"]);
     let folder = pictures(3);
     let sent = replay::run(arguments(folder.path(), &fast), CancellationToken::new()).await;
     assert_eq!(sent.unwrap().frames, 3);
 
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let error = refusal(1, &["--connect", &endpoint]).await;
-    assert_says(&error, &[&endpoint, "is the node running"]);
+    assert_contains(&error, &[&endpoint, "is the node running"]);
 }
 
-/// Shell scripts in place of the two programs: `answer` is what ffmpeg does when asked for frames.
+/// Fake ffprobe and ffmpeg; `answer` is the script of ffmpeg.
 fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
     let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;
     Ffmpeg {
@@ -179,7 +179,7 @@ fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
 }
 
 #[test]
-fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
+fn video_frames_are_cut_from_the_output_of_ffmpeg_and_can_be_rewound() {
     let folder = pictures(2);
     let mut stream = Vec::new();
     for number in 0..2 {
@@ -206,23 +206,23 @@ fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
 }
 
 #[test]
-fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
+fn a_failing_ffmpeg_is_quoted_and_a_missing_one_comes_with_how_to_install_it() {
     let folder = tempfile::tempdir().unwrap();
     let programs = stand_ins(folder.path(), "echo 'moov atom not found' >&2; exit 1");
     let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
     let text = format!("{:#}", video.next().unwrap_err());
-    assert_says(&text, &["a.mp4", "moov atom not found"]);
+    assert_contains(&text, &["a.mp4", "moov atom not found"]);
 
     let missing = Ffmpeg {
         ffprobe: folder.path().join("no-such-program"),
         ..Ffmpeg::default()
     };
     let error = Video::open("a.mp4", None, VideoEncoding::Jpeg, missing).unwrap_err();
-    assert_says(&error.to_string(), &["apt-get install ffmpeg"]);
+    assert_contains(&error.to_string(), &["apt-get install ffmpeg"]);
 }
 
 #[test]
-fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
+fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
     let folder = tempfile::tempdir().unwrap();
     let note = folder.path().join("pid");
     let answer = format!(
@@ -248,14 +248,14 @@ fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
         } else {
             drop(video);
         }
-        assert!(!process.exists(), "process {pid} lives on");
+        assert!(!process.exists(), "process {pid} still runs");
         std::fs::remove_file(&note).unwrap();
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn needs_ffmpeg_a_real_video_arrives_frame_by_frame() {
+async fn a_real_video_arrives_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
     let file = test_video(folder.path(), "test.mp4", "rate=24:duration=2");
     for encoding in ["jpeg", "png"] {

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Runs every test that can run here and ends with one line that counts them: "N passed, N failed, N skipped".
 #
-# A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all others run, without
-# any of these needs, as in a fresh clone; the run says what the marked ones need, and those whose needs are met run
-# then. The rest is skipped.
+# A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all other tests run without
+# any of these needs, as in a fresh clone. Its output lists the marked tests and their needs; those whose needs are met run
+# next, and the rest are skipped.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -11,9 +11,9 @@ export ALBIREO_SHARED="${ALBIREO_SHARED:-$(cd .. && pwd)/shared}"
 export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxruntime.so* 2>/dev/null | head -n 1)}"
 export ORT_DISABLE_TELEMETRY=1
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
-# Most of the time of most tests is waiting for processes.
+# Most tests spend most of their time waiting for processes.
 export RUST_TEST_THREADS="${RUST_TEST_THREADS:-$((2 * $(nproc)))}"
-# hadolint comes with that environment.
+# hadolint is installed in the same environment.
 export PATH="$PATH:$(dirname "$ALBIREO_PYTHON")"
 
 missing=()
@@ -36,7 +36,7 @@ need "hadolint" command -v hadolint
 need "Docker Compose" bash -c "docker compose version || command -v docker-compose"
 need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
 
-# With the feature turbojpeg where it can be built; its tests are named scaled_…
+# Enables the feature turbojpeg where it can be built; its tests are named scaled_…
 read -ra options <<< "--locked $(bash tests/features.sh)"
 left_out=0
 [[ "${options[*]}" != *turbojpeg* ]] && left_out=$(grep -rh 'fn scaled_' crates | wc -l)

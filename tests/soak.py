@@ -1,10 +1,10 @@
-"""A long run of a node under faults: `make soak` (30 minutes), or soak.py --minutes 2 to try it.
+"""Runs a node under faults for a long time: `make soak` (30 minutes), or soak.py --minutes 2 for a trial.
 
-A node with two cameras behind a router, a hub, and a subscriber. Mixed in: corrupt frames, cameras that restart, a router
-that is killed and comes back, a detector that hangs (the model of the fixtures computes for ever on a bright picture: the
-node ends after 30 s, and the script starts it again as a service manager does), a subscriber that stops reading, a hub killed
-with -9. At the end every report the node has made must be in the hub once. Prints what it counted, and how memory went in
-the longest run of the node.
+A node with two cameras behind a router, a hub, and a subscriber. The faults: corrupt frames, cameras that restart, a router
+that is killed and comes back, a detector that hangs (the fixture's model never finishes on a bright picture; the node exits
+after 30 s, and the script restarts it like a service manager), a subscriber that stops reading, and a hub killed with -9.
+At the end the hub must have every report of the node exactly once. Prints the counts, and the memory use of the node's
+longest run.
 """
 
 import argparse
@@ -133,7 +133,7 @@ class Child:
 
 
 class Camera(threading.Thread):
-    """Sends ten frames a second; some are broken, some are bright."""
+    """Sends ten frames per second, of which some are corrupt and some bright."""
 
     def __init__(self, name, endpoint, done):
         super().__init__(daemon=True)
@@ -184,7 +184,7 @@ def until_alive(url):
 
 
 def stored(hub):
-    """Counts of reports, as the hub lists them."""
+    """The counts of the reports that the hub lists."""
     found, cursor = [], ""
     while True:
         page = json.loads(get(f"{hub}/api/v1/clips?node=soak&limit=1000{cursor}"))
@@ -226,11 +226,11 @@ def main():
         camera.start()
 
     chance, begun, counts = random.Random(5), time.monotonic(), {"router": 0, "hub": 0, "deaf": 0, "node": 0, "slow health": 0}
-    # Of each run of the node.
+    # Samples of each run of the node.
     runs, deaf_until = [[]], None
     health = f"http://127.0.0.1:{node_http}/healthz"
     until_alive(health)
-    # Seconds from one fault of a kind to the next.
+    # Seconds between two faults of a kind.
     every = {"sample": 5, "restart": 47, "bright": 580, "router": 97, "hub": 131, "deaf": 83}
     due = {kind: seconds * 0.7 for kind, seconds in every.items()}
     print(f"soak of {arguments.minutes:g} minutes; logs in {folder}", flush=True)
@@ -242,7 +242,7 @@ def main():
                 try:
                     get(health)
                 except OSError:
-                    # It is ending; if it is not, it should have answered.
+                    # Either the node is exiting, or it should have answered.
                     time.sleep(1)
                     counts["slow health"] += node.process.poll() is None
                     continue
@@ -269,7 +269,7 @@ def main():
         if node.process.poll() is not None:
             counts["node"] += 1
             if node.process.returncode != 1 or counts["node"] > sum(camera.hangs for camera in cameras):
-                sys.exit(f"the node ended by itself with {node.process.returncode}: see {folder}/node.log")
+                sys.exit(f"the node exited unexpectedly with {node.process.returncode}: see {folder}/node.log")
             node.start()
             until_alive(health)
             runs.append([])
@@ -284,7 +284,7 @@ def main():
     asked = time.monotonic()
     code = node.end()
     stopping = time.monotonic() - asked
-    # What was open at the end waits in the outbox: the node starts once more to deliver it.
+    # Reports of the last clips wait in the outbox; the node starts once more to deliver them.
     node.start()
     deadline, previous = time.monotonic() + 60, None
     while time.monotonic() < deadline:
@@ -312,14 +312,14 @@ def main():
             f"{camera.hangs} that hang the detector, {camera.restarts} restarts"
         )
     if sorted(found) != list(range(1, len(found) + 1)):
-        failures.append("a report is missing or there twice")
+        failures.append("a report is missing or duplicated")
     if not found:
         failures.append("no report reached the hub")
     if counts["node"] != sum(camera.hangs for camera in cameras):
-        failures.append("a detector that hangs did not end the node")
+        failures.append("a hanging detector did not end the node")
     print(
-        f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} times a "
-        f"deaf subscriber, {counts['node']} times a detector that hangs"
+        f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} "
+        f"subscriber pauses, {counts['node']} detector hangs"
     )
     if counts["slow health"]:
         failures.append(f"health took more than a second {counts['slow health']} times")

@@ -1,5 +1,5 @@
-//! The structure of the workspace: the crates are those of ARCHITECTURE.md, the method depends on little, every dependency is
-//! used, and a test that needs something says so in words that `run.sh` knows.
+//! The structure of the workspace: the crates match ARCHITECTURE.md, the method has few dependencies, every dependency is used,
+//! and every ignored test names needs that `run.sh` knows.
 
 use crate::support::{project, run_command, text};
 use serde_json::Value;
@@ -7,13 +7,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// All that the method depends on, with what its dependencies bring. A name that is added here is in every program
-/// that embeds the method: an API, command-line, runtime, network or file crate does not belong here.
+/// All direct and indirect dependencies of the method. Each is part of every program that embeds the method: an API,
+/// command-line, runtime, network or file crate does not belong here.
 const METHOD: &str = "albireo-core approx bytemuck matrixmultiply nalgebra num-complex num-integer num-rational num-traits \
     rawpointer safe_arch simba typenum wide itoa memchr serde serde_core serde_derive serde_json strsim zmij thiserror \
     thiserror-impl proc-macro2 quote syn unicode-ident";
 
-/// Dependencies that only switch on features of others, see the program's feature `development`.
+/// Dependencies that only enable features of others, see the program's feature `development`.
 const FOR_THEIR_FEATURES: [&str; 2] = ["regex-automata", "regex-syntax"];
 
 fn cargo(arguments: &[&str]) -> String {
@@ -30,18 +30,18 @@ fn word(value: &Value) -> &str {
     value.as_str().unwrap()
 }
 
-/// A dependency as a manifest has it.
+/// A dependency in a manifest.
 struct Dependency {
-    /// Its name as the registry or the workspace has it.
+    /// The name in the registry or the workspace.
     package: String,
-    /// Its name in the sources.
+    /// The name in the sources.
     name: String,
     only_for_tests: bool,
 }
 
 /// A crate of the workspace.
 struct Member {
-    /// Without `albireo-`; the program is `the program`.
+    /// The name without `albireo-`; the program is `the program`.
     name: String,
     folder: PathBuf,
     dependencies: Vec<Dependency>,
@@ -67,7 +67,7 @@ impl Member {
         }
     }
 
-    /// The crates of the workspace that it uses, tests aside.
+    /// The crates of the workspace that it uses outside tests.
     fn uses(&self) -> BTreeSet<String> {
         (self.dependencies.iter())
             .filter(|used| !used.only_for_tests && used.package.starts_with("albireo"))
@@ -75,7 +75,7 @@ impl Member {
             .collect()
     }
 
-    /// The text of its sources in these folders.
+    /// The texts of its sources in these folders.
     fn sources(&self, folders: &[&str]) -> Vec<String> {
         let mut files = Vec::new();
         for folder in folders {
@@ -95,7 +95,7 @@ fn members() -> Vec<Member> {
     metadata(&["--no-deps"]).iter().map(Member::read).collect()
 }
 
-/// The first table of the page: crate, and the crates it uses.
+/// The first table of the page: each crate with the crates it uses.
 fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
     page.lines()
         .skip_while(|line| !line.starts_with("| crate |"))
@@ -111,7 +111,7 @@ fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
 }
 
 #[test]
-fn the_crates_and_arrows_in_the_architecture_are_those_of_cargo() {
+fn the_architecture_page_has_the_crates_and_dependencies_of_cargo() {
     let there = members()
         .into_iter()
         .map(|member| (member.name.clone(), member.uses()));
@@ -131,9 +131,9 @@ fn the_method_depends_on_numbers_and_data_alone() {
     assert!(used.len() > 4, "{used:?}");
 }
 
-/// clippy (`make lint`) refuses what the standard library did not have in that version.
+/// clippy (`make lint`) rejects features newer than that version.
 #[test]
-fn the_method_asks_for_the_oldest_rust_that_its_dependencies_take() {
+fn the_method_requires_no_newer_rust_than_its_dependencies() {
     let version = cargo(&["-vV"]);
     let host = version.lines().find_map(|line| line.strip_prefix("host: "));
     let packages = metadata(&[&format!("--filter-platform={}", host.unwrap())]);
@@ -150,7 +150,7 @@ fn the_method_asks_for_the_oldest_rust_that_its_dependencies_take() {
     assert_eq!(asked_by("albireo-core"), needed);
 }
 
-/// The Rust sources under `folder`, but for those of packages inside it.
+/// Collects the Rust sources under `folder`, without nested packages.
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).into_iter().flatten() {
         let path = entry.unwrap().path();
@@ -162,7 +162,7 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Whether code in `text` says `name::`.
+/// Returns whether code in `text` has `name::`.
 fn says(text: &str, name: &str) -> bool {
     let path = format!("{name}::");
     let code = text
@@ -177,14 +177,14 @@ fn says(text: &str, name: &str) -> bool {
 }
 
 #[test]
-fn every_dependency_is_used_and_the_errors_of_libraries_are_typed() {
+fn every_dependency_is_used_and_libraries_have_typed_errors() {
     let mut wrong = Vec::new();
     for member in members() {
         let code = member.sources(&["src", "fuzz_targets"]);
         let tests = member.sources(&["src", "tests", "benches"]);
         assert!(!code.is_empty(), "{}: no sources", member.name);
         for used in &member.dependencies {
-            // A second entry for tests only adds features to the first.
+            // A second entry, for tests, only adds features to the first.
             let is_again =
                 |other: &Dependency| !other.only_for_tests && other.package == used.package;
             let again = used.only_for_tests && member.dependencies.iter().any(is_again);
@@ -201,7 +201,7 @@ fn every_dependency_is_used_and_the_errors_of_libraries_are_typed() {
 }
 
 #[test]
-fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() {
+fn every_ignored_test_names_needs_that_run_sh_knows() {
     let script = text("tests/run.sh");
     let mut seen = 0;
     let members = members();

@@ -1,10 +1,10 @@
-//! A node whose parts fail or hang: failures are detected, failed parts restart, and stopping takes no longer than configured.
+//! A node whose parts fail or hang detects that, restarts failed parts, and stops within the configured time.
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
 use crate::support::{
-    Node, PATIENCE, assert_says, grey_jpeg, next, run_command, until, until_read, zenoh_client,
+    Node, PATIENCE, assert_contains, grey_jpeg, next, run_command, until, until_read, zenoh_client,
 };
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -16,7 +16,7 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-/// A bench whose policy has a bug: it panics after this many frames.
+/// A bench whose policy panics after `good` frames.
 async fn buggy(good: u32) -> Bench {
     let config = configuration();
     let policy: PolicyConfig = config.policy.clone();
@@ -29,7 +29,7 @@ async fn buggy(good: u32) -> Bench {
     Bench::start_prepared(&config, prepared.with_policies(Arc::new(policies))).await
 }
 
-/// Waits for a status that is as wanted.
+/// Waits for a status that satisfies `wanted`.
 async fn status(
     changes: &mut watch::Receiver<HealthStatus>,
     wanted: impl FnMut(&HealthStatus) -> bool,
@@ -38,7 +38,7 @@ async fn status(
     status.expect("the status changes in time").unwrap().clone()
 }
 
-/// Settings of a node that asks this detector about every frame.
+/// Settings of a node that runs this detector on every frame.
 fn settings(detector: &str, more: &str) -> String {
     let model = model(detector);
     format!(
@@ -48,7 +48,7 @@ fn settings(detector: &str, more: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_frame_vanishes() {
+async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let mut bench = buggy(2).await;
     let mut reports = bench.reports().await;
     let mut changes = bench.board.readiness.subscribe();
@@ -61,7 +61,7 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
     bench.send_of_clip(picture.clone(), 2, "a").await;
     let failed = status(&mut changes, |status| status.state == HealthState::NotReady).await;
     let said = ["camera front", "a bug in a policy"];
-    assert_says(&failed.reasons["tasks"], &said);
+    assert_contains(&failed.reasons["tasks"], &said);
     // The open clip is not lost with the loop.
     let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
@@ -81,10 +81,10 @@ async fn a_camera_loop_that_panics_is_counted_reported_and_restarted_and_no_fram
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
+async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
     let bench = buggy(0).await;
     let picture = pictures(1).remove(0);
-    // Each frame that a loop takes ends it, and the pauses between two loops grow: most frames find none.
+    // Each frame ends the loop that takes it, and the backoff between loops grows: most frames find no loop.
     for seq in 0..40 {
         bench.send(picture.clone(), seq).await;
     }
@@ -93,7 +93,7 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
         counts.iter().map(|(_, counts)| counts.failures).sum()
     };
     let stopped = || bench.snapshot().dropped.stopped;
-    // The frame that a loop failed on is counted with the task; every other frame has its own kind.
+    // A frame that ends a loop is counted with the task, every other frame by its kind.
     until("all frames are accounted for", async || {
         stopped() + failures() >= 40
     })
@@ -119,9 +119,9 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     for seq in 2..4 {
         let sent = bench.send_of_clip(solid(0), seq, "last");
         let answered = timeout(Duration::from_secs(1), sent).await;
-        assert!(answered.is_err(), "its turn has not come");
+        assert!(answered.is_err(), "it must wait for its turn");
     }
-    // The link keeps its order: once the query is answered the frames are in the ring.
+    // The link keeps the order: once the query is answered, the frames are in the ring.
     until_read(&bench.session, "node", CAMERA).await;
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
@@ -137,14 +137,14 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
     assert_eq!(report.degraded_frames, 1);
     assert_eq!(report.ended_by, ClipEnd::Shutdown);
-    // What lay in the ring is counted, on the board and in the clip's report.
+    // Frames in the ring are counted, on the board and in the clip report.
     assert_eq!(report.dropped.stopped, 2);
     assert_eq!(board.camera(CAMERA).unwrap().snapshot().dropped.stopped, 2);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() {
+async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
     let first = Bench::start(&configuration()).await;
     let mut config = configuration();
     config.zenoh.connect = first.endpoints.clone();
@@ -167,8 +167,8 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let limits = "# development: stop_timeout_s=60\ndetector.timeout_ms = 600000\n";
     let node = Node::start(&settings("hanging.onnx", limits)).await;
     let session = zenoh_client(&node.zenoh).await;
-    // The detector computes forever on the first; the ring holds two more, and one more pushes one out: by then the
-    // camera's loop waits for the detector.
+    // The first frame makes the detector hang, the ring holds two more, and the next one displaces a frame: then the camera
+    // loop waits for the detector.
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
     let stuck = async {
         for seq in 0.. {
@@ -181,7 +181,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
         }
     };
     timeout(PATIENCE, stuck).await.expect("the detector hangs");
-    // Signals of one kind that come before they are heard are one: so it is sent until the node has ended.
+    // Pending signals of one kind merge into one, so the signal is repeated until the node has exited.
     let id = node.id().to_string();
     let again = tokio::spawn(async move {
         let mut period = tokio::time::interval(Duration::from_millis(50));
@@ -199,17 +199,17 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
+async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
     let node = Node::start(&settings("colours.onnx", "")).await;
-    // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one. One
-    // shell sends both, since what comes a second after the first is a second request.
+    // Like `timeout`, which signals its child and then the whole group. Two kinds, since two of one kind may merge; from one
+    // shell, since a signal 1 s after the first is a second request.
     let kill = "kill -INT $0 && kill -TERM $0";
     run_command(Command::new("sh").args(["-c", kill, &node.id().to_string()])).succeeds();
     let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(0), "{log}");
 }
 
-/// A picture of one grey, of the size of the detectors' input.
+/// A picture of one grey level, of the size of the detectors' input.
 fn solid(value: u8) -> Vec<u8> {
     grey_jpeg(value, [64, 32])
 }
@@ -226,19 +226,19 @@ async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
+async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
     let session = zenoh_client(&node.zenoh).await;
     put_grey(&session, 0, 255).await;
     let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(1), "{log}");
     let said = "the thread of the detector has not come back for 30 s";
-    assert_says(&log, &[said]);
+    assert_contains(&log, &[said]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_until_it_works() {
+async fn a_detector_that_returns_only_impossible_boxes_is_not_ready_until_it_recovers() {
     let mut config = configuration();
     config.detector.model = model("dark_overflows.onnx");
     let mut bench = Bench::start(&config).await;
@@ -250,7 +250,7 @@ async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_unti
     }
     let fault = status(&mut changes, |now| now.reasons.contains_key("detector")).await;
     assert_eq!(fault.state, HealthState::NotReady);
-    assert_says(&fault.reasons["detector"], &["impossible"]);
+    assert_contains(&fault.reasons["detector"], &["impossible"]);
     bench.send(solid(230), 6).await;
     assert!(!bench.answer().await.degraded);
     status(&mut changes, |now| !now.reasons.contains_key("detector")).await;
@@ -259,9 +259,9 @@ async fn a_detector_that_finds_only_the_impossible_is_reported_by_readiness_unti
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
+async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let folder = tempfile::tempdir().unwrap();
-    // Who opens a pipe to write waits until somebody reads.
+    // Opening a pipe to write blocks until somebody reads.
     let pipe = folder.path().join("lock");
     crate::support::pipe(&pipe);
     let mut config = configuration();
@@ -279,11 +279,11 @@ async fn a_disk_that_stalls_at_the_start_keeps_no_health_check_waiting() {
     for path in ["/healthz", "/readyz", "/api/v1/cameras"] {
         found.push(status(path).await);
     }
-    // Before anything is asserted: a test that fails would wait for the writer.
+    // Read before any assertion: a failing test would wait for the writer.
     let reader = tokio::task::spawn_blocking(move || std::fs::File::open(pipe));
     let _reader = reader.await.unwrap().unwrap();
     assert_eq!(found, [200, 503, 503]);
-    until("the node goes on", async || {
+    until("the node continues", async || {
         status("/api/v1/cameras").await == 200
     })
     .await;

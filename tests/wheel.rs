@@ -1,9 +1,8 @@
-//! The Python package: it decides as the core does, its own tests pass, and the README's example runs where nothing else
-//! is installed.
+//! The Python package decides as the core does, passes its own tests, and runs the README's example in a fresh environment.
 
 use crate::golden_traces::replay::{Screen, decide_frame, reference};
 use crate::golden_traces::shared_data::{detections, given, sequences};
-use crate::support::{assert_says, project, run_command, text};
+use crate::support::{assert_contains, project, run_command, text};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Outcome};
@@ -14,7 +13,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The Python that the wheel is installed in, as `make wheel-tests` sets it up.
+/// The Python with the wheel, set up by `make wheel-tests`.
 pub(crate) fn python() -> PathBuf {
     project(".cache/wheel/bin/python")
 }
@@ -28,38 +27,33 @@ fn run(command: &mut Command) -> String {
     ended.out + &ended.err
 }
 
-/// That it keeps the promises of its loop, gives back the type of results that it is given, and answers or refuses whatever it
-/// is given.
+/// The promises of its loop, results of the type it is given, and an answer or an error for any input.
 #[rstest]
 #[ignore = "needs the wheel"]
-fn the_package_keeps_its_own_tests(
+fn the_package_passes_its_own_tests(
     #[values("test_skipper", "test_results", "test_hostile")] module: &str,
 ) {
     let mut tests = Command::new(python());
     let tests = tests.args(["-m", "unittest", module]);
     let said = run(tests.current_dir(project("crates/python/tests")));
-    assert_says(&said, &["\nOK\n"]);
+    assert_contains(&said, &["\nOK\n"]);
     assert!(!said.contains("Ran 0 tests"), "{said}");
 }
 
 #[test]
 #[ignore = "needs the wheel"]
-fn the_types_of_the_wheel_are_what_its_stubs_say() {
+fn the_types_of_the_wheel_match_its_stubs() {
     let folder = tempfile::tempdir().unwrap();
-    let checks = [
-        "mypy.stubtest albireo._core",
-        "mypy --strict --package=albireo",
-    ];
-    for check in checks {
+    for check in [
+        "-m mypy.stubtest albireo._core",
+        "-m mypy --strict --package=albireo",
+    ] {
         let mut mypy = Command::new(python());
-        run(mypy
-            .arg("-m")
-            .args(check.split(' '))
-            .current_dir(folder.path()));
+        run(mypy.args(check.split(' ')).current_dir(folder.path()));
     }
 }
 
-/// What the core decides on a recording: numbers of 64 bits in the layout of `golden.py`.
+/// The core's decisions on a recording: 64-bit numbers in the layout of `golden.py`.
 fn decided(
     asked: &str,
     screen: Screen,
@@ -97,12 +91,8 @@ fn decided(
             numbers.push(object.confidence);
             numbers.extend(<[f64; 4]>::from(object.bounding_box));
             numbers.push(object.tau);
-            let counters = [
-                object.hits,
-                object.since_update,
-                object.since_infer,
-                object.misses,
-            ];
+            let since = [object.since_update, object.since_infer];
+            let counters = [object.hits, since[0], since[1], object.misses];
             numbers.extend(counters.map(f64::from));
         }
     }
@@ -126,15 +116,8 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
     for sequence in sequences() {
         let (picture, recorded) = (sequence.picture, detections(&sequence));
         let corners = |found: &ScoredBox| {
-            let c = found.corners;
-            [
-                c.x1,
-                c.y1,
-                c.x2,
-                c.y2,
-                found.confidence,
-                found.class.0.into(),
-            ]
+            let (c, class) = (found.corners, found.class.0.into());
+            [c.x1, c.y1, c.x2, c.y2, found.confidence, class]
         };
         let frame = |found: &Vec<ScoredBox>| found.iter().map(corners).collect();
         let frames: Vec<Vec<[f64; 6]>> = given(&sequence).iter().map(frame).collect();
@@ -162,7 +145,7 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
     }
 }
 
-/// The wheels and the source distribution that were built.
+/// The built wheels and source distribution.
 fn built() -> Vec<PathBuf> {
     std::fs::read_dir(project("target/wheels"))
         .unwrap()
@@ -206,7 +189,7 @@ fn the_python_example_of_the_readme_runs_in_a_fresh_environment() {
     let mut venv = Command::new(python());
     run(venv.args(["-m", "venv"]).arg(folder.path().join("venv")));
     let fresh = folder.path().join("venv/bin/python");
-    // From files that were fetched before: the wheel, and what the example wants beside it.
+    // From local files: the wheel, and the other packages of the example.
     let mut install = Command::new(&fresh);
     install.args(["-m", "pip", "install", "--quiet", "--no-index"]);
     install.arg("--disable-pip-version-check");

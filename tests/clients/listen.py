@@ -1,10 +1,10 @@
-"""An independent client of a node: Eclipse Zenoh's own Python binding, nothing of albireo.
+"""An independent client of a node: it uses Eclipse Zenoh's Python binding and no code of albireo.
 
 Usage: listen.py ENDPOINT KEY [--history]
 
-Prints `ready` once the node's liveliness token has been seen and the subscriptions stand, then one JSON
-line {"key": ..., "message": ...} for every JSON message under KEY (frames are left out), until its standard input closes.
-`--history` also asks for what was published before (clip reports).
+Prints `ready` once it has seen the node's liveliness token and subscribed, then a JSON line
+{"key": ..., "message": ...} for every JSON message under KEY (frames are left out), until its standard input closes.
+`--history` also requests messages published earlier (clip reports).
 """
 
 import json
@@ -30,7 +30,7 @@ def main() -> None:
         if str(sample.key_expr).endswith("/frame"):
             return
         message = json.loads(sample.payload.to_bytes())
-        # The history may arrive before everything is subscribed.
+        # The history may arrive before all subscriptions exist.
         ready.wait()
         with write:
             print(json.dumps({"key": str(sample.key_expr), "message": message}), flush=True)

@@ -1,6 +1,6 @@
 """Reads metrics with Prometheus' own Python parser and prints how many samples each family has, as JSON.
 
-Usage: parse_metrics.py < metrics, the text as a JSON string
+Usage: parse_metrics.py < METRICS, where METRICS is the text as a JSON string
 """
 
 import json

@@ -1,4 +1,4 @@
-"""A Zenoh router as a process of its own: Eclipse Zenoh's Python binding, nothing of albireo.
+"""A Zenoh router in a separate process: it uses Eclipse Zenoh's Python binding and no code of albireo.
 
 Usage: router.py ENDPOINT [CONFIGURATION]
 

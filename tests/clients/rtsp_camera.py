@@ -1,9 +1,9 @@
-"""A network camera: serves moving pictures by RTSP on the loopback interface until its standard input ends.
+"""A network camera: serves moving pictures over RTSP on the loopback interface until its standard input closes.
 
 Usage: rtsp_camera.py PORT CODEC [USER PASSWORD]
 
-CODEC is h264 or jpeg. The stream is at rtsp://127.0.0.1:PORT/stream, TCP only, as cameras behind a firewall have it. It
-says "ready" when it listens. Debian: python3-gi, gir1.2-gst-rtsp-server-1.0, gstreamer1.0-plugins-good and -ugly.
+CODEC is h264 or jpeg. The stream is at rtsp://127.0.0.1:PORT/stream, over TCP only, as for cameras behind a firewall.
+Prints "ready" once it listens. Debian: python3-gi, gir1.2-gst-rtsp-server-1.0, gstreamer1.0-plugins-good and -ugly.
 """
 
 import sys

@@ -1,4 +1,4 @@
-//! A stand-in for a hub: commits what it is sent to a file, synced, and answers then. Its manners can be bad.
+//! A fake hub: it commits reports to a synced file and then answers, unless it is set to misbehave.
 
 use crate::support::{until, zenoh_client, zenoh_session};
 use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
@@ -10,25 +10,25 @@ use uuid::Uuid;
 use zenoh::query::Query;
 use zenoh::{Session, Wait};
 
-/// How a hub behaves.
+/// The behaviour of a hub.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Manner {
     /// Commits, then answers.
     Honest,
-    /// Takes batches, keeps nothing, never answers.
+    /// Accepts batches, keeps nothing and never answers.
     TakesAndSaysNothing,
     /// Commits and never answers.
     CommitsAndSaysNothing,
-    /// Refuses for a while.
+    /// Refuses, and asks for a retry later.
     Busy { retry_after_ms: u64 },
 }
 
 struct Inner {
     manner: Manner,
     file: tempfile::NamedTempFile,
-    /// Ids of the reports stored.
+    /// The ids of stored reports.
     known: BTreeSet<Uuid>,
-    /// Their running counts, in the order stored.
+    /// The counts of stored reports, in storage order.
     stored: Vec<u64>,
     asked: Vec<Instant>,
     /// Queries kept unanswered.
@@ -65,7 +65,7 @@ impl Hub {
         self.inner.lock().unwrap().manner = Manner::Honest;
     }
 
-    /// Ends as a killed process does: without an answer to what it holds.
+    /// Stops as a killed process does, without answers to the queries it holds.
     pub(super) async fn die(self) {
         self.session.close().await.unwrap();
         self.inner.lock().unwrap().held.clear();
@@ -85,13 +85,13 @@ impl Hub {
         self.until("queries", done).await;
     }
 
-    /// Time between two batches.
+    /// The times between batches.
     pub(super) fn pauses(&self) -> Vec<Duration> {
         let inner = self.inner.lock().unwrap();
         inner.asked.windows(2).map(|two| two[1] - two[0]).collect()
     }
 
-    /// Exactly the reports that were made first, each once and in order.
+    /// Asserts that exactly the first `reports` reports are stored, each once and in order.
     pub(super) fn assert_gapless(&self, reports: usize) {
         let inner = self.inner.lock().unwrap();
         assert_eq!(inner.stored, (1..=reports as u64).collect::<Vec<_>>());

@@ -1,15 +1,15 @@
-//! The page about cameras: its configuration and its commands, with cameras that really send instead of those in it.
+//! The configuration and commands of the camera page, run with real camera servers in place of its addresses.
 
 use super::{commands_to_run, run_line, shell, workshop};
 use crate::support::live_camera::RtspCamera;
-use crate::support::{Node, assert_says, free_port, json_at, project, text, until};
+use crate::support::{Node, assert_contains, free_port, json_at, project, text, until};
 
-/// The camera that the page speaks of.
+/// The camera address on the page.
 const ITS_CAMERA: &str = "192.168.0.20/stream1";
-/// The node that the page speaks of.
+/// The node address on the page.
 const ITS_NODE: &str = "tcp/192.168.0.5:7447";
 
-/// The page's command that begins like this, of a block that is to be run.
+/// The page's command, marked `run`, that begins with this text.
 fn command(begins: &str) -> String {
     let mut commands = commands_to_run(|page| page == "docs/cameras.md").into_iter();
     let found = commands.find(|command| command.starts_with(begins));
@@ -27,12 +27,12 @@ async fn until_frames(http: &str) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn a_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
+async fn the_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
     let camera = RtspCamera::start("h264", &["viewer", "a b@c"]).await;
     let text = text("docs/cameras.md");
     let (_, config) = text.split_once("```toml\n").unwrap();
     let (config, _) = config.split_once("```").unwrap();
-    assert_says(config, &[ITS_CAMERA]);
+    assert_contains(config, &[ITS_CAMERA]);
     let config = config.replace(ITS_CAMERA, &format!("127.0.0.1:{}/stream", camera.port));
     let folder = workshop();
     std::fs::write(folder.path().join("node.toml"), config).unwrap();
@@ -49,14 +49,14 @@ async fn a_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
-async fn the_publisher_of_the_camera_page_sends_a_camera_to_a_node_elsewhere() {
+async fn the_publisher_of_the_camera_page_sends_frames_to_a_remote_node() {
     let camera = RtspCamera::start("h264", &[]).await;
     let folder = workshop();
     let model = project("models/yolox_nano.onnx");
     let settings = "[[camera]]\nname = \"gate\"\n[node]\nname = \"car-7\"\n";
     let node = Node::start(&format!("detector.model = {model:?}\n{settings}")).await;
     let line = command("albireo publish ");
-    assert_says(&line, &[ITS_CAMERA, ITS_NODE]);
+    assert_contains(&line, &[ITS_CAMERA, ITS_NODE]);
     let line = line
         .replace(ITS_CAMERA, &format!("127.0.0.1:{}/stream", camera.port))
         .replace(ITS_NODE, &node.zenoh);
@@ -64,7 +64,7 @@ async fn the_publisher_of_the_camera_page_sends_a_camera_to_a_node_elsewhere() {
     until_frames(&node.http).await;
     publisher.kill().await.unwrap();
     camera.kill().await;
-    // What the page names is there to be read.
+    // The help lists the options on the page.
     let help = run_line(folder.path(), "albireo publish --help", &[]).await;
     let options = [
         "--rate",
@@ -73,5 +73,5 @@ async fn the_publisher_of_the_camera_page_sends_a_camera_to_a_node_elsewhere() {
         "--source-option",
         "--source-timeout",
     ];
-    assert_says(&help, &options);
+    assert_contains(&help, &options);
 }

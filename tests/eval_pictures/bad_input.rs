@@ -1,7 +1,7 @@
-//! What cannot be evaluated is refused with what was wrong, where, and what to do.
+//! Bad input to the evaluation is rejected with its place, cause and remedy.
 
 use super::{by_hand, detector, fixture_detector, write_pictures};
-use crate::support::{assert_says, grey_jpeg, run};
+use crate::support::{assert_contains, grey_jpeg, run};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::footage::{FrameSource, Pictures};
@@ -9,7 +9,7 @@ use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 
-/// The complaint of a run that must fail.
+/// The error of a run that must fail.
 fn refusal(arguments: &[&str]) -> String {
     let ended = run(arguments, &[]);
     assert!(ended.out.is_empty(), "no table after a failure");
@@ -25,23 +25,23 @@ fn on_pictures(folder: &Path, more: &[&str]) -> String {
 #[test]
 fn a_missing_file_folder_or_model_is_named() {
     let said = refusal(&["eval", "video", "no/such.mp4"]);
-    assert_says(&said, &["no/such.mp4: no such file or folder"]);
+    assert_contains(&said, &["no/such.mp4: no such file or folder"]);
     let said = on_pictures(Path::new("no/such"), &[]);
-    assert_says(&said, &["no/such: no such file or folder"]);
+    assert_contains(&said, &["no/such: no such file or folder"]);
     let folder = tempfile::tempdir().unwrap();
-    assert_says(&on_pictures(folder.path(), &[]), &["no .jpg"]);
+    assert_contains(&on_pictures(folder.path(), &[]), &["no .jpg"]);
     write_pictures(folder.path(), 2);
     let drive = folder.path().to_str().unwrap();
     let said = refusal(&["eval", "pictures", drive, "--detector", "no/such.onnx"]);
-    assert_says(&said, &["no/such.onnx"]);
-    // A screen's verdicts need a screen.
+    assert_contains(&said, &["no/such.onnx"]);
+    // Recorded screen verdicts need a screen model.
     let said = on_pictures(folder.path(), &["--screen", "recorded"]);
-    assert_says(&said, &["--screen-model"]);
+    assert_contains(&said, &["--screen-model"]);
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn without_ffmpeg_it_says_how_to_get_it() {
+fn a_missing_ffmpeg_comes_with_how_to_install_it() {
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("drive.mp4");
     std::fs::write(&video, b"x").unwrap();
@@ -50,7 +50,7 @@ fn without_ffmpeg_it_says_how_to_get_it() {
     let detector = detector("colours.onnx");
     let arguments = [&arguments[..], &[&*detector]].concat();
     let said = run(&arguments, &[("PATH", path)]).fails();
-    assert_says(&said, &["apt-get install ffmpeg"]);
+    assert_contains(&said, &["apt-get install ffmpeg"]);
 }
 
 #[test]
@@ -61,40 +61,40 @@ fn a_broken_picture_and_one_of_another_size_are_named() {
     let second = folder.path().join("1.jpg");
     let whole = std::fs::read(&second).unwrap();
     std::fs::write(&second, &whole[..whole.len() / 2]).unwrap();
-    assert_says(&on_pictures(folder.path(), &[]), &["frame 1"]);
+    assert_contains(&on_pictures(folder.path(), &[]), &["frame 1"]);
     std::fs::write(&second, grey_jpeg(90, [64, 64])).unwrap();
     let sizes = "64x64, those before it are 1280x720";
-    assert_says(&on_pictures(folder.path(), &[]), &[sizes]);
+    assert_contains(&on_pictures(folder.path(), &[]), &[sizes]);
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_detector_whose_classes_nobody_judges_is_refused() {
+fn a_detector_without_evaluated_classes_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 1);
     let names = folder.path().join("names.txt");
     std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
     let said = on_pictures(folder.path(), &["--class-names", names.to_str().unwrap()]);
-    assert_says(&said, &["cat, dog", "--class-names"]);
+    assert_contains(&said, &["cat, dog", "--class-names"]);
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_video_without_a_frame_is_an_error_not_a_zero() {
+fn a_video_without_frames_is_an_error() {
     let mut models = ModelRunner::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 1);
-    // One that is at its end.
+    // A source at its end.
     let mut over = Pictures::of_folder(folder.path(), 25.0).unwrap();
     while over.next().unwrap().is_some() {}
     let keep = PassSettings::default();
     let error = run_pass(&mut over, &mut models, &keep, &mut report, &mut || ()).unwrap_err();
-    let expected = format!("{}: not a single frame", over.name());
-    assert_says(&error.to_string(), &[&expected]);
+    let expected = format!("{}: it has no frames", over.name());
+    assert_contains(&error.to_string(), &[&expected]);
 }
 
-/// Ground truth in the Scalabel form: a car on each of `frames` frames of the clip `video`.
+/// Ground truth in Scalabel format: a car on each of `frames` frames of the clip `video`.
 fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
     let entries: Vec<String> = (0..frames)
         .map(|frame| {
@@ -111,7 +111,7 @@ fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
 }
 
 #[test]
-fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
+fn ground_truth_is_found_by_name_and_rejected_for_other_frames_or_clips() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
@@ -126,22 +126,22 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
         let mut other = labels(folder.path(), "by-hand", frames);
         let error = other.attach_to(&mut clip, false, &mut report).unwrap_err();
         let expected = format!("is for {frames} frames, the clip has 3");
-        assert_says(&error.to_string(), &[&expected]);
+        assert_contains(&error.to_string(), &[&expected]);
     }
 
     let mut other = labels(folder.path(), "other", 3);
     other.attach_to(&mut clip, false, &mut report).unwrap();
     assert_eq!(clip.truth, None);
-    // The only ground truth is for the only clip, whatever it is called.
+    // The only ground truth applies to the only clip, whatever its name.
     other.attach_to(&mut clip, true, &mut report).unwrap();
     assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
-    assert_says(&error, &["other", "by-hand, second"]);
+    assert_contains(&error, &["other", "by-hand, second"]);
 }
 
 #[test]
-fn ground_truth_for_pictures_of_another_size_is_refused() {
+fn ground_truth_for_pictures_of_another_size_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3);
     clip.truth = Some(vec![Vec::new(); 3]);
@@ -152,5 +152,5 @@ fn ground_truth_for_pictures_of_another_size_is_refused() {
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
     let error = truth.attach_to(&mut clip, false, &mut report).unwrap_err();
-    assert_says(&error.to_string(), &["1280x720", "640x360"]);
+    assert_contains(&error.to_string(), &["1280x720", "640x360"]);
 }

@@ -1,5 +1,5 @@
-//! The node's way: a policy that asks detector and screen itself, only when it needs to, through the node's own
-//! evidence with its limit on empty frames in a row.
+//! Decisions as in the node: a policy asks detector and screen on demand, through the node's own evidence with its limit on
+//! consecutive empty frames.
 
 use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, write_pictures};
 use albireo_core::detection::Detection;
@@ -17,7 +17,7 @@ use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
-/// What the cameras of a node share.
+/// The parts that the cameras of a node share.
 struct Node {
     detector: DetectorHandle,
     model: Option<ScreenHandle>,
@@ -26,7 +26,7 @@ struct Node {
 
 impl Node {
     async fn start(detector: &DetectorConfig, screen: &ScreenConfig, confidence: f64) -> Self {
-        // A node's detector drops what is below the confidence itself.
+        // The detector of a node itself drops detections below the confidence.
         let detector = DetectorConfig {
             confidence,
             ..detector.clone()
@@ -38,7 +38,7 @@ impl Node {
         }
     }
 
-    /// A camera's evidence, as its loop in the node has it.
+    /// The evidence of a camera, as in its loop in the node.
     fn camera(&self) -> LiveEvidence {
         let screen = CameraScreen::new(&self.screen, self.model.clone());
         let preparation = self.detector.preparation().clone();
@@ -47,7 +47,7 @@ impl Node {
         LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels, never)
     }
 
-    /// Detections of the evaluated classes, under their numbers.
+    /// The detections of evaluated classes, with the evaluation's class numbers.
     fn evaluated(&self, found: &[Detection]) -> Vec<Detection> {
         let evaluated = found.iter().filter_map(|detection| {
             let name = &self.detector.class_names()[usize::from(detection.class.0)];
@@ -60,7 +60,6 @@ impl Node {
         evaluated.collect()
     }
 
-    /// What the detector finds.
     async fn detect(&self, encoded: &EncodedPicture) -> Vec<Detection> {
         let mut camera = self.camera();
         camera.fetch(Need::Detections, encoded).await.unwrap();
@@ -71,8 +70,8 @@ impl Node {
     }
 }
 
-/// The states of a camera that shows `pictures`, under `policy`; and how often the limit on empty frames in a row
-/// made the detector look.
+/// The frame states of a camera with these pictures, and how often the limit on consecutive empty frames forced a detector
+/// call.
 async fn decided(
     node: &Node,
     policy: &mut dyn Policy,
@@ -93,7 +92,6 @@ async fn decided(
         while need != Need::Nothing {
             camera.fetch(need, encoded).await.unwrap();
             need = match camera.fetched(need) {
-                // With the classes of the evaluation.
                 Evidence::Detections(found) => {
                     policy.answer(Evidence::Detections(&node.evaluated(found)))
                 }
@@ -107,8 +105,8 @@ async fn decided(
     (states, overruled)
 }
 
-/// The node's detections on the same pictures are the pass's, and every policy that asks for itself decides
-/// as its replay does. Says how often the limit on empty frames in a row made the detector look.
+/// Asserts that the node's detections on the same pictures equal those of the pass, and that every live policy decides as its
+/// replay does. Returns how often the limit on consecutive empty frames forced a detector call.
 pub(crate) fn assert_live_alike(
     source: &mut dyn FrameSource,
     detector: &DetectorConfig,
@@ -154,7 +152,7 @@ pub(crate) fn assert_live_alike(
                     (stored.class, stored.confidence)
                 );
                 let (live, stored) = (live.bounding_box, stored.bounding_box);
-                // Stored boxes went through pixels and back.
+                // Stored boxes were converted to pixels and back.
                 for (live, stored) in [
                     (live.center_x, stored.center_x),
                     (live.center_y, stored.center_y),
@@ -199,19 +197,19 @@ fn assert_fixtures_alike(screen: &ScreenConfig, confidence: f64) -> u64 {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_policy_that_asks_for_itself_decides_as_its_replay_does() {
+fn a_live_policy_decides_as_its_replay_does() {
     let forced = assert_fixtures_alike(&fixture_screen(), 0.5);
     assert_eq!(forced, 0, "no run of empty frames is as long as a hundred");
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_model_is_believed_no_longer_in_the_evaluation_than_in_the_node() {
+fn the_evaluation_limits_runs_of_empty_frames_as_the_node_does() {
     let screen = ScreenConfig {
         longest_empty_run: 3,
         ..fixture_screen()
     };
-    // At a high confidence there are few objects, so that the screen is asked on most frames.
+    // At a high confidence there are few objects, so most frames ask the screen.
     let forced = assert_fixtures_alike(&screen, 0.6);
     assert!(forced > 0, "the limit was never reached");
 }

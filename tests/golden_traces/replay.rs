@@ -8,7 +8,7 @@ use albireo_core::policy::{
 };
 use serde::Deserialize;
 
-/// Largest difference of boxes and τ.
+/// The largest allowed difference of boxes and τ.
 const TOLERANCE: f64 = 1e-9;
 
 #[derive(Deserialize)]
@@ -35,21 +35,21 @@ struct GoldenObject {
     rescues: u32,
 }
 
-/// A line of an excerpt, beside what is golden in it.
+/// The detections in a line of an excerpt.
 #[derive(Deserialize)]
 struct ExcerptFrame {
     /// cx, cy, w, h, confidence, class.
     detections: Vec<(f64, f64, f64, f64, f64, u16)>,
 }
 
-/// What the empty-scene screen of a trace says.
+/// The verdicts of the empty-scene screen of a trace.
 #[derive(Clone, Copy)]
 pub(crate) enum Screen {
     NeverEmpty,
     EmptyWithoutDetections,
 }
 
-/// The policy `asked` for, `NAME[:ARGUMENT]`, in the profile of the published code.
+/// The policy `asked`, `NAME[:ARGUMENT]`, with the profile of the published code.
 pub(crate) fn reference(asked: &str) -> Box<dyn Policy> {
     let mut config = PolicyConfig {
         profile: Profile::Reference,
@@ -128,7 +128,7 @@ pub(crate) fn compare(
         sorted.sort_unstable();
         assert_eq!(sorted, all, "{at}: boxes reported");
         let rescued = outcome.boxes.iter().any(|b| b.source == BoxSource::Rescued);
-        // The objects that CTD keeps after a miss make no frame AI.
+        // Objects that CTD keeps after a miss do not make a frame AI.
         let missed = |object: &GoldenObject| object.since_update > 0;
         let skipped = outcome.state.is_skipped();
         let expected_rescued = !skipped && expected.objects.iter().any(missed);
@@ -163,7 +163,7 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
     );
 }
 
-/// Replays an excerpt, whose lines carry the detections.
+/// Replays an excerpt, whose lines include the detections.
 pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
     let detections = |line: &str| -> Vec<Detection> {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();

@@ -6,17 +6,16 @@ use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, recorded};
 use std::io::Read;
 
-/// Detections below this were not given to the published code.
+/// The published code did not get detections below this confidence.
 const DETECTOR_THRESHOLD: f64 = 0.5;
 
-/// All 21 of them.
 pub(crate) fn sequences() -> Vec<Clip> {
     let clips = recorded::read(&shared("data/recorded")).unwrap().clips;
     assert_eq!(clips.len(), 21);
     clips
 }
 
-/// By frame what was given to the published code.
+/// The detections per frame that the published code got.
 pub(crate) fn given(sequence: &Clip) -> Vec<Vec<ScoredBox>> {
     let frames = sequence.detections.iter().flatten().cloned();
     let is_given = |found: &ScoredBox| found.confidence >= DETECTOR_THRESHOLD;
@@ -25,7 +24,7 @@ pub(crate) fn given(sequence: &Clip) -> Vec<Vec<ScoredBox>> {
         .collect()
 }
 
-/// The same as policies take it.
+/// The same detections, in the form of policies.
 pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
     let normalise = |found: ScoredBox| found.normalise(sequence.picture);
     let frames = given(sequence).into_iter();
@@ -34,7 +33,7 @@ pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
         .collect()
 }
 
-/// The golden trace of the policy that goes by the name `folder`.
+/// The golden trace of the policy named `folder`.
 pub(crate) fn golden(sequence: &Clip, folder: &str) -> String {
     let path = shared(&format!("golden/{folder}/{}.jsonl.gz", sequence.name));
     let file =

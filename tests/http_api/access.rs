@@ -1,5 +1,5 @@
 use super::served::{KNOB, Served, board, problem};
-use crate::support::{assert_says, until};
+use crate::support::{assert_contains, until};
 use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
 use albireo_service::config::{HttpConfig, Token};
@@ -25,7 +25,7 @@ fn with_file(file: PathBuf) -> HttpConfig {
 }
 
 #[tokio::test]
-async fn with_a_token_all_but_health_and_the_page_needs_it() {
+async fn a_token_protects_everything_except_health_and_the_page() {
     let node = Served::with(with_token()).await;
     node.ready();
     let open = "/ /healthz /readyz /openapi.json /docs/ /api/v1/caller";
@@ -54,7 +54,7 @@ async fn with_a_token_all_but_health_and_the_page_needs_it() {
 #[case("Basic a-long-random-secret", 401)]
 #[case("a-long-random-secret", 401)]
 #[tokio::test]
-async fn only_the_whole_token_passes(#[case] value: &str, #[case] status: u16) {
+async fn only_the_exact_token_is_accepted(#[case] value: &str, #[case] status: u16) {
     let node = Served::with(with_token()).await;
     let request = node.request(Method::GET, "/api/v1/threshold");
     let answer = request.header("authorization", value).send().await.unwrap();
@@ -62,7 +62,7 @@ async fn only_the_whole_token_passes(#[case] value: &str, #[case] status: u16) {
 }
 
 #[tokio::test]
-async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves_the_good() {
+async fn a_token_file_is_reloaded_without_a_restart_and_an_invalid_one_keeps_the_old_token() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
     let write = |text: &str| std::fs::write(&file, text).unwrap();
@@ -75,25 +75,25 @@ async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves
     assert_eq!(status("the-first-token-of-all").await, 200);
     node.refused("/metrics", 401).await;
     write("the-second-token-of-all\n");
-    let is_taken = async |token: &str| {
+    let until_accepted = async |token: &str| {
         until(token, async || status(token).await == 200).await;
     };
-    is_taken("the-second-token-of-all").await;
+    until_accepted("the-second-token-of-all").await;
     assert_eq!(status("the-first-token-of-all").await, 401);
-    // Fewer than 16 characters. The file is looked at every second or so.
+    // Fewer than 16 characters. The node reads the file about every second.
     write("short\n");
     tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
     assert_eq!(status("the-second-token-of-all").await, 200);
     assert_eq!(status("short").await, 401);
     write("the-third-token-of-all\n");
-    is_taken("the-third-token-of-all").await;
+    until_accepted("the-third-token-of-all").await;
 }
 
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
     let board = board("albireo", None);
     let shutdown = CancellationToken::new();
-    // Already over: a service that is not refused ends at once.
+    // Cancelled beforehand: a service that starts stops at once.
     shutdown.cancel();
     let router = router(board, &NodeConfig::default(), shutdown.clone());
     let served = http::run(&config, &[], &[], router, listener, shutdown);
@@ -101,7 +101,7 @@ async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
 }
 
 #[tokio::test]
-async fn an_address_that_others_reach_is_not_served_without_a_token_or_a_word() {
+async fn an_address_open_to_others_needs_a_token_or_explicit_permission() {
     let error = refused("0.0.0.0:0", HttpConfig::default()).await.unwrap();
     assert!(matches!(error, HttpError::Unprotected { .. }), "{error}");
     assert!(error.to_string().contains("allow_unauthenticated"));
@@ -120,10 +120,7 @@ async fn an_address_that_others_reach_is_not_served_without_a_token_or_a_word() 
 #[case::empty(Some("\n"), "token")]
 #[case::short(Some("short\n"), "fewer than 16")]
 #[tokio::test]
-async fn a_token_file_that_cannot_be_used_is_refused(
-    #[case] content: Option<&str>,
-    #[case] said: &str,
-) {
+async fn an_unusable_token_file_is_rejected(#[case] content: Option<&str>, #[case] said: &str) {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
     if let Some(content) = content {
@@ -133,7 +130,7 @@ async fn a_token_file_that_cannot_be_used_is_refused(
         .await
         .unwrap();
     assert!(matches!(error, HttpError::Token(_)), "{error}");
-    assert_says(&error.to_string(), &[file.to_str().unwrap(), said]);
+    assert_contains(&error.to_string(), &[file.to_str().unwrap(), said]);
 }
 
 #[rstest]
@@ -149,10 +146,7 @@ async fn a_token_file_that_cannot_be_used_is_refused(
 #[case("localhost:80@evil", 421)]
 #[case("192.168.1.7:8080", 200)]
 #[tokio::test]
-async fn without_a_token_a_page_that_points_its_own_name_here_is_not_let_in(
-    #[case] host: &str,
-    #[case] status: u16,
-) {
+async fn without_a_token_dns_rebinding_is_rejected(#[case] host: &str, #[case] status: u16) {
     let node = Served::start().await;
     let request = node.request(Method::GET, "/api/v1/threshold");
     let answer = request.header("host", host).send().await.unwrap();
@@ -160,7 +154,7 @@ async fn without_a_token_a_page_that_points_its_own_name_here_is_not_let_in(
 }
 
 #[tokio::test]
-async fn other_web_origins_are_let_in_only_when_named() {
+async fn other_web_origins_are_allowed_only_when_configured() {
     const ALLOWED: &str = "access-control-allow-origin";
     let preflight = async |node: &Served, origin: &str| {
         let request = node.request(Method::OPTIONS, "/api/v1/threshold");
@@ -178,7 +172,7 @@ async fn other_web_origins_are_let_in_only_when_named() {
     let open = Served::with(config).await;
     let headers = preflight(&open, "https://fleet.example").await;
     assert_eq!(headers[ALLOWED], "https://fleet.example");
-    // As the node has them, and no other.
+    // Exactly the methods of the node.
     assert_eq!(headers["access-control-allow-methods"], "GET,PUT");
     let headers = preflight(&open, "https://evil.example").await;
     assert!(!headers.contains_key(ALLOWED));

@@ -1,4 +1,4 @@
-//! Connections that send or read nothing are closed, and never keep other clients out.
+//! Connections that send or read nothing are closed, and never block other clients.
 
 use super::served::{Frames, Served, frame};
 use crate::support::{Node, PATIENCE};
@@ -21,10 +21,10 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
 }
 
 #[tokio::test]
-async fn a_connection_that_sends_no_whole_request_is_closed() {
+async fn a_connection_without_a_complete_request_is_closed() {
     let node = served(300, 256).await;
     let begun = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n";
-    // Kept open after an answer, it is closed as well.
+    // A connection kept open after an answer is closed too.
     let sent = ["", &format!("{begun}X-Slow: "), &format!("{begun}\r\n")];
     for (sent, answered) in sent.into_iter().zip([false, false, true]) {
         let mut connection = TcpStream::connect(node.address).await.unwrap();
@@ -37,7 +37,7 @@ async fn a_connection_that_sends_no_whole_request_is_closed() {
 }
 
 #[tokio::test]
-async fn idle_connections_never_shut_out_who_asks() {
+async fn idle_connections_never_block_new_requests() {
     let node = served(600_000, 8).await;
     let mut idle = Vec::new();
     for _ in 0..100 {
@@ -50,7 +50,7 @@ async fn idle_connections_never_shut_out_who_asks() {
 }
 
 #[tokio::test]
-async fn when_all_places_are_taken_the_oldest_connection_is_closed_for_a_new_one() {
+async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one() {
     let node = served(600_000, 2).await;
     let mut oldest = node.get("/api/v1/events?types=frame").await;
     let mut newer = node.get("/api/v1/events?types=frame").await;
@@ -67,7 +67,7 @@ async fn when_all_places_are_taken_the_oldest_connection_is_closed_for_a_new_one
         }
         false
     };
-    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer goes on");
+    assert!(timeout(PATIENCE, heard).await.unwrap(), "the newer is open");
 }
 
 #[tokio::test]
@@ -84,8 +84,8 @@ async fn an_event_stream_that_is_not_read_is_closed() {
     let camera = node.front();
     let closed = async {
         let mut seq = 0;
-        // Once the other side has given the connection up, it takes nothing any more. A packet from here puts the other
-        // side's limit off, so there is one a second.
+        // The server accepts nothing once it has closed the connection. Each packet from here postpones its limit, so one is
+        // sent per second.
         let mut sent = Instant::now();
         loop {
             if sent.elapsed() > Duration::from_secs(1) {
@@ -95,7 +95,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
                     _ => {}
                 }
             }
-            // Megabytes of events: more than the buffers between here and there hold.
+            // Megabytes of events: more than the buffers in between hold.
             for _ in 0..500 {
                 camera.answered(frame(seq, FrameState::P));
                 seq += 1;
@@ -108,7 +108,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_thousand_idle_connections_cost_neither_health_nor_descriptors() {
+async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descriptors() {
     let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
     let limited = std::process::Command::new("prlimit")
         .args(["--nofile=1024:1024", "--pid", &node.id().to_string()])

@@ -6,7 +6,7 @@ use futures_util::StreamExt;
 use reqwest::Response;
 use serde_json::{Value, json};
 
-/// Reads server-sent events one by one.
+/// A stream of server-sent events.
 struct Events {
     body: futures_util::stream::BoxStream<'static, reqwest::Result<bytes::Bytes>>,
     text: String,
@@ -38,7 +38,6 @@ impl Events {
                 }
                 continue;
             }
-            // Generous: it is only reached when an event never comes.
             let chunk = tokio::time::timeout(PATIENCE, self.body.next()).await;
             let chunk = chunk.expect("no event came")?.unwrap();
             self.text.push_str(std::str::from_utf8(&chunk).unwrap());
@@ -53,23 +52,23 @@ impl Events {
 }
 
 #[tokio::test]
-async fn a_change_of_the_threshold_is_sent_to_listeners() {
+async fn a_threshold_change_is_sent_to_listeners() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
-    // How things stand.
+    // The current state.
     assert_eq!(events.expect("threshold").await["threshold"]["value"], 3e-4);
     for path in ["/api/v1/cameras/front/threshold", "/api/v1/threshold"] {
         let response = node.put(path, r#"{"u": 5e-4}"#).await;
         assert!(response.status().is_success());
     }
-    // A change of only the other camera is not sent.
+    // A change of the other camera alone is not sent.
     let event = events.expect("threshold").await;
     let threshold = json!({"name": "u", "value": 5e-4});
     assert_eq!(event, json!({"camera": "rear", "threshold": threshold}));
 }
 
 #[tokio::test]
-async fn how_things_stand_comes_first_and_then_each_event_in_order() {
+async fn the_current_state_comes_first_and_then_each_event_in_order() {
     let node = Served::start().await;
     node.front().answered(frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
@@ -96,11 +95,11 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
 }
 
 #[tokio::test]
-async fn a_reader_that_is_too_slow_is_told_how_much_it_lost() {
+async fn a_slow_reader_learns_how_many_events_it_lost() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=frame").await);
     let camera = node.front();
-    // One thread runs the test, so the stream cannot read in between.
+    // The test runs on one thread, so the stream cannot read in between.
     for seq in 0..3000 {
         camera.answered(frame(seq, FrameState::P));
     }
@@ -119,7 +118,7 @@ async fn a_stream_ends_when_the_node_stops() {
 }
 
 #[tokio::test]
-async fn wrong_wishes_and_too_many_streams_are_refused() {
+async fn invalid_filters_and_too_many_streams_are_rejected() {
     let node = Served::start().await;
     let refused = node.refused("/api/v1/events?types=frame,frames", 400).await;
     let allowed = refused["allowed"].as_array().unwrap();
@@ -131,7 +130,7 @@ async fn wrong_wishes_and_too_many_streams_are_refused() {
         open.push(node.get("/api/v1/events?types=detector").await);
     }
     node.refused("/api/v1/events", 503).await;
-    // Once one is closed and its end noticed, there is a place again.
+    // A place is free again once the node notices a closed stream.
     drop(open.pop());
     until("a place is free again", async || {
         node.board.set_detector_status(DetectorStatus::Starting);

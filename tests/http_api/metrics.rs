@@ -73,7 +73,7 @@ albireo_frame_latency_seconds_bucket{le="0.001",camera="front",state="I"} 0
 albireo_detector_latency_seconds_count{camera="front"} 6
 "#;
 
-/// The values of the series in a text of metrics.
+/// The value of each series in a metrics text.
 fn samples(text: &str) -> BTreeMap<&str, f64> {
     let lines = text
         .lines()
@@ -84,9 +84,9 @@ fn samples(text: &str) -> BTreeMap<&str, f64> {
         .collect()
 }
 
-/// That each is what it says is checked by Prometheus' own parsers, here and in `end_to_end`.
+/// Prometheus' own parsers check the format, below and in `end_to_end`.
 #[tokio::test]
-async fn metrics_are_right() {
+async fn metrics_match_the_recorded_frames() {
     let node = filled().await;
     let response = node.request(Method::GET, "/metrics").send().await.unwrap();
     let media_type = response.headers()["content-type"].to_str().unwrap();
@@ -102,7 +102,7 @@ async fn metrics_are_right() {
 
 #[tokio::test]
 #[ignore = "needs promtool"]
-async fn promtool_finds_nothing_wrong() {
+async fn promtool_accepts_the_metrics() {
     let mut promtool = Command::new("promtool")
         .args(["check", "metrics"])
         .stdin(Stdio::piped())

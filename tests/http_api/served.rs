@@ -1,4 +1,4 @@
-//! A node's interface on a free port, over a board that the test writes.
+//! The HTTP interface of a node on a free port, over a board that the test fills.
 
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Albireo, FrameState, Knob};
@@ -23,7 +23,6 @@ use tokio_util::sync::CancellationToken;
 
 pub(crate) const KNOB: Knob = Albireo::KNOB;
 
-/// A served node.
 pub(crate) struct Served {
     pub board: Arc<Board>,
     pub address: SocketAddr,
@@ -46,7 +45,6 @@ pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
 }
 
 impl Served {
-    /// With the default settings.
     pub(crate) async fn start() -> Self {
         Self::with(HttpConfig::default()).await
     }
@@ -55,13 +53,11 @@ impl Served {
         Self::over(config, board("albireo", None)).await
     }
 
-    /// Over a board with that state directory.
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
         let board = board("albireo", Some(state_dir));
         Self::over(HttpConfig::default(), board).await
     }
 
-    /// Over that board.
     pub(crate) async fn over(http: HttpConfig, board: Arc<Board>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -85,7 +81,6 @@ impl Served {
         }
     }
 
-    /// The camera `front`.
     pub(crate) fn front(&self) -> &Arc<CameraBoard> {
         self.board.camera("front").unwrap()
     }
@@ -110,7 +105,7 @@ impl Served {
         self.get("/metrics").await.text().await.unwrap()
     }
 
-    /// The problem that `path` is refused with.
+    /// The problem document of the error at `path`.
     pub(crate) async fn refused(&self, path: &str, status: u16) -> Value {
         problem(self.get(path).await, status).await
     }
@@ -134,7 +129,7 @@ impl Drop for Served {
     }
 }
 
-/// The problem document of an error answer, checked to be one.
+/// The problem document of an error answer, after checks of its form.
 pub(crate) async fn problem(response: Response, status: u16) -> Value {
     let url = response.url().clone();
     assert_eq!(response.status().as_u16(), status, "{url}");
@@ -150,15 +145,15 @@ pub(crate) async fn problem(response: Response, status: u16) -> Value {
     problem
 }
 
-/// Frames without a loop that answers them.
+/// Records frames without a camera loop.
 pub(crate) trait Frames {
-    /// A frame gets its only answer.
+    /// Records a frame with its only answer.
     fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>);
 
-    /// A picture of this size comes.
+    /// Records a picture of this size as the latest.
     fn sent(&self, seq: u64, format: PictureFormat, bytes: Vec<u8>, size: [u32; 2]);
 
-    /// A frame of each of these states, numbered from 0.
+    /// Records a frame of each of these states, numbered from 0.
     fn answered_all(&self, states: &[FrameState]) {
         for (seq, state) in (0..).zip(states) {
             self.answered(frame(seq, *state));

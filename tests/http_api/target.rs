@@ -1,5 +1,5 @@
 use super::served::{Frames, Served, frame, problem};
-use crate::support::{PATIENCE, assert_has, assert_says};
+use crate::support::{PATIENCE, assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use reqwest::Method;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ async fn read(node: &Served) -> Value {
 }
 
 #[tokio::test]
-async fn a_bad_target_is_refused_says_what_is_allowed_and_changes_nothing() {
+async fn an_invalid_target_is_rejected_with_a_reason_and_changes_nothing() {
     let node = Served::start().await;
     let bad = r#"
 {"target": {"skip_rate": 1.0}}
@@ -36,7 +36,7 @@ async fn a_bad_target_is_refused_says_what_is_allowed_and_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
+async fn a_target_is_set_read_and_switched_off_by_null_or_a_manual_threshold() {
     let node = Served::start().await;
     let set = node.put(PATH, r#"{"target": {"skip_rate": 0.5}}"#).await;
     assert_eq!(set.status(), 200);
@@ -48,7 +48,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     assert_has(&set, &expected);
     assert_eq!(read(&node).await, set);
     let series = "albireo_target{target=\"skip_rate\"} 0.5";
-    assert_says(&node.metrics().await, &[series]);
+    assert_contains(&node.metrics().await, &[series]);
 
     let path = "/api/v1/cameras/front/threshold";
     assert_eq!(node.put(path, r#"{"u": 7e-4}"#).await.status(), 200);
@@ -63,9 +63,9 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     assert_has(&off, &json!({"target": null, "off": "it was switched off"}));
 }
 
-/// A pipe instead of the file stalls who writes it until somebody reads.
+/// A pipe in place of the file stalls the writer until it is read.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls() {
+async fn frames_and_requests_continue_while_a_change_waits_for_a_stalled_disk() {
     let directory = tempfile::tempdir().unwrap();
     let pipe = directory.path().join("settings.json.new");
     crate::support::pipe(&pipe);
@@ -84,7 +84,7 @@ async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls()
     });
     let served = served.await;
     let acknowledged = change.is_finished();
-    // Before anything is asserted: a test that fails would wait for the writer.
+    // Read before any assertion: a failing test would wait for the writer.
     let reading = tokio::task::spawn_blocking(move || std::fs::read_to_string(pipe));
     let written = reading.await.unwrap().unwrap();
     served.expect("requests wait for the disk");

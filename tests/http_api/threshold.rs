@@ -1,5 +1,5 @@
 use super::served::{KNOB, Served, board, problem};
-use crate::support::{assert_has, assert_says};
+use crate::support::{assert_contains, assert_has};
 use albireo_service::config::HttpConfig;
 use reqwest::Method;
 use rstest::rstest;
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 const PATHS: [&str; 2] = ["/api/v1/threshold", "/api/v1/cameras/front/threshold"];
 
-/// Values that are none, in JSON that can be read.
+/// Valid JSON without a valid threshold.
 const BAD: &str = r#"
 {"u": -1}
 {"u": 0}
@@ -32,7 +32,7 @@ null
 "3e-4"
 "#;
 
-/// What is no JSON.
+/// Invalid JSON.
 const BROKEN: [&[u8]; 9] = [
     br#"{"u": 1e999}"#,
     br#"{"u": NaN}"#,
@@ -46,7 +46,7 @@ const BROKEN: [&[u8]; 9] = [
 ];
 
 #[tokio::test]
-async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
+async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_nothing() {
     let node = Served::start().await;
     let bad = BAD.trim().lines().map(|body| (body.as_bytes(), 422));
     let all: Vec<_> = bad.chain(BROKEN.map(|body| (body, 400))).collect();
@@ -54,7 +54,7 @@ async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
         for &(body, status) in &all {
             let refused = problem(node.put(path, body).await, status).await;
             let detail = refused["detail"].as_str().unwrap();
-            assert_says(detail, &["number from 1e-9 to 1"]);
+            assert_contains(detail, &["number from 1e-9 to 1"]);
             assert_has(&refused["knob"], &json!({"minimum": 1e-9, "maximum": 1.0}));
         }
     }
@@ -65,7 +65,7 @@ async fn a_bad_threshold_is_refused_says_what_is_allowed_and_changes_nothing() {
 
 #[rstest]
 #[tokio::test]
-async fn a_threshold_of_another_content_type_is_refused(
+async fn a_threshold_of_another_content_type_is_rejected(
     #[values("text/plain", "application/jsonp", "application/json5; charset=utf-8")] media: &str,
 ) {
     let node = Served::start().await;
@@ -75,13 +75,13 @@ async fn a_threshold_of_another_content_type_is_refused(
         let refused = problem(request.send().await.unwrap(), 415).await;
         assert_eq!(refused["allowed"], json!(["application/json"]));
         let remedy = "-H 'content-type: application/json'";
-        assert_says(refused["detail"].as_str().unwrap(), &[remedy]);
+        assert_contains(refused["detail"].as_str().unwrap(), &[remedy]);
     }
     assert_eq!(node.front().threshold(), Some(KNOB.default));
 }
 
 #[tokio::test]
-async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
+async fn a_threshold_sent_by_plain_curl_is_accepted() {
     let node = Served::start().await;
     for (path, content_type) in [
         (PATHS[0], Some("application/x-www-form-urlencoded")),
@@ -98,19 +98,19 @@ async fn a_threshold_sent_by_curl_without_further_ado_is_taken() {
 }
 
 #[tokio::test]
-async fn a_huge_body_is_refused_without_reading_it_all() {
+async fn a_huge_body_is_rejected_without_reading_it_all() {
     let node = Served::start().await;
     let body = |length: usize| format!("{{\"u\": 5e-4{}}}", " ".repeat(length - 11));
     for path in PATHS {
         let refused = problem(node.put(path, body(16385)).await, 413).await;
         let detail = refused["detail"].as_str().unwrap();
-        assert_says(detail, &["at most 16384 bytes"]);
+        assert_contains(detail, &["at most 16384 bytes"]);
         assert_eq!(node.put(path, body(16384)).await.status(), 200);
     }
 }
 
 #[tokio::test]
-async fn a_change_for_one_camera_leaves_the_others() {
+async fn a_change_for_one_camera_leaves_the_others_alone() {
     let node = Served::start().await;
     let response = node.put(PATHS[1], r#"{"u": 5e-4}"#).await;
     assert_eq!(response.status(), 200);
@@ -135,7 +135,7 @@ async fn a_change_for_all_reaches_every_camera_and_its_loop() {
 }
 
 #[tokio::test]
-async fn an_unknown_camera_is_refused_with_the_names_of_the_known_ones() {
+async fn an_unknown_camera_is_rejected_with_the_known_names() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/roof/threshold";
     for response in [node.get(path).await, node.put(path, r#"{"u": 5e-4}"#).await] {

@@ -1,6 +1,6 @@
-"""Compares albireo's whole path with the vendors' own code on the same pictures, prints tables, and writes them
-to models/PARITY.md and small fixtures to tests/fixtures/parity. Run by `make parity`; exit code 1 when boxes or
-scores of the same pixels differ by more than they may."""
+"""Compares albireo's whole pipeline with the vendors' code on the same pictures. Prints tables, and writes them to
+models/PARITY.md and small fixtures to tests/fixtures/parity. Run by `make parity`; the exit code is 1 if boxes or scores
+for the same pixels differ by more than the tolerance."""
 
 import argparse
 import pathlib
@@ -20,18 +20,18 @@ from networks import SEED, networks
 
 CONFIDENCE = 0.25
 OVERLAP = 0.7
-# What boxes of the same pixels may differ by, and scores.
+# Tolerances of boxes and scores for the same pixels.
 PIXELS = 1.0
 SCORE = 1e-3
-# Boxes this close to the confidence may be on either side of it.
+# Boxes with a score this close to the threshold may be on either side of it.
 EDGE = 2e-3
 
 
 def ours(program, network, model, files, folder):
-    """For each file albireo's detections as rows like the vendors', and the model's input."""
+    """Returns, for each file, albireo's detections as rows like the vendors', and the model's input."""
     more = ["--overlap", str(OVERLAP)]
     if network.name.startswith("rfdetr"):
-        # By number: some of COCO's category numbers have no name.
+        # Numbers as names, because some of COCO's category numbers have no name.
         names = pathlib.Path(folder) / "names.txt"
         names.parent.mkdir(parents=True, exist_ok=True)
         names.write_text("".join(f"{number}\n" for number in range(91)))
@@ -40,8 +40,8 @@ def ours(program, network, model, files, folder):
 
 
 def matched(first, second):
-    """For each box of `first`, best first, the box of `second` of its class that is nearest and not taken:
-    differences of corners (largest) and scores, or None."""
+    """Pairs each box of `first`, best first, with the nearest free box of its class in `second`. Returns the largest
+    difference of the corners and that of the scores, or None."""
     free = list(range(len(second)))
     pairs = []
     for row in first[numpy.argsort(-first[:, 4], kind="stable")]:
@@ -49,7 +49,7 @@ def matched(first, second):
         if not same:
             pairs.append((row, None))
             continue
-        # The nearest in place and score: stacked boxes of one class may differ little.
+        # Nearest in position and score, because stacked boxes of one class may differ little.
         distance = [
             numpy.abs(second[place, :4] - row[:4]).max() + 100 * abs(second[place, 4] - row[4])
             for place in same
@@ -66,8 +66,8 @@ def matched(first, second):
 
 
 def compare(theirs, ours):
-    """What one picture's detections differ by."""
-    # A box in the letterbox's margin is clipped to nothing by theirs and dropped by ours.
+    """Returns the differences of the detections in one picture."""
+    # For a box in the letterbox's margin, the vendors' code returns an empty box and albireo none.
     theirs = theirs[(theirs[:, 2] > theirs[:, 0]) & (theirs[:, 3] > theirs[:, 1])]
     edge = CONFIDENCE + EDGE
     pairs = matched(theirs, ours)
@@ -103,8 +103,8 @@ def row(name, what, results):
 
 
 def control(network, files):
-    """How far the boxes of one and the same network move, run by PyTorch alone, when every tenth value of its input
-    changes by one level."""
+    """Measures how far the boxes of a network move, in PyTorch alone, if every tenth value of its input changes by one
+    level."""
     generator = numpy.random.default_rng(SEED)
     results = []
     for file in files:
@@ -120,7 +120,7 @@ def control(network, files):
 
 
 def levels(network, theirs, ours):
-    """Differences of two inputs in levels of 0 to 255."""
+    """Returns the differences between two inputs in levels of 0 to 255."""
     factor = 255.0
     if hasattr(network, "deviation"):
         factor = 255.0 * network.deviation.numpy()
@@ -169,10 +169,10 @@ def main():
                 line, total = row(network.name, f"{runner} | {what}", results)
                 boxes.append(line)
                 if exported:
-                    # One runtime on one input has no excuse.
+                    # The same runtime on the same input must agree exactly.
                     failed |= total["within"] < total["theirs"] or total["unmatched"] > 0
                 if what == "same pixels":
-                    # Two runtimes round differently, and a tie then goes the other way.
+                    # Two runtimes round differently, so ties may be decided differently.
                     share = 1.0 if exported or not network.exported else 0.98
                     failed |= total["theirs"] < 300 or total["within"] < share * total["theirs"]
                     failed |= total["unmatched"] > 2 * (1 - share) * total["theirs"]

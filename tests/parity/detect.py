@@ -8,8 +8,8 @@ import numpy
 
 
 def detect(program, model, files, folder, confidence, more=()):
-    """The head that was recognised, and for each file the detections as rows of x1, y1, x2, y2, score, class, with
-    the model's input, planes of float32."""
+    """Returns the recognised head and, for each file, the detections as rows of x1, y1, x2, y2, score, class, and the
+    model's input as planes of float32."""
     command = [program, "detect", model, *files, "--json", "--all-classes", "--write-input", folder]
     command += ["--confidence", confidence, "--threads", 1, *more]
     run = subprocess.run(list(map(str, command)), check=True, stdout=subprocess.PIPE, text=True)

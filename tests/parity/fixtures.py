@@ -1,5 +1,5 @@
-"""Small fixtures for `make test`: outputs of the random networks and what the vendors' code makes of them; a small
-picture and what it becomes. Numbers alone, rounded first, so that both sides read the same."""
+"""Small fixtures for `make test`: outputs of the random networks with the boxes that the vendors' code derives from them,
+and a small picture with the resulting input. Numbers are rounded first, so that both sides read the same values."""
 
 import gzip
 import json
@@ -14,7 +14,7 @@ OVERLAP = 0.7
 
 
 def rounded(tensor, digits):
-    """`tensor` with so many significant digits, as float32."""
+    """Rounds `tensor` to this many significant digits, as float32."""
     texts = [f"{value:.{digits}g}" for value in tensor.ravel()]
     return numpy.array(texts, numpy.float32).reshape(tensor.shape)
 
@@ -33,7 +33,7 @@ def save(folder, name, content):
 
 
 def write(network, files, folder):
-    """The fixtures of one network. The one-to-many head of yolo26n has the layout of yolo11n."""
+    """Writes the fixtures of one network. The one-to-many head of yolo26n has the layout of yolo11n."""
     if network.name == "yolo11n":
         yolo(network, files, folder)
         picture = sample(files[0])
@@ -48,7 +48,7 @@ def write(network, files, folder):
 
 
 def sample(file):
-    """A small picture of an odd size, RGB."""
+    """Returns a small RGB picture of an odd size."""
     return cv2.resize(cv2.imread(str(file)), (61, 43), interpolation=cv2.INTER_AREA)[:, :, ::-1].copy()
 
 
@@ -74,7 +74,7 @@ def yolo(network, files, folder):
     given = torch.from_numpy(picture[:, :, ::-1].copy()).permute(2, 0, 1)[None] / 255
     with torch.no_grad():
         output = rounded(network.model.model.eval()(given)[0].numpy(), 4)
-    # So low that many boxes are above it, halfway between two scores.
+    # Low enough for many boxes, and halfway between two scores.
     scores = numpy.sort(output[0, 4:].max(0))[::-1]
     many, few = (float((scores[place] + scores[place + 1]) / 2) for place in (90, 20))
     cases = []

@@ -1,17 +1,17 @@
-"""Points followed by OpenCV's calcOpticalFlowPyrLK, for crates/core/src/flow to be compared with.
+"""Tracks points with OpenCV's calcOpticalFlowPyrLK, as a reference for crates/core/src/flow.
 
     python3 -m venv cv && cv/bin/pip install opencv-python-headless==5.0.0.93
     cv/bin/python tests/parity/flow.py --out tests/fixtures/flow --crop 60,56,192,104 --pairs A.jpg:B.jpg …
 
-writes a fixture; that of tests/fixtures/flow was made of drawn streets. With pictures of any other kind it makes a folder of the same kind, which the test reads when
-ALBIREO_FLOW_FIXTURE names it:
+writes a fixture; that in tests/fixtures/flow was made from drawn streets. The test can also read a folder made from other
+pictures, if ALBIREO_FLOW_FIXTURE names it:
 
     ffmpeg -i clip.mp4 -vf scale=320:-2,format=gray clip-%04d.png
     cv/bin/python tests/parity/flow.py --out /tmp/clip --every 5 --pictures clip-*.png
     ALBIREO_FLOW_FIXTURE=/tmp/clip cargo test -p albireo-core opencv -- --nocapture
 
-A folder has the pictures as PGM and `points.json`: for each pair of pictures the points of a regular grid, where
-OpenCV finds them, and how far from its start the way back ends (-1 where OpenCV has no answer).
+A folder contains the pictures as PGM and `points.json`: for each pair of pictures the points of a regular grid, where
+OpenCV finds them, and the distance after tracking back (-1 where OpenCV finds nothing).
 """
 
 import argparse
@@ -28,7 +28,7 @@ STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 
 
 def read(file, crop):
-    """The picture in grey, 320 pixels wide, and of that the part asked for."""
+    """Reads a picture in grey, scaled to a width of 320 pixels and cropped to `crop`."""
     grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if grey.shape[1] != 320:
         height = round(grey.shape[0] * 320 / grey.shape[1])
@@ -59,7 +59,7 @@ def compare(before, after):
 
 
 def chosen(arguments):
-    """The pairs of files to compare."""
+    """Returns the pairs of files to compare."""
     for pair in arguments.pairs:
         # before:after
         yield tuple(pathlib.Path(file) for file in pair.split(":"))

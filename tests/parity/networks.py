@@ -1,9 +1,9 @@
-"""The vendors' detectors with random weights: built offline, made to find something, run by their own code, and
-exported by their own exporters.
+"""The vendors' detectors with random weights: built offline, calibrated to find something, run by the vendors' code, and
+exported by their exporters.
 
-A network with random weights gives nearly the same score everywhere. So that hundreds of boxes of different
-classes, sizes and scores come out, the last layer of each branch is scaled: over one calibration picture, its
-outputs get a chosen mean and spread. The weights stay random; what is compared is arithmetic, not accuracy.
+A network with random weights gives nearly the same score everywhere. To get hundreds of boxes of different classes, sizes
+and scores, the last layer of each branch is scaled so that its outputs on one calibration picture have a chosen mean and
+spread. The weights stay random: the comparison covers arithmetic, not accuracy.
 """
 
 import json
@@ -23,8 +23,8 @@ SEED = 7
 
 
 def spread(layer, inputs, middle, most):
-    """Scales `layer` (linear, or a convolution of 1x1) so that each of its outputs has the median `middle` over
-    `inputs` (rows of features), and is nowhere farther from it than `most` above or below."""
+    """Scales `layer` (linear, or a 1x1 convolution) so that each of its outputs has the median `middle` over `inputs`
+    (rows of features) and differs from it by at most `most`."""
     outputs = inputs @ layer.weight.data.flatten(1).T
     median = outputs.median(0).values
     scale = most / (outputs - median).abs().amax(0).clamp(min=1e-12)
@@ -33,14 +33,14 @@ def spread(layer, inputs, middle, most):
 
 
 def batch(pictures):
-    """Pictures of one size (BGR) as planes of red, green, blue from 0 to 1."""
+    """Converts pictures of one size (BGR) to planes of red, green and blue from 0 to 1."""
     stacked = numpy.stack([picture[:, :, ::-1] for picture in pictures])
     return torch.from_numpy(stacked).permute(0, 3, 1, 2) / 255
 
 
 def normalise(network, run):
-    """Gives each batch normalisation the mean and variance of what it sees while `run` runs: with those of a new
-    network everything fades to 0 on its way."""
+    """Sets the mean and variance of each batch normalisation to those of its inputs during `run`: with the initial ones
+    all values would fade to 0."""
     layers = [layer for layer in network.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
     momenta = [layer.momentum for layer in layers]
     for layer in layers:
@@ -54,7 +54,7 @@ def normalise(network, run):
 
 
 def features(run, layers):
-    """What each of `layers` is given while `run` runs, as rows."""
+    """Returns the inputs of each of `layers` during `run` as rows."""
     kept = {}
 
     def keep(layer):
@@ -78,7 +78,7 @@ class Ultralytics:
 
     side = 640
     exported = None
-    # What PyTorch computes is what was exported.
+    # PyTorch computes the same network that was exported.
     faithful = True
 
     def __init__(self, name, end_to_end):
@@ -88,7 +88,7 @@ class Ultralytics:
         self.model = YOLO(f"{name}.yaml")
 
     def calibrate(self, pictures):
-        """`pictures`: BGR, of the network's own size."""
+        """`pictures` are BGR and of the network's input size."""
         network = self.model.model.eval()
         head = network.model[-1]
         branches = [(head.cv2, head.cv3)]
@@ -100,7 +100,7 @@ class Ultralytics:
         inputs = features(lambda: network(tensor), layers)
         for boxes, classes in branches:
             for level in boxes:
-                # Distances from the anchor to the four sides, in strides: by distribution, or directly.
+                # Distances from the anchor to the four sides, in strides: as a distribution or directly.
                 middle, most = (0.0, 6.0) if head.reg_max > 1 else (4.0, 3.0)
                 spread(level[-1], inputs[level[-1]], middle, most)
             for level in classes:
@@ -119,21 +119,21 @@ class Ultralytics:
         target = pathlib.Path(folder) / f"{self.name}.onnx"
         pathlib.Path(file).replace(target)
         options = onnxruntime.SessionOptions()
-        # One thread, as ours has: sums then agree to the last bit, and no tie goes the other way.
+        # One thread, like albireo, so that sums agree to the last bit and ties are decided alike.
         options.intra_op_num_threads = 1
         self.exported = onnxruntime.InferenceSession(target, options)
         return target
 
     def boxes_of(self, tensor, confidence, overlap):
-        """What PyTorch and the vendor's steps after it make of an input, in its pixels."""
+        """Returns the boxes from PyTorch and the vendor's postprocessing, in pixels of the input."""
         [output] = self.raw(tensor)
         output = torch.from_numpy(output)
         [found] = non_max_suppression(output, confidence, overlap, max_det=300, end2end=bool(self.end_to_end))
         return found.numpy().astype(numpy.float64)
 
     def predict_exported(self, picture, tensor, confidence, overlap):
-        """As `predict`, with the export in ONNX Runtime on our own input tensor, and the vendor's steps after it.
-        Inputs are compared apart: ours are multiplied by 1/255 where theirs are divided by 255."""
+        """Like `predict`, but with the export in ONNX Runtime on albireo's input tensor, followed by the vendor's
+        postprocessing. Inputs are compared separately: albireo multiplies by 1/255, the vendor divides by 255."""
         tensor = tensor[None]
         [output] = self.exported.run(None, {self.exported.get_inputs()[0].name: tensor})
         output = torch.from_numpy(output)
@@ -142,7 +142,7 @@ class Ultralytics:
         return found.numpy().astype(numpy.float64)
 
     def predict(self, picture, confidence, overlap):
-        """Rows of x1, y1, x2, y2, score, class, in pixels of `picture` (BGR)."""
+        """Returns rows of x1, y1, x2, y2, score, class, in pixels of `picture` (BGR)."""
         [result] = self.model.predict(
             picture,
             imgsz=self.side,
@@ -157,21 +157,21 @@ class Ultralytics:
         return result.boxes.data.numpy().astype(numpy.float64)
 
     def tensor(self, picture):
-        """What the network is given for `picture` (BGR): planes of float32."""
+        """Returns the network's input for `picture` (BGR): planes of float32."""
         if self.model.predictor is None:
             self.predict(picture, 0.5, 0.5)
         return self.model.predictor.preprocess([picture])[0].numpy()
 
     def raw(self, tensor):
-        """The output for that input."""
+        """Returns the output for an input."""
         with torch.no_grad():
             return [self.model.predictor.model(torch.from_numpy(tensor)[None])[0].numpy()]
 
 
 class Quantised(Ultralytics):
-    """yolo26n in int8, as its vendor's exporter quantises it."""
+    """yolo26n in int8, quantised by the vendor's exporter."""
 
-    # Rounding to 256 levels moves the boxes of a random network anywhere: only the export is compared.
+    # Rounding to 256 levels can move the boxes of a random network anywhere, so only the export is compared.
     faithful = False
 
     def __init__(self):
@@ -183,13 +183,13 @@ class Quantised(Ultralytics):
         self.pictures = pictures
 
     def export(self, folder):
-        """Quantised over the pictures it was calibrated with."""
+        """Exports the network, quantised with its calibration pictures."""
         data = pathlib.Path(folder).resolve() / "int8"
         for kind in ("images", "labels"):
             (data / kind).mkdir(parents=True, exist_ok=True)
         for number, picture in enumerate(self.pictures):
             cv2.imwrite(str(data / f"images/{number}.png"), picture)
-            # The reader of data sets wants an object in each; which one does not matter.
+            # The data set reader requires an object in each picture; any will do.
             (data / f"labels/{number}.txt").write_text("0 0.5 0.5 0.1 0.1\n")
         listing = {"path": str(data), "train": "images", "val": "images", "names": self.model.names}
         (data / "data.yaml").write_text(json.dumps(listing))
@@ -255,7 +255,7 @@ class RfDetr:
 
 
 def networks():
-    """All that is compared."""
+    """All networks to compare."""
     return [
         Ultralytics("yolo11n", None),
         Ultralytics("yolo26n", True),

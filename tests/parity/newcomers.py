@@ -1,19 +1,19 @@
-"""Whether a grey picture says that the detector would now find something new: four cues, judged on recordings.
+"""Judges, on recordings, four cues in grey pictures that the detector would now find something new.
 
     python3 -m venv cv && cv/bin/pip install opencv-python-headless==5.0.0.93
     albireo eval video *.mp4 --detector yolox_nano_416.onnx --head yolox --policy vanilla --save-detections seen
     cv/bin/python tests/parity/newcomers.py --detections seen --fps 5 *.mp4
 
-A newcomer is a box (score 0.5 or more) that overlaps nothing of the last half second and is found in three frames of the
-recording. A cue gives each frame a number from this picture and the one before, outside of boxes (0.3 or more) of the
-frame before. Told is the area under the ROC curve: the chance that a frame with a newcomer has a larger number than one
-without; 0.5 is what tossing a coin has.
+A newcomer is a box (score 0.5 or more) that overlaps no box of the last half second and is found in three frames of the
+recording. A cue gives each frame a number computed from its picture and the previous one, outside the boxes (0.3 or more)
+of the previous frame. The result is the area under the ROC curve: the probability that a frame with a newcomer has a larger
+number than one without; a coin toss has 0.5.
 
-    inward      points of a grid that move towards the picture's middle, two neighbours with them, beyond the camera's turn:
-                what stands still leaves the picture of a camera that drives forward
-    residual    points that move unlike those around them
-    unmatched   points with texture at the left and right border that are found nowhere in the picture before, beyond
-                their running mean
+    inward      points of a grid that move towards the middle of the picture together with two neighbours, after removal of
+                the camera's rotation: stationary things leave the picture of a camera that drives forward
+    residual    points that move differently from those around them
+    unmatched   textured points at the left and right border that are not found in the previous picture, relative to their
+                running mean
     difference  mean difference of the pixels at the left or right border
 """
 
@@ -40,7 +40,7 @@ def overlap(a, b):
 
 
 def newcomers(frames, frame_rate):
-    """The numbers of the frames in which something new begins."""
+    """Returns the numbers of the frames in which something new begins."""
     tracks = []
     for number, boxes in enumerate(frames):
         for box in (box for box in boxes if box[4] >= SURE):
@@ -54,7 +54,7 @@ def newcomers(frames, frame_rate):
 
 
 def motion(before, now):
-    """A grid of points of `now`, how far each has come since `before`, and which came back to where they started."""
+    """Returns a grid of points of `now`, their motion since `before`, and which of them track back to where they started."""
     height, width = now.shape
     rows, columns = numpy.mgrid[8 : height - 7 : 8, 6 : width - 5 : 10]
     points = numpy.stack([columns.ravel(), rows.ravel()], 1).astype(numpy.float32).reshape(-1, 1, 2)
@@ -75,7 +75,7 @@ def neighbours(shape, index, reach):
 
 
 def look(before, now, known):
-    """The four numbers of a frame."""
+    """Returns the four numbers of a frame."""
     height, width = now.shape
     points, shift, kept, shape = motion(before, now)
     outside = numpy.ones(len(points), bool)
@@ -114,7 +114,7 @@ def roc_area(numbers, new):
 
 
 def judge(video, detections, fps):
-    """Whether something new began, and the cues' numbers, on each frame of each thinned clip."""
+    """Returns, for each frame of each thinned clip, whether something new began, and the cues' numbers."""
     sequences = json.loads((detections / "sequences.json").read_text())["sequences"]
     sequence = next(sequence for sequence in sequences if sequence["name"] == video.stem)
     frames = [[] for _ in range(sequence["frames"])]

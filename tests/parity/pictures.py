@@ -1,4 +1,4 @@
-"""The pictures of the comparison: frames of real clips, one of the demonstration's road, noise."""
+"""The pictures to compare on: frames of real clips, a frame of the demonstration's road, and noise."""
 
 import pathlib
 import subprocess
@@ -17,7 +17,7 @@ CLIPS = [
 
 
 def letterboxed(picture, side):
-    """`picture` in the middle of a grey square, by OpenCV: a picture that needs no resizing any more."""
+    """Centres `picture` in a grey square with OpenCV, so that it needs no further resizing."""
     rows, columns = picture.shape[:2]
     scale = min(side / rows, side / columns)
     size = round(columns * scale), round(rows * scale)
@@ -29,7 +29,7 @@ def letterboxed(picture, side):
 
 
 def sources(shared, folder):
-    """Files of pictures in their own sizes, PNG and JPEG."""
+    """Returns picture files in their original sizes, PNG and JPEG."""
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = []
@@ -43,13 +43,13 @@ def sources(shared, folder):
         road.extract("busy/0040.jpg", folder, filter="data")
     files.append(folder / "busy/0040.jpg")
     generator = numpy.random.default_rng(7)
-    # Grains of a few pixels: single ones are like nothing a network sees.
+    # Grains of a few pixels: noise of single pixels resembles nothing that a network sees.
     noise = cv2.GaussianBlur(generator.integers(0, 256, (333, 517, 3), numpy.uint8), (0, 0), 2)
     noise = cv2.normalize(noise, None, 0, 255, cv2.NORM_MINMAX)
     file = folder / "noise_517x333.png"
     cv2.imwrite(str(file), noise)
     files.append(file)
-    # Smaller than the networks' input, so that it is enlarged; smooth.
+    # A smooth picture smaller than the networks' input, so that it is enlarged.
     small = cv2.GaussianBlur(generator.integers(0, 256, (90, 160, 3), numpy.uint8), (0, 0), 3)
     file = folder / "small_160x90.png"
     cv2.imwrite(str(file), cv2.normalize(small, None, 0, 255, cv2.NORM_MINMAX))
@@ -58,7 +58,7 @@ def sources(shared, folder):
 
 
 def exact(files, side, folder):
-    """The same pictures as squares of `side` without loss: nothing is left to resize."""
+    """Saves the pictures losslessly as squares of `side`, so that nothing is left to resize."""
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     squares = []

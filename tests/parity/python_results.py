@@ -1,6 +1,6 @@
-"""The Python package in a loop with Ultralytics' own results: they come back as results, with ids, and can be plotted; and on
-the rows that BoxMOT's trackers take, which come back in the columns of its tracks. Writes the rows of one result to
-crates/python/tests/ultralytics.json, which the package's tests are run on. Part of `make parity`."""
+"""Runs the Python package on Ultralytics' results, which it returns as results with ids that can be plotted, and on the rows
+that BoxMOT's trackers accept, which it returns in the columns of BoxMOT's tracks. Writes the rows of one result to
+crates/python/tests/ultralytics.json for the package's tests. Part of `make parity`."""
 
 import json
 import tarfile
@@ -20,7 +20,7 @@ FRAMES = 12
 
 
 def road(count):
-    """The first pictures of the busy road."""
+    """Returns the first pictures of the busy road."""
     with tarfile.open(ROAD) as archive:
         files = [archive.extractfile(f"busy/{number:04}.jpg").read() for number in range(1, count + 1)]
     return [cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_COLOR) for file in files]
@@ -55,7 +55,7 @@ def main():
 
 
 def rows(network, frames):
-    """BoxMOT's ByteTrack and ours on the same rows: on frames with detections both give one track for each."""
+    """Runs BoxMOT's ByteTrack and albireo on the same rows: on frames with detections both return one track for each."""
     theirs = ByteTrack()
     height, width = frames[0].shape[:2]
     ours = albireo.Skipper("fixed-skip-in-tracker", threshold=2, size=(width, height))
@@ -64,7 +64,7 @@ def rows(network, frames):
     for number in range(FRAMES):
         tracks = theirs.update(found, frames[0])
         shown = ours.update(found) if ours.wants_detector(number) else ours.predict()
-        # x1, y1, x2, y2, id, confidence, class; BoxMOT adds the detection's place.
+        # x1, y1, x2, y2, id, confidence, class; BoxMOT adds the detection's index.
         for columns in (numpy.asarray(tracks)[:, :7], shown):
             assert len(columns) == len(found), (number, len(columns), len(found))
             columns = columns[numpy.lexsort(columns[:, :4].round().T)]
@@ -76,7 +76,7 @@ def rows(network, frames):
 
 
 def record(result):
-    """The rows of `result` as they are: x1, y1, x2, y2, confidence, class."""
+    """Returns the rows of `result` unchanged: x1, y1, x2, y2, confidence, class."""
     rows = result.boxes.data.numpy()
     assert rows.shape[1] == 6 and rows.dtype == numpy.float32
     recorded = {

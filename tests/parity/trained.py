@@ -1,5 +1,5 @@
-"""What the difference of the resizes does to trained networks: the same detector on pictures that albireo resizes,
-and on squares that OpenCV resized."""
+"""Measures the effect of different resizing on trained networks: the same detector on pictures resized by albireo and on
+squares resized by OpenCV."""
 
 import pathlib
 
@@ -12,7 +12,7 @@ CONFIDENCE = 0.3
 
 
 def corner(picture, side):
-    """In the top-left corner of a grey square, as YOLOX has it; and what to multiply boxes by."""
+    """Places the picture in the top-left corner of a grey square, like YOLOX; also returns the factor for boxes."""
     rows, columns = picture.shape[:2]
     scale = min(side / rows, side / columns)
     size = int(columns * scale), int(rows * scale)
@@ -22,13 +22,13 @@ def corner(picture, side):
 
 
 def stretched(picture, side):
-    """Stretched to a square, as FastestDet has it."""
+    """Stretches the picture to a square, like FastestDet."""
     rows, columns = picture.shape[:2]
     return cv2.resize(picture, (side, side), interpolation=cv2.INTER_LINEAR), (columns / side, rows / side)
 
 
 def rows(program, shared, files, folder):
-    """A line of the table for each network."""
+    """Returns a line of the table for each network."""
     lines = []
     for name, side, fit in (
         ("yolox_nano_416", 416, corner),

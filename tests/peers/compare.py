@@ -1,7 +1,7 @@
-"""Other trackers beside albireo on the recorded sequences with ground truth, at equal detector calls; see `make peers`.
+"""Compares other trackers with albireo on the recorded sequences with ground truth, at equal detector calls; see `make peers`.
 
-Each tracker gets the stored detections of every n-th frame and is used as its documentation says. Where that names no way
-to skip a frame, the boxes of the last call are kept. Writes the tables between the marks in EVALUATION.md.
+Each tracker gets the stored detections of every n-th frame and is used as its documentation describes. If that describes no
+way to skip a frame, the boxes of the last call are kept. Writes the tables between the marks in EVALUATION.md.
 """
 
 import argparse
@@ -56,7 +56,7 @@ class Sequence:
 
 
 def read(path, frames):
-    """The columns after the frame's number, one array a frame."""
+    """Reads the columns after the frame number, as one array per frame."""
     rows = list(csv.reader(path.open()))[1:] if path.exists() else []
     by_frame = [[] for _ in range(frames)]
     for row in rows:
@@ -69,7 +69,7 @@ def areas(boxes):
 
 
 def overlaps(a, b):
-    """The area that each of `a` shares with each of `b`."""
+    """Returns the area of the intersection of each of `a` with each of `b`."""
     low = np.maximum(a[:, None, :2], b[None, :, :2])
     return np.clip(np.minimum(a[:, None, 2:], b[None, :, 2:]) - low, 0, None).prod(2)
 
@@ -80,7 +80,7 @@ def iou(a, b):
 
 
 def judge(sequence, shown):
-    """FIGURES of boxes, by the definitions of `albireo eval` (crates/eval/src/average_precision.rs)."""
+    """Returns the FIGURES of boxes by the definitions of `albireo eval` (crates/eval/src/average_precision.rs)."""
     confidences, hits, tracks = [], {0.5: [], 0.75: []}, []
     for (boxes, confidence, ids), truth, ignored in zip(shown, sequence.truth, sequence.ignored, strict=True):
         near = iou(boxes, truth)
@@ -113,8 +113,8 @@ def judge(sequence, shown):
     return [*areas_under, f1, *identities(sequence.objects, tracks)]
 
 
-# A tracker is a function of a sequence and n to a function of a frame's number and its detections, None where the detector
-# is skipped. That gives boxes, confidences and ids (-1: a box of no track), or None for the boxes of the last call.
+# A tracker maps a sequence and n to a function of a frame's number and detections, which are None if the detector is skipped.
+# That function returns boxes, confidences and ids (-1: a box without a track), or None to keep the boxes of the last call.
 
 
 def detector(sequence, every):
@@ -122,7 +122,7 @@ def detector(sequence, every):
 
 
 def with_norfair(sequence, every):
-    # The distance and threshold of its own demonstrations with boxes.
+    # The distance and threshold of Norfair's demonstrations with boxes.
     tracker = norfair.Tracker(distance_function="iou", distance_threshold=0.7)
 
     def frame(n, found):
@@ -183,7 +183,7 @@ def with_trackforge(name):
 
 
 def with_boxmot(name):
-    # Those that read nothing of a picture but its size: the recordings have no pixels.
+    # Only trackers that need just the size of a picture, because the recordings have no pixels.
     def make(sequence, every):
         tracker = getattr(boxmot, name)()
         width, height = sequence.size
@@ -213,7 +213,7 @@ def with_edgefirst(sequence, every):
         boxes, confidence, kind = found
         scaled = (boxes / size).astype(np.float32)
         tracked = tracker.update(scaled, confidence.astype(np.float32), kind.astype(np.uintp), int(n / sequence.fps * 1e9))
-        # Its own locations lag far behind (AP@75 .07 on every frame); it names the detections, which keep their boxes.
+        # Its predicted boxes lag far behind (AP@75 .07 on every frame), so only its ids are used, with the detections' boxes.
         ids = [numbers.setdefault(one.uuid, len(numbers)) if one else -1 for one in tracked]
         return boxes, confidence, np.array(ids, int)
 
@@ -239,7 +239,7 @@ PEERS = {
 
 
 def run_peer(make, sequence, every):
-    """Boxes of every frame, seconds, detector calls."""
+    """Returns the boxes of every frame, the seconds and the detector calls."""
     frame, shown, spent, last = make(sequence, every), [], 0.0, NOTHING
     for n, found in enumerate(sequence.found):
         start = time.perf_counter()
@@ -251,7 +251,7 @@ def run_peer(make, sequence, every):
 
 
 def run_albireo(threshold, sequence, policy="expected-loss", settle=False):
-    """The same, of our package; with `settle` the boxes that are drawn between two calls."""
+    """Does the same with albireo's package; with `settle`, boxes are interpolated between two calls."""
     skip = albireo.Skipper(policy, threshold=threshold, size=sequence.size, settle=settle)
     shown, settled, spent, calls = [], [], 0.0, 0
     for n, found in enumerate(sequence.found):
@@ -275,7 +275,7 @@ def skipped(sequences, threshold):
 
 
 def threshold_for(sequences, every):
-    """The lowest threshold, in thousandths, that skips as much as calling the detector on every n-th frame."""
+    """Returns the lowest threshold, in thousandths, that skips as many frames as a detector on every n-th frame."""
     wanted = statistics.mean(1 - -(-len(one.found) // every) / len(one.found) for one in sequences)
     low, high = 0, 8000
     while low < high:
@@ -285,7 +285,7 @@ def threshold_for(sequences, every):
 
 
 def measure(sequences, run):
-    """Skipped share, FIGURES, and microseconds a frame, of `run` over all sequences."""
+    """Returns the skipped share, the FIGURES and the microseconds per frame of `run` over all sequences."""
     rounds = [[run(one) for one in sequences] for _ in range(ROUNDS)]
     frames = sum(len(one.found) for one in sequences)
     micros = statistics.median(1e6 * sum(spent for _, spent, _ in one) / frames for one in rounds)
@@ -295,7 +295,7 @@ def measure(sequences, run):
 
 
 def check(binary, folder, confidence, threshold, sequences, figures):
-    """`albireo eval` must find the same figures of all boxes, sequence by sequence."""
+    """Checks that `albireo eval` finds the same figures for each sequence."""
     with tempfile.TemporaryDirectory() as out:
         command = [binary, "eval", "recorded", folder, "--confidence", str(confidence), "--out", out]
         command += ["--policy", f"expected-loss:{threshold}"]

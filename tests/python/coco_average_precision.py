@@ -1,9 +1,9 @@
-"""Average precision of boxes by pycocotools.
+"""Computes the average precision of boxes with pycocotools.
 
 Reads JSON from standard input:
   {"clips": [[{"predictions": [[x1, y1, x2, y2, class, confidence], ...],
                "truth": [[x1, y1, x2, y2, class], ...]}, ...], ...]}
-Writes JSON: for each clip and kind of judging, AP@50 and the mean over IoU 0.50 to 0.95.
+Writes JSON: for each clip and definition, AP@50 and the mean over IoU 0.50 to 0.95.
 
 COCO samples precision at 101 recall levels. The area over all points is the mean of the interpolated
 precision at the recalls 1/n, 2/n, ... n/n with n the number of ground-truth boxes, so asking pycocotools

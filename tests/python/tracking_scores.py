@@ -1,7 +1,7 @@
-"""HOTA and IDF1 of tracks by TrackEval.
+"""Computes HOTA and IDF1 of tracks with TrackEval.
 
-Reads JSON from standard input: a list of clips, each {"truth": FRAMES, "tracks": FRAMES}, FRAMES one list a frame of
-[object, x1, y1, x2, y2]. Writes JSON: for each clip [HOTA, IDF1].
+Reads JSON from standard input: a list of clips, each {"truth": FRAMES, "tracks": FRAMES}; FRAMES has a list of
+[object, x1, y1, x2, y2] per frame. Writes JSON: for each clip [HOTA, IDF1].
 """
 
 import contextlib
@@ -17,7 +17,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # of data sets that it has no t
 
 
 def columns(frames, numbers):
-    """Objects numbered from 0, and corners, of each frame."""
+    """Returns, for each frame, the objects (numbered from 0) and their corners."""
     for frame in frames:
         objects = [numbers.setdefault(row[0], len(numbers)) for row in frame]
         yield numpy.array(objects, int), numpy.array([row[1:] for row in frame], float).reshape(-1, 4)

@@ -1,6 +1,6 @@
-//! A camera that names a clip a frame, so that each frame ends a clip.
+//! A camera that starts a clip with every frame, so that each frame ends a clip.
 
-use super::{PATIENCE, both_ways, heard, next};
+use super::{PATIENCE, next, subscribe, until_connected};
 use crate::node_frames::attachment;
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -17,29 +17,29 @@ pub(crate) struct Camera {
     frames: Publisher<'static>,
     answers: UnboundedReceiver<()>,
     picture: Vec<u8>,
-    /// Number of the next frame, and of its clip.
+    /// The number of the next frame and of its clip.
     pub(crate) seq: u64,
     reports: UnboundedReceiver<ClipReport>,
     reported: BTreeSet<String>,
 }
 
 impl Camera {
-    /// The camera of `node`, connected at `endpoint`, once the node hears it.
+    /// Connects the camera of `node` at `endpoint`, and waits until the node hears it.
     pub(crate) async fn at(endpoint: &str, node: &str) -> Self {
         let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
             .await
             .unwrap();
         let of = |what: &str| format!("albireo/{node}/front/{what}");
-        let answers = heard(&session, &of("detections"), drop).await;
+        let answers = subscribe(&session, &of("detections"), drop).await;
         let report = |sample: Sample| read(&sample.payload().to_bytes()).unwrap();
-        let reports = heard(&session, &of("clip"), report).await;
+        let reports = subscribe(&session, &of("clip"), report).await;
         let frames = session
-            // As `albireo publish` does, it does not wait for others who listen to its frames and do not read.
+            // Like `albireo publish`, it does not wait for subscribers that do not read.
             .declare_publisher(of("frame"))
             .congestion_control(zenoh::qos::CongestionControl::Drop)
             .await
             .unwrap();
-        both_ways(&session, node, "front").await;
+        until_connected(&session, node, "front").await;
         let scene = BoxScene::new(5, PictureSize::new(320, 180));
         Self {
             session,
@@ -52,7 +52,7 @@ impl Camera {
         }
     }
 
-    /// Sends `count` frames of a clip each, and waits for each answer: then all clips but the last are closed.
+    /// Sends `count` frames, each of its own clip, and waits for each answer: then all clips except the last are closed.
     pub(crate) async fn clips(&mut self, count: u64) {
         for _ in 0..count {
             let attachment = attachment(self.seq, None, Some(&format!("clip-{}", self.seq)));
@@ -67,7 +67,7 @@ impl Camera {
         }
     }
 
-    /// The clips whose reports the node has published: it keeps a report on its disk before.
+    /// The clips whose reports the node has published, which it does once they are on its disk.
     pub(crate) fn reported(&mut self) -> &mut BTreeSet<String> {
         let new = std::iter::from_fn(|| self.reports.try_recv().ok());
         self.reported.extend(new.map(|report| report.clip));

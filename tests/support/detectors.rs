@@ -11,12 +11,11 @@ pub(crate) const CAMERA: CameraSlot = CameraSlot(0);
 /// Twice the size of the models' input.
 pub(crate) const PICTURE: PictureSize = PictureSize::new(128, 64);
 
-/// A model's file.
 pub(crate) fn model(name: &str) -> PathBuf {
     super::project("tests/fixtures/models").join(name)
 }
 
-/// A detector with that model and nothing else configured.
+/// The default configuration with that model.
 pub(crate) fn config(name: &str) -> DetectorConfig {
     DetectorConfig {
         model: model(name),
@@ -24,21 +23,20 @@ pub(crate) fn config(name: &str) -> DetectorConfig {
     }
 }
 
-/// The same with something else configured too.
+/// The same configuration, changed.
 pub(crate) fn changed(name: &str, change: impl FnOnce(&mut DetectorConfig)) -> DetectorConfig {
     let mut config = config(name);
     change(&mut config);
     config
 }
 
-/// The detector with that configuration, started.
 pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
     DetectorHandle::start(config)
         .await
         .unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
-/// Why a configuration is refused.
+/// The error of a detector that must not start.
 pub(crate) async fn refusal(config: &DetectorConfig) -> String {
     match DetectorHandle::start(config).await {
         Ok(_) => panic!("{config:?} was accepted"),
@@ -46,13 +44,13 @@ pub(crate) async fn refusal(config: &DetectorConfig) -> String {
     }
 }
 
-/// What it finds in a picture of one colour.
+/// The detections in a picture of one colour.
 pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
     let answer = detector.detect(CAMERA, one_colour(color)).await;
     answer.unwrap()
 }
 
-/// Asserts that the only detection is the fixtures' box, in a picture of [`PICTURE`].
+/// Asserts that the only detection is the fixtures' box in a picture of size [`PICTURE`].
 #[track_caller]
 pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
     let [detection] = found.detections.as_slice() else {
@@ -67,7 +65,6 @@ pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
     }
 }
 
-/// A picture of one colour.
 pub(crate) fn one_colour(color: [u8; 3]) -> Arc<Picture> {
     let mut picture = Picture::black(PICTURE);
     for pixel in picture.pixels.chunks_exact_mut(3) {

@@ -1,4 +1,4 @@
-//! A hub and a router as processes, and nodes that only report.
+//! A hub and a router as processes, and nodes that only send reports.
 
 use super::{
     PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at, zenoh_session,
@@ -15,12 +15,12 @@ use uuid::{Builder, Uuid};
 /// `albireo hub`, running.
 pub(crate) struct HubProcess {
     child: Child,
-    /// Where its HTTP interface is.
+    /// The URL of its HTTP interface.
     pub(crate) http: String,
     log: tempfile::NamedTempFile,
 }
 
-/// A number from the environment, for more by hand.
+/// A number from the environment, for longer runs by hand.
 pub(crate) fn from_environment(name: &str, default: u64) -> u64 {
     std::env::var(name)
         .ok()
@@ -31,7 +31,7 @@ pub(crate) fn from_environment(name: &str, default: u64) -> u64 {
 /// A hub's settings, as environment variables of its process.
 pub(crate) type Settings = Vec<(&'static str, String)>;
 
-/// Settings of a hub with its own addresses: where it takes reports, and the settings.
+/// The Zenoh endpoint and the settings of a hub on free ports.
 pub(crate) fn settings(database: &str) -> (String, Settings) {
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());
     let settings = vec![
@@ -43,7 +43,7 @@ pub(crate) fn settings(database: &str) -> (String, Settings) {
     (zenoh, settings)
 }
 
-/// Settings of a hub that reaches its nodes through a router.
+/// The settings of a hub that reaches its nodes through a router.
 pub(crate) fn behind(router: &str, database: &str) -> Settings {
     let (_, mut settings) = settings(database);
     settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
@@ -55,20 +55,20 @@ pub(crate) fn behind(router: &str, database: &str) -> Settings {
     settings
 }
 
-/// The database in the file `hub.db` of a folder.
+/// The URL of the database file `hub.db` in a folder.
 pub(crate) fn sqlite(folder: &Path) -> String {
     format!("sqlite:{}", folder.join("hub.db").display())
 }
 
 impl HubProcess {
-    /// Starts a hub; it may not be ready yet.
+    /// Starts a hub without waiting until it is ready.
     pub(crate) fn start(settings: &[(&'static str, String)]) -> Self {
         let mut command = albireo();
         command.arg("hub");
         Self::start_as(command, settings)
     }
 
-    /// Starts a hub with the given command: under another program.
+    /// Starts a hub with a command that wraps it in another program.
     pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
         let mut named = settings.iter();
         let http = named.find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
@@ -86,27 +86,24 @@ impl HubProcess {
         }
     }
 
-    /// The process's id.
     pub(crate) fn id(&self) -> u32 {
         self.child.id().expect("the hub runs")
     }
 
-    /// Kills it with SIGKILL.
     pub(crate) async fn kill(mut self) {
         self.child.kill().await.expect("the hub is killed");
     }
 
-    /// The answer to a path; null without an answer.
+    /// The JSON answer at a path; null without an answer.
     pub(crate) async fn get(&self, path: &str) -> Value {
         json_at(&format!("{}{path}", self.http)).await
     }
 
-    /// The metrics, as text.
     pub(crate) async fn metrics(&self) -> String {
         text_at(&format!("{}/metrics", self.http)).await
     }
 
-    /// Asks until the answer is as wanted.
+    /// Asks until the answer satisfies `wanted`.
     pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -116,14 +113,14 @@ impl HubProcess {
             }
             assert!(
                 Instant::now() < until,
-                "{path} never came to what is wanted: {answer}\n{}",
+                "{path} stays at {answer}\n{}",
                 std::fs::read_to_string(self.log.path()).unwrap_or_default()
             );
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
 
-    /// Waits until it takes reports.
+    /// Waits until it accepts reports.
     pub(crate) async fn until_ready(&self) {
         self.until("/readyz", |answer| answer["ready"] == true)
             .await;
@@ -144,11 +141,11 @@ impl HubProcess {
     }
 }
 
-/// A Zenoh router as a process: the Python binding, which shares no code with this project.
+/// A Zenoh router as a process: Zenoh's Python binding, which shares no code with this project.
 pub(crate) struct Router(Child);
 
 impl Router {
-    /// Starts it; it may not listen yet.
+    /// Starts a router without waiting until it listens.
     pub(crate) fn start(endpoint: &str) -> Self {
         let child = Command::new(python())
             .arg(project("tests/clients/router.py"))
@@ -163,13 +160,12 @@ impl Router {
         Self(child)
     }
 
-    /// Kills it with SIGKILL.
     pub(crate) async fn kill(mut self) {
         self.0.kill().await.expect("the router is killed");
     }
 }
 
-/// A configuration in `folder` for `albireo router`, which lets everybody in.
+/// Writes a configuration of `albireo router` without access control to `folder`.
 pub(crate) fn router_config(folder: &Path) -> PathBuf {
     let file = folder.join("router.json5");
     let endpoints = json!([format!("tcp/127.0.0.1:{}", free_port())]);
@@ -178,7 +174,7 @@ pub(crate) fn router_config(folder: &Path) -> PathBuf {
     file
 }
 
-/// The session of a node's uplink, which waits for its router.
+/// The session of a node's uplink, which retries until its router answers.
 pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
     let retry = json!({"period_init_ms": 50, "period_max_ms": 200});
     let settings = [
@@ -191,7 +187,7 @@ pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
     zenoh_session(&settings).await.expect("a session")
 }
 
-/// Now, nanoseconds since the Unix epoch.
+/// The time now, nanoseconds since the Unix epoch.
 pub(crate) fn now_ns() -> u64 {
     let now = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
@@ -199,7 +195,7 @@ pub(crate) fn now_ns() -> u64 {
     u64::try_from(now.as_nanos()).expect("a clock before 2554")
 }
 
-/// Sends the reports with those numbers; `None` without an answer.
+/// Sends the reports with those numbers, and returns the answer, if one comes.
 pub(crate) async fn send(
     session: &zenoh::Session,
     node: &str,
@@ -225,7 +221,7 @@ pub(crate) async fn send(
                 return Some(Ok(read(&sample.payload().to_bytes()).expect("an answer")));
             }
             Err(error) => {
-                // Zenoh's own error, for a time-out, is no refusal.
+                // Zenoh's own error, for a timeout, is no refusal.
                 if let Ok(refusal) = read::<ReportRefusal>(&error.payload().to_bytes()) {
                     return Some(Err(refusal));
                 }
@@ -235,7 +231,7 @@ pub(crate) async fn send(
     None
 }
 
-/// Sends the reports of a node until they are acknowledged; what else was answered, by reason.
+/// Sends the reports of a node until they are acknowledged, and counts the refusals before that by reason.
 pub(crate) async fn deliver(
     session: &zenoh::Session,
     node: &str,
@@ -253,14 +249,14 @@ pub(crate) async fn deliver(
             Some(Err(refusal)) => {
                 *refused.entry(format!("{:?}", refusal.reason)).or_default() += 1;
             }
-            None => *refused.entry("nobody".to_owned()).or_default() += 1,
+            None => *refused.entry("no answer".to_owned()).or_default() += 1,
         }
         assert!(Instant::now() < until, "never acknowledged: {refused:?}");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
 }
 
-/// A different id for each node, time and number.
+/// An id that is unique per node, time and number.
 fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
     let mut random = [0; 10];
     let name = node.bytes().fold(0_u16, |sum, byte| {
@@ -271,7 +267,6 @@ fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
     Builder::from_unix_timestamp_millis(begun_ns / 1_000_000, &random).into_uuid()
 }
 
-/// A report of that number.
 pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
     let mut report = clip_report(node, "front", number, id(node, number, begun_ns));
     report.started_ns = begun_ns + number * 1_000_000;

@@ -1,4 +1,4 @@
-//! Cameras as a network has them: a real RTSP server, and one that sends motion JPEG by HTTP.
+//! Network cameras: a real RTSP server, and a motion JPEG server over HTTP.
 
 use super::{PATIENCE, free_port};
 use std::process::Stdio;
@@ -22,7 +22,6 @@ impl RtspCamera {
         Self::start_at(free_port(), codec, login).await
     }
 
-    /// The same on a port of one's own.
     pub(crate) async fn start_at(port: u16, codec: &str, login: &[&str]) -> Self {
         let mut child = Command::new("/usr/bin/python3")
             .arg(super::project("tests/clients/rtsp_camera.py"))
@@ -46,27 +45,26 @@ impl RtspCamera {
         format!("rtsp://127.0.0.1:{}/stream", self.port)
     }
 
-    /// Cuts its power.
     pub(crate) async fn kill(mut self) {
         self.child.kill().await.expect("the camera can be killed");
     }
 }
 
-/// A camera that sends the parts of a motion JPEG stream by HTTP.
+/// A camera that sends a motion JPEG stream over HTTP.
 pub(crate) struct MotionJpegCamera {
     pub(crate) address: String,
     requests: Arc<Mutex<Vec<String>>>,
     serving: JoinHandle<()>,
 }
 
-/// What a camera sends to each client.
+/// The stream that a camera sends to each client.
 #[derive(Clone)]
 pub(crate) enum Script {
-    /// These parts again and again.
+    /// These parts, endlessly.
     Repeat(Vec<Vec<u8>>),
-    /// These parts, and then nothing more.
+    /// These parts, and then nothing.
     FallSilent(Vec<Vec<u8>>),
-    /// The beginning of a part that never ends.
+    /// A part that never ends.
     EndlessPart,
 }
 
@@ -92,7 +90,7 @@ impl MotionJpegCamera {
                     noted.lock().expect("no test failed").push(request);
                     let head = "HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=cut\r\n\r\n";
                     if client.write_all(head.as_bytes()).await.is_ok() {
-                        // It fails when the client goes.
+                        // It fails when the client disconnects.
                         let _ = script.play(&mut client, period).await;
                     }
                 });
@@ -105,12 +103,11 @@ impl MotionJpegCamera {
         }
     }
 
-    /// How many clients came so far.
+    /// The number of clients so far.
     pub(crate) fn clients(&self) -> usize {
         self.requests.lock().expect("no test failed").len()
     }
 
-    /// What the first client asked for.
     pub(crate) fn first_request(&self) -> String {
         self.requests.lock().expect("no test failed")[0].clone()
     }

@@ -1,6 +1,6 @@
-//! What the end-to-end tests share: the program as a process, the independent Zenoh client, and the
-//! folder of recordings.
+//! Helpers of the end-to-end tests: the program as a process, the independent Zenoh client, and the folder of recordings.
 
+mod assertions;
 pub(crate) mod camera;
 pub(crate) mod detectors;
 #[cfg(feature = "hub")]
@@ -13,6 +13,7 @@ mod ports;
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
+pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
 use albireo::cli::replay::{FrameSender, Pacing, open_session};
@@ -28,15 +29,13 @@ use tokio::time::timeout;
 use zenoh::Session;
 use zenoh::sample::Sample;
 
-/// The longest any single thing may take on a busy machine before a test gives up on it.
+/// The limit of any single wait on a busy machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A file of the project.
 pub(crate) fn project(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// The text of a file of the project.
 #[track_caller]
 pub(crate) fn text(path: &str) -> String {
     std::fs::read_to_string(project(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
@@ -48,19 +47,19 @@ pub(crate) fn shared(path: &str) -> PathBuf {
     let file = folder
         .map_or_else(|| project("../shared"), PathBuf::from)
         .join(path);
-    let missing = "is not there: set ALBIREO_SHARED, or leave tests named shared_ out";
+    let missing = "does not exist: set ALBIREO_SHARED, or skip the tests named shared_";
     assert!(file.exists(), "{} {missing}", file.display());
     file
 }
 
-/// The Python of the independent clients, as `make python` sets it up.
+/// The Python that `make python` installs for the independent clients.
 pub(crate) fn python() -> String {
     let own = project(".cache/python/bin/python").display().to_string();
     std::env::var("ALBIREO_PYTHON").unwrap_or(own)
 }
 
-/// What a script answers to `request`, both in JSON.
-pub(crate) fn answer_of(script: &mut std::process::Command, request: &Value) -> Value {
+/// The answer of a script to `request`, both in JSON.
+pub(crate) fn ask_script(script: &mut std::process::Command, request: &Value) -> Value {
     script.stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut child = script
         .spawn()
@@ -73,18 +72,17 @@ pub(crate) fn answer_of(script: &mut std::process::Command, request: &Value) -> 
     serde_json::from_slice(&output.stdout).expect("it answers in JSON")
 }
 
-/// Asserts that a text has all of these parts.
 #[track_caller]
-pub(crate) fn assert_says(said: &str, parts: &[&str]) {
+pub(crate) fn assert_contains(said: &str, parts: &[&str]) {
     for part in parts {
         assert!(said.contains(part), "no `{part}` in: {said}");
     }
 }
 
-/// Waits until `is_so`.
-pub(crate) async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
+/// Waits until `condition` holds.
+pub(crate) async fn until(what: &str, mut condition: impl AsyncFnMut() -> bool) {
     let waiting = async {
-        while !is_so().await {
+        while !condition().await {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
@@ -92,7 +90,6 @@ pub(crate) async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     in_time.unwrap_or_else(|_| panic!("not in time: {what}"));
 }
 
-/// Waits until the service at `http` is ready.
 pub(crate) async fn until_ready(http: &str) {
     until("the service is ready", async || {
         let ready = reqwest::get(format!("{http}/readyz")).await;
@@ -101,7 +98,6 @@ pub(crate) async fn until_ready(http: &str) {
     .await;
 }
 
-/// Sends a process a signal.
 pub(crate) fn signal(process: u32, signal: &str) {
     let mut kill = std::process::Command::new("kill");
     let sent = kill.args([signal, &process.to_string()]).status();
@@ -136,7 +132,7 @@ pub(crate) async fn metric(http: &str, series: &str) -> f64 {
     value_of(&text_at(&format!("{http}/metrics")).await, series)
 }
 
-/// A Zenoh session with these settings over Zenoh's own.
+/// A Zenoh session with these settings over Zenoh's defaults.
 pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<Session> {
     let mut config = zenoh::Config::default();
     config.insert_json5("scouting/multicast/enabled", "false")?;
@@ -146,7 +142,7 @@ pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<S
     zenoh::open(config).await
 }
 
-/// A client with Zenoh's own settings, shared memory among them.
+/// A client with Zenoh's defaults, shared memory among them.
 pub(crate) async fn zenoh_client(endpoint: &str) -> Session {
     let settings = [
         ("mode", "client".into()),
@@ -155,8 +151,8 @@ pub(crate) async fn zenoh_client(endpoint: &str) -> Session {
     zenoh_session(&settings).await.expect("a session")
 }
 
-/// What arrives on `key` from now on, as `read` takes it.
-pub(crate) async fn heard<T: Send + 'static>(
+/// Subscribes to `key`, with each message converted by `read`.
+pub(crate) async fn subscribe<T: Send + 'static>(
     session: &Session,
     key: &str,
     read: impl Fn(Sample) -> T + Send + Sync + 'static,
@@ -168,7 +164,6 @@ pub(crate) async fn heard<T: Send + 'static>(
     messages
 }
 
-/// The next message.
 pub(crate) async fn next<T>(messages: &mut UnboundedReceiver<T>) -> T {
     let message = timeout(PATIENCE, messages.recv()).await;
     message.expect("a message comes in time").unwrap()
@@ -182,7 +177,7 @@ pub(crate) async fn listening_peer() -> (Session, String) {
     (session, locator.to_string())
 }
 
-/// How a run of the program ended, and what it printed.
+/// The exit code and the output of a finished process.
 #[derive(Debug)]
 pub(crate) struct Ended {
     pub(crate) code: Option<i32>,
@@ -201,14 +196,14 @@ impl From<std::process::Output> for Ended {
 }
 
 impl Ended {
-    /// What it printed, of a run that must succeed.
+    /// The output of a run that must succeed.
     #[track_caller]
     pub(crate) fn succeeds(self) -> String {
         assert_eq!(self.code, Some(0), "{}\n{}", self.out, self.err);
         self.out
     }
 
-    /// Its complaint, of a run that must fail.
+    /// The error output of a run that must fail.
     #[track_caller]
     pub(crate) fn fails(self) -> String {
         assert_eq!(self.code, Some(1), "{}\n{}", self.out, self.err);
@@ -223,7 +218,7 @@ pub(crate) fn run(arguments: &[&str], environment: &[(&str, &str)]) -> Ended {
     run_command(&mut command)
 }
 
-/// Runs a command to its end, in the project's folder unless it says another.
+/// Runs a command to its end, in the project's folder unless it sets another.
 #[track_caller]
 pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
     if command.get_current_dir().is_none() {
@@ -245,7 +240,7 @@ pub(crate) fn albireo() -> Command {
     command
 }
 
-/// The stand-in for `tegrastats` in `folder`, which does `task`.
+/// A fake `tegrastats` in `folder` that does `task`.
 pub(crate) fn fake_tegrastats(folder: &Path, task: &Value) -> PathBuf {
     let program = folder.join("tegrastats");
     std::os::unix::fs::symlink(project("tests/fixtures/fake_tegrastats"), &program).unwrap();
@@ -253,7 +248,7 @@ pub(crate) fn fake_tegrastats(folder: &Path, task: &Value) -> PathBuf {
     program
 }
 
-/// A stand-in for `nvpmodel` in `folder` that says the board is in mode `MODE_30W`.
+/// A fake `nvpmodel` in `folder` that reports the mode `MODE_30W`.
 pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     let program = folder.join("nvpmodel");
     std::os::unix::fs::symlink(project("tests/fixtures/fake_nvpmodel"), &program).unwrap();
@@ -261,7 +256,7 @@ pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     program
 }
 
-/// A script of the shell in `folder`.
+/// A shell script in `folder`.
 pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let file = folder.join(name);
@@ -270,7 +265,7 @@ pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     file
 }
 
-/// A JPEG file of one grey.
+/// A JPEG file of one grey level.
 pub(crate) fn grey_jpeg(value: u8, [width, height]: [u16; 2]) -> Vec<u8> {
     let mut file = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
@@ -292,13 +287,13 @@ pub(crate) fn test_video(folder: &Path, name: &str, options: &str) -> PathBuf {
     file
 }
 
-/// A pipe without a writer, whose reader waits.
+/// Creates a named pipe: it blocks whoever opens it until the other end is opened.
 pub(crate) fn pipe(path: &Path) {
     let made = std::process::Command::new("mkfifo").arg(path).status();
     assert!(made.expect("mkfifo runs").success());
 }
 
-/// The constants that settings change in their comments, `# development: name=value …`.
+/// The constants that comments in the settings change: `# development: name=value …`.
 pub(crate) fn development(settings: &str) -> String {
     let named = |line: &'_ str| line.strip_prefix("# development: ").map(str::to_owned);
     let lines: Vec<_> = settings.lines().filter_map(named).collect();
@@ -308,11 +303,11 @@ pub(crate) fn development(settings: &str) -> String {
 /// `albireo node`, running.
 pub(crate) struct Node {
     child: Child,
-    /// Its folder: configuration, state.
+    /// The folder of its configuration and state.
     pub folder: tempfile::TempDir,
-    /// Where its HTTP interface is.
+    /// The URL of its HTTP interface.
     pub http: String,
-    /// Where its Zenoh session listens.
+    /// The endpoint of its Zenoh session.
     pub zenoh: String,
     log: tokio::task::JoinHandle<String>,
 }
@@ -323,7 +318,7 @@ impl Node {
         Self::start_in(tempfile::tempdir().unwrap(), settings).await
     }
 
-    /// As [`Self::start`], with the folder of an earlier node.
+    /// Like [`Self::start`], in the folder of an earlier node.
     pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
         let node = Self::start_with(folder, settings, &[]).await;
         node.wait_until_ready().await;
@@ -351,7 +346,7 @@ impl Node {
         let addresses = format!(
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = {listen}\nlog.format = \"json\"\n"
         );
-        // Each report goes at once, unless gathering is what is tested.
+        // Each report is sent at once, unless the test is about gathering.
         let at_once = if settings.contains("gather_s") {
             ""
         } else {
@@ -377,7 +372,7 @@ impl Node {
         }
     }
 
-    /// Kills the node as a power cut does; its folder.
+    /// Kills the node as a power cut does, and returns its folder.
     pub(crate) async fn kill(mut self) -> tempfile::TempDir {
         self.child.kill().await.expect("the node can be killed");
         self.folder
@@ -387,17 +382,15 @@ impl Node {
         until_ready(&self.http).await;
     }
 
-    /// What its HTTP interface answers.
     pub(crate) async fn text(&self, path: &str) -> String {
         text_at(&format!("{}{path}", self.http)).await
     }
 
-    /// The process's id.
     pub(crate) fn id(&self) -> u32 {
         self.child.id().expect("the node runs")
     }
 
-    /// Waits until the node ends; how it ended, how long that took, its log, and its folder.
+    /// Waits until the node exits, and returns its status, the time that took, its log and its folder.
     pub(crate) async fn ended(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();
         let status = timeout(PATIENCE, self.child.wait()).await;
@@ -405,13 +398,13 @@ impl Node {
         (status, took, self.log.await.unwrap(), self.folder)
     }
 
-    /// Terminates the node; as [`ended`](Self::ended).
+    /// Sends SIGTERM, then as [`ended`](Self::ended).
     pub(crate) async fn stop(self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         signal(self.id(), "-TERM");
         self.ended().await
     }
 
-    /// Terminates the node, which must end well; its log.
+    /// Terminates the node, which must succeed, and returns its log.
     pub(crate) async fn stop_well(self) -> String {
         let (status, _, log, _) = self.stop().await;
         assert!(status.success(), "{log}");
@@ -419,7 +412,7 @@ impl Node {
     }
 }
 
-/// Reads lines to their end.
+/// Collects all lines in the background.
 pub(crate) fn collected<R: AsyncRead + Unpin + Send + 'static>(
     mut lines: Lines<BufReader<R>>,
 ) -> tokio::task::JoinHandle<String> {
@@ -444,8 +437,8 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
     panic!("the node ended before it listened:\n{seen}");
 }
 
-/// Waits until a node has subscribed to the frames of its camera, and knows what `session` has subscribed to.
-pub(crate) async fn both_ways(session: &Session, node: &str, camera: &str) {
+/// Waits until a node has subscribed to the frames of its camera and knows the subscriptions of `session`.
+pub(crate) async fn until_connected(session: &Session, node: &str, camera: &str) {
     let key = format!("albireo/{node}/{camera}/frame");
     let sender = FrameSender::declare(session, &key, Pacing::Drop).await;
     let waited = sender.unwrap().wait_for_receiver(PATIENCE).await;
@@ -453,7 +446,7 @@ pub(crate) async fn both_ways(session: &Session, node: &str, camera: &str) {
     until_read(session, node, camera).await;
 }
 
-/// Waits until a node has read what `session` sent: links keep their order, and a query that is answered comes after.
+/// Waits until a node has read everything that `session` sent: links keep the order, so an answered query proves it.
 pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
     let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
     let replies = replies.await.expect("a query");
@@ -461,7 +454,7 @@ pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
     timeout(PATIENCE, answered).await.expect("an answer");
 }
 
-/// Runs `albireo replay` with frames that are each taken by the camera `front` of a node, and waits for it.
+/// Runs `albireo replay --every` to the camera `front` of a node, to its end.
 pub(crate) async fn replay(node: &Node, source: &str, more: &[&str]) {
     let every = ["--every", "--wait-for-subscriber", "--connect", &node.zenoh];
     let mut command = albireo();
@@ -502,7 +495,7 @@ impl Client {
         client
     }
 
-    /// Stops its process, so that it reads nothing more and keeps its connections.
+    /// Suspends its process, so that it reads nothing and keeps its connections.
     pub(crate) fn freeze(&self) {
         signal(self.child.id().expect("it runs"), "-STOP");
     }
@@ -512,7 +505,7 @@ impl Client {
         line.expect("the client says something in time").unwrap()
     }
 
-    /// The next message: its key and itself. `None` once the client has ended.
+    /// The key and content of the next message; `None` once the client has exited.
     pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
         let line = self.line().await?;
         let mut entry: Value = serde_json::from_str(&line).expect("a JSON line");
@@ -532,7 +525,7 @@ impl Client {
     }
 }
 
-/// A figure of a process's memory, MB: `VmRSS:` with shared pages, `VmHWM:` its peak. 0 when it is gone.
+/// The memory of a process, MB: `VmRSS:` with shared pages, `VmHWM:` its peak. 0 once it has exited.
 pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with(figure));
@@ -540,7 +533,6 @@ pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
     kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
 }
 
-/// The report of a clip.
 pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid) -> ClipReport {
     let times = json!({"count": 10, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
     let threshold = json!({"name": "u", "value": 3e-4});
@@ -558,20 +550,4 @@ pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid)
         },
     });
     serde_json::from_value(report).expect("a report")
-}
-
-/// Asserts that `found` has what `expected` has; other members of its objects may be there.
-#[track_caller]
-pub(crate) fn assert_has(found: &Value, expected: &Value) {
-    fn has(found: &Value, expected: &Value) -> bool {
-        match (found, expected) {
-            (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
-            (Value::Array(found), Value::Array(expected)) => {
-                let mut pairs = found.iter().zip(expected);
-                found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))
-            }
-            _ => found == expected,
-        }
-    }
-    assert!(has(found, expected), "no {expected} in {found}");
 }

@@ -1,8 +1,8 @@
-//! A policy that does something of a test's own before it begins a frame.
+//! A policy that runs a test's code before it begins a frame.
 
 use albireo_core::policy::{Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy};
 
-/// Another policy, with what is to happen before each frame.
+/// A wrapper that runs `before` ahead of each frame of `inner`.
 pub(crate) struct Before<F> {
     pub(crate) inner: Box<dyn Policy>,
     pub(crate) before: F,

@@ -1,10 +1,10 @@
-//! Ports for what the tests start.
+//! Free ports for the processes that tests start.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// A port that is free at this moment.
 pub(crate) fn free_port() -> u16 {
-    // Each port is given once, below the range of outgoing connections, so that none is taken before its listener starts.
+    // Each port is given out once, below the range of outgoing connections, so that it stays free until its listener starts.
     static GIVEN: AtomicU32 = AtomicU32::new(0);
     let start = std::process::id().wrapping_mul(250);
     let ports = std::iter::repeat_with(|| {

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_projection_adds_up_the_frames_and_says_that_it_is_one() {
+    fn a_projection_sums_the_frames_and_is_marked_as_such() {
         let mut result = result(&FrameState::ALL);
         model().apply(&mut result);
         let energy = result.energy.expect("projected");
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_look_at_a_picture_costs_what_the_model_says() {
+    fn an_audited_picture_costs_as_in_the_model() {
         let mut blind = result(&[FrameState::I, FrameState::P]);
         let mut looking = blind.clone();
         looking.looked_frames = 2;
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_no_model_is_refused_with_the_reason() {
+    fn an_invalid_model_file_is_rejected_with_a_reason() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("model.toml");
         let missing = EnergyModel::load(&path).expect_err("nothing is there");

@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_add_up_and_skipped_are_e_and_p_but_for_degraded_frames() {
+    fn shares_add_up_and_skipped_frames_are_e_and_p_without_degraded_ones() {
         let mut result = ClipResult::default();
         for state in FrameState::ALL.into_iter().chain([FrameState::P]) {
             result.states.count(state);

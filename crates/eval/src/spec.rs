@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn every_policy_has_a_label_of_its_own_that_says_its_setting() {
+    fn every_policy_has_a_unique_label_with_its_setting() {
         let (asked, expected): (Vec<_>, Vec<_>) = [
             ("fixed-skip:2", "fixedskip-2"),
             ("ctd:0.5", "ctd-0.50"),
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sweep_that_cannot_be_read_is_refused_by_name() {
+    fn an_unreadable_sweep_is_rejected_by_name() {
         for (sweep, part) in [
             ("u", "NAME=VALUE"),
             ("u=1e-3,zwei", "`zwei` is not a number"),

@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn undefined_figures_are_nothing_instead_of_a_number() {
+    fn undefined_figures_are_absent() {
         assert_eq!(half_interval(&[1.0]), None);
         assert_eq!(half_interval(&[0.0, 0.0, 0.0]), None);
         assert_eq!(half_interval(&[1.0, f64::NAN]), None);

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn faint_boxes_do_not_count_and_boxes_without_an_object_cannot_be_judged() {
+    fn faint_boxes_do_not_count_and_boxes_without_an_object_cannot_be_scored() {
         let truth = vec![known(Some(7))];
         let with = |object, confidence| {
             vec![vec![

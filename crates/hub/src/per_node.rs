@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_node_that_has_too_much_waiting_takes_no_place_of_another() {
+    fn a_node_with_a_full_queue_takes_no_place_of_another() {
         let all = PerNode::new(2);
         let places = [all.place("a"), all.place("a")];
         assert!(places.iter().all(Option::is_some));
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_has_nothing_waiting_is_not_remembered() {
+    fn a_node_with_an_empty_queue_is_not_remembered() {
         let all = PerNode::new(2);
         let _waiting = all.place("a");
         for invented in 0..100 {

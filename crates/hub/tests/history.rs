@@ -1,22 +1,23 @@
-//! Sums, pages, files.
+//! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, Stand, batch, config, counts, deliver, now_ns, on_both, pull, sqlite, uplink,
+    Fixture, Hub, PATIENCE, assert_has, config, counts, now_ns, on_both, pull, sqlite, store,
+    uplink,
 };
-use crate::tuning::{Played, fleet, put};
-use albireo_hub::store::{StoreError, transfer};
+use crate::tuning::{SimulatedFleet, fleet, put};
+use albireo_hub::config::DatabaseConfig;
+use albireo_hub::store::{Store, StoreError, transfer};
 use serde_json::json;
 use std::collections::BTreeMap;
 
 async fn sums_are_exact(database: &str) {
-    let stand = Stand::on(config(database)).await;
-    let (hub, session) = (&stand.hub, &stand.session);
+    let fixture = Fixture::on(config(database)).await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 90_000_000_000_000;
     for (node, series) in [("car-1", 1), ("car-2", 2)] {
         for first in (0..200).step_by(50) {
-            let sent = batch(node, series, first..=first + 49, start);
-            deliver(session, &sent).await.assert_stored();
+            store(session, node, series, first..=first + 49, start).await;
         }
     }
     let clips = hub.get("/api/v1/clips?limit=1000").await;
@@ -55,25 +56,24 @@ async fn sums_are_exact(database: &str) {
         }
         assert_eq!(sums, raw, "{path}");
     }
-    // The audit of the fleet is that of all clips counted together, whatever the quality of their energy.
+    // The audit of the fleet counts all clips together, with energy of any quality.
     let energy = hub
         .get(&format!("/api/v1/energy?by=all&since_ms={since}"))
         .await;
     let audit = &energy["audit"];
     let (detected, shown) = (2 * 100 * 10, 2 * 50 * (9 + 8));
-    assert_eq!(audit["drawn"], 2 * 100 * 5, "{audit}");
-    assert_eq!(audit["missed"], 2 * 100);
-    assert_eq!(audit["calls"], 2 * 100 * 4);
-    assert_eq!(audit["detected"], detected);
+    let rate = f64::from(shown) / f64::from(detected);
+    let expected = json!({
+        "drawn": 2 * 100 * 5, "missed": 2 * 100, "calls": 2 * 100 * 4, "detected": detected, "recall": {"rate": rate},
+    });
+    assert_has(audit, &expected);
     let recall = &audit["recall"];
-    assert_eq!(recall["rate"], f64::from(shown) / f64::from(detected));
     assert!(recall["low"].as_f64() < recall["rate"].as_f64());
     assert!(recall["high"].as_f64() > recall["rate"].as_f64());
-    // Three boxes had been shown on each missed frame: all of them count as lost at the lower end.
+    // Three boxes were shown on each missed frame: at the lower end all of them count as lost.
     let known = 1000.0 / (1000.0 + 300.0);
     assert!(recall["low"].as_f64().unwrap() < 0.85 * known);
-    let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
-    let metrics = metrics.text().await.unwrap();
+    let metrics = hub.metrics().await;
     for line in [
         "albireo_hub_audit_frames_total{result=\"compared\"} 800",
         "albireo_hub_audit_frames_total{result=\"missed\"} 200",
@@ -93,26 +93,16 @@ async fn sums_are_exact(database: &str) {
     let other = clips.iter().find(|clip| clip["count"] == 3).unwrap();
     assert!(other["audit"].is_null());
     let knobs = hub.get("/api/v1/energy?by=knob").await;
-    assert!(
-        knobs["groups"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .all(|group| group["group"] == "albireo u=0.0003"),
-        "{knobs}"
-    );
+    let mut groups = knobs["groups"].as_array().unwrap().iter();
+    let are_right = groups.all(|group| group["group"] == "albireo u=0.0003");
+    assert!(are_right, "{knobs}");
 
     // Pages and the file hold each clip once.
     let (mut seen, mut cursor) = (Vec::new(), String::new());
     loop {
         let page = hub.get(&format!("/api/v1/clips?limit=70{cursor}")).await;
-        seen.extend(
-            page["clips"]
-                .as_array()
-                .unwrap()
-                .iter()
-                .map(|clip| clip["id"].as_i64().unwrap()),
-        );
+        let ids = page["clips"].as_array().unwrap().iter();
+        seen.extend(ids.map(|clip| clip["id"].as_i64().unwrap()));
         match page["next"].as_i64() {
             Some(next) => cursor = format!("&cursor={next}"),
             None => break,
@@ -120,36 +110,25 @@ async fn sums_are_exact(database: &str) {
     }
     seen.dedup();
     assert_eq!(seen.len(), 400);
-    let csv = reqwest::get(format!("{}/api/v1/clips.csv", hub.http))
-        .await
-        .unwrap();
-    let csv = csv.text().await.unwrap();
+    let csv = reqwest::get(format!("{}/api/v1/clips.csv", hub.http)).await;
+    let csv = csv.unwrap().text().await.unwrap();
     assert_eq!(csv.lines().count(), 401);
-    assert!(
-        csv.starts_with("id,node,camera,"),
-        "{}",
-        csv.lines().next().unwrap()
-    );
-    stand.end().await;
+    assert!(csv.starts_with("id,node,camera,"), "{csv}");
+    fixture.end().await;
 }
 
 on_both!(
     sums_are_exact,
-    sums_are_those_of_the_clips_and_qualities_are_never_added,
-    postgres_sums_are_those_of_the_clips_and_qualities_are_never_added
+    sums_match_the_clips_and_never_mix_energy_qualities,
+    postgres_sums_match_the_clips_and_never_mix_energy_qualities
 );
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
-    use albireo_hub::config::DatabaseConfig;
-    use albireo_hub::store::{Store, StoreError};
+async fn a_file_that_is_no_database_is_rejected_and_left_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("letter.db");
-    std::fs::write(
-        &file,
-        "Dear reader, this is no database, and it has enough words to be one.".repeat(40),
-    )
-    .unwrap();
+    let letter = "Dear reader, this is no database, and it has enough words to be one.";
+    std::fs::write(&file, letter.repeat(40)).unwrap();
     let before = std::fs::read(&file).unwrap();
     let config = DatabaseConfig {
         url: format!("sqlite:{}", file.display()),
@@ -162,56 +141,45 @@ async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_anew_when_it_cannot()
- {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 3_600_000_000_000;
     for number in [1, 4] {
-        let sent = batch("car-1", 1, number..=number, start);
-        deliver(session, &sent).await.assert_stored();
+        store(session, "car-1", 1, number..=number, start).await;
     }
-    let told = read_events(hub, "0", "event: gap").await;
-    assert!(
-        told.contains("\"first\":2") && told.contains("id: "),
-        "{told}"
-    );
-    let told = read_events(hub, "999999", "event: resync").await;
-    assert!(told.contains("another database"), "{told}");
-    stand.end().await;
+    let text = read_events(hub, "0", "event: gap").await;
+    let has_gap = text.contains("\"first\":2") && text.contains("id: ");
+    assert!(has_gap, "{text}");
+    let text = read_events(hub, "999999", "event: resync").await;
+    assert!(text.contains("another database"), "{text}");
+    fixture.end().await;
 }
 
-/// What the stream says until `wanted` is in it.
+/// Reads the event stream until an event contains `wanted`.
 async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
     let client = reqwest::Client::new();
     let request = client
         .get(format!("{}/api/v1/events", hub.http))
         .header("Last-Event-ID", last);
     let mut response = request.send().await.unwrap();
-    let mut told = String::new();
+    let mut text = String::new();
     let reading = async {
         while let Some(chunk) = response.chunk().await.unwrap() {
-            told.push_str(&String::from_utf8_lossy(&chunk));
+            text.push_str(&String::from_utf8_lossy(&chunk));
             // An event ends with an empty line.
-            if told
-                .split(wanted)
-                .nth(1)
-                .is_some_and(|rest| rest.contains("\n\n"))
-            {
+            let rest = text.split(wanted).nth(1);
+            if rest.is_some_and(|rest| rest.contains("\n\n")) {
                 break;
             }
         }
     };
-    tokio::time::timeout(crate::support::PATIENCE, reading)
-        .await
-        .unwrap();
-    told
+    tokio::time::timeout(PATIENCE, reading).await.unwrap();
+    text
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
-    use albireo_hub::config::DatabaseConfig;
-    use albireo_hub::store::{Store, StoreError};
+async fn tables_of_a_newer_or_another_program_are_rejected() {
     for (statements, wanted) in [
         (
             "UPDATE hub_meta SET value = '999' WHERE key = 'version'",
@@ -235,12 +203,11 @@ async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_archive_holds_what_a_hub_tells_of_itself() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn the_diagnostic_archive_describes_the_hub() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 3_600_000_000_000;
-    let sent = batch("car-1", 1, 1..=1, start);
-    deliver(session, &sent).await.assert_stored();
+    store(session, "car-1", 1, 1..=1, start).await;
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
@@ -260,22 +227,21 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
     ] {
         assert!(text.contains(part), "no {part} in {text}");
     }
-    stand.end().await;
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() {
+async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {
     let folder = tempfile::tempdir().unwrap();
     let file = sqlite(folder.path());
     let start = now_ns() - 90_000_000_000_000;
     let hub = Hub::start(config(&file)).await;
     let session = uplink(&hub.zenoh).await;
     for first in (0..1200).step_by(100) {
-        let sent = batch("car-1", 1, first..=first + 99, start);
-        deliver(&session, &sent).await.assert_stored();
+        store(&session, "car-1", 1, first..=first + 99, start).await;
     }
-    let nodes = Played::begin(&hub, fleet(2)).await;
+    let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
     let order = |u: f64| json!({"u": u, "select": "sim-*"});
     let (_, first) = put(&hub, order(5e-4)).await;
     nodes.end().await;
@@ -296,30 +262,22 @@ async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() 
     let moved = transfer::to_postgres(&file, &to.database, |_| ()).await;
     assert!(moved.unwrap() > 2 * 1200);
     let again = transfer::to_postgres(&file, &to.database, |_| ()).await;
-    assert!(
-        again.unwrap_err().to_string().contains("empty"),
-        "a second time"
-    );
-    let not_ours = transfer::to_postgres("/dev/null", &to.database, |_| ()).await;
-    assert!(
-        matches!(not_ours, Err(StoreError::Refused(_))),
-        "{not_ours:?}"
-    );
+    let error = again.unwrap_err().to_string();
+    assert!(error.contains("empty"), "{error}");
+    let foreign = transfer::to_postgres("/dev/null", &to.database, |_| ()).await;
+    let is_refused = matches!(foreign, Err(StoreError::Refused(_)));
+    assert!(is_refused, "{foreign:?}");
 
     let hub = Hub::start(to).await;
     for (path, before) in paths.into_iter().zip(before) {
         assert_eq!(hub.get(path).await, before, "{path}");
     }
     let session = uplink(&hub.zenoh).await;
-    let taken_over = pull(&session, "sim-000001").await;
-    assert_eq!(
-        (taken_over.revision, taken_over.setting),
-        (desired.revision, desired.setting)
-    );
-    // What was stored before is known; what is new gets ids of its own.
-    deliver(&session, &batch("car-1", 1, 1150..=1249, start))
-        .await
-        .assert_stored();
+    let imported = pull(&session, "sim-000001").await;
+    let expected = (desired.revision, desired.setting);
+    assert_eq!((imported.revision, imported.setting), expected);
+    // Reports stored before are known; new ones get new ids.
+    store(&session, "car-1", 1, 1150..=1249, start).await;
     assert_eq!(counts(&hub, "car-1").await.len(), 1000);
     let energy = hub.get("/api/v1/energy?by=node&since_ms=0").await;
     let clips: i64 = (energy["groups"].as_array().unwrap().iter())
@@ -327,7 +285,7 @@ async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() 
         .map(|group| group["clips"].as_i64().unwrap())
         .sum();
     assert_eq!(clips, 1250);
-    let nodes = Played::begin(&hub, fleet(2)).await;
+    let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
     let (_, second) = put(&hub, order(7e-4)).await;
     assert_eq!(second["counts"], first["counts"], "{second}");
     assert!(second["revision"].as_u64() > first["revision"].as_u64());

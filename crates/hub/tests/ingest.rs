@@ -1,20 +1,22 @@
-//! Reports are taken exactly once.
+//! Reports are stored exactly once.
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, Said, Stand, batch, config, counts, deliver, id, now_ns, on_both, send, sqlite, uplink,
+    Fixture, Hub, Reply, assert_has, batch, config, counts, deliver, id, now_ns, on_both, send,
+    sqlite, store, uplink,
 };
 use albireo_wire::{BatchCompression, RefusalReason, ReportBatch};
+use serde_json::json;
 use uuid::Uuid;
 
-async fn taken_once(database: &str) {
+async fn stored_once(database: &str) {
     let hub = Hub::start(config(database)).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
     let first = batch("car-1", 1, 1..=8, start);
     let answer = deliver(&session, &first).await.answer();
     assert_eq!((answer.refused.len(), answer.missing.len()), (0, 0));
-    // The answer was lost: the same comes again, then in another cut, then with more behind it.
+    // The answer was lost: the same reports come again, then split differently, then with more behind them.
     for numbers in [1..=8, 3..=5, 6..=12] {
         let sent = batch("car-1", 1, numbers, start);
         let again = deliver(&session, &sent).await.answer();
@@ -28,16 +30,11 @@ async fn taken_once(database: &str) {
     let numbers: Vec<u64> = (1..=13).collect();
     assert_eq!(counts(&hub, "car-1").await, numbers);
     let node = hub.get("/api/v1/nodes/car-1").await;
-    assert_eq!(node["reports"]["stored"], 13, "{node}");
-    assert_eq!(node["reports"]["missing"], 0);
-    let energy = hub.get("/api/v1/energy?by=node").await;
-    // A group for each quality.
-    let groups = energy["groups"].as_array().unwrap().iter();
-    let clips: i64 = groups.map(|group| group["clips"].as_i64().unwrap()).sum();
-    assert_eq!(clips, 13, "{energy}");
+    assert_has(&node["reports"], &json!({"stored": 13, "missing": 0}));
+    assert_eq!(hub.clips_with_energy().await, 13);
     session.close().await.unwrap();
 
-    // What was acknowledged is there after a restart, and is known when it comes once more.
+    // Acknowledged reports are there after a restart, and are recognised when they come again.
     let again = hub.config.clone();
     hub.stop().await;
     let hub = Hub::start(again).await;
@@ -50,19 +47,17 @@ async fn taken_once(database: &str) {
 }
 
 on_both!(
-    taken_once,
-    a_batch_that_comes_again_in_any_cut_is_stored_once,
-    postgres_a_batch_that_comes_again_in_any_cut_is_stored_once
+    stored_once,
+    a_batch_sent_again_in_any_split_is_stored_once,
+    postgres_a_batch_sent_again_in_any_split_is_stored_once
 );
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gap_is_counted_and_named_and_filled_when_its_reports_come_late() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn a_gap_is_counted_named_and_filled_by_late_reports() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 3_600_000_000_000;
-    deliver(session, &batch("car-2", 2, 1..=2, start))
-        .await
-        .assert_stored();
+    store(session, "car-2", 2, 1..=2, start).await;
     let answer = deliver(session, &batch("car-2", 2, 6..=7, start)).await;
     assert_eq!(answer.answer().missing, [(3, 5)]);
     let node = hub.get("/api/v1/nodes/car-2").await;
@@ -70,21 +65,20 @@ async fn a_gap_is_counted_and_named_and_filled_when_its_reports_come_late() {
     let answer = deliver(session, &batch("car-2", 2, 3..=5, start)).await;
     assert!(answer.answer().missing.is_empty());
     let node = hub.get("/api/v1/nodes/car-2").await;
-    assert_eq!(node["reports"]["missing"], 0, "{node}");
-    assert_eq!(node["reports"]["stored"], 7);
-    stand.end().await;
+    assert_has(&node["reports"], &json!({"missing": 0, "stored": 7}));
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_report_that_cannot_be_read_is_set_aside_with_its_cause_and_refused() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn an_unreadable_report_is_set_aside_with_its_cause_and_rejected() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 3_600_000_000_000;
     let mut wrong = batch("car-3", 3, 1..=3, start);
     wrong.reports[1].energy.joules = Some(-1.0);
     let unread = wrong.reports[2].id;
     let mut json = serde_json::to_value(&wrong).unwrap();
-    json["reports"][2] = serde_json::json!({"v": 1, "id": unread, "hello": "\u{0}"});
+    json["reports"][2] = json!({"v": 1, "id": unread, "hello": "\u{0}"});
     let payload = compressed(json.to_string().as_bytes());
     let answer = send(session, "car-3", payload).await.answer();
     let refused: Vec<Uuid> = answer.refused.iter().map(|one| one.id).collect();
@@ -93,44 +87,34 @@ async fn a_report_that_cannot_be_read_is_set_aside_with_its_cause_and_refused() 
     let aside = hub.get("/api/v1/set-aside").await;
     let aside = aside["reports"].as_array().unwrap();
     assert_eq!(aside.len(), 2, "{aside:?}");
-    let causes: Vec<&str> = aside
-        .iter()
-        .map(|one| one["cause"].as_str().unwrap())
-        .collect();
-    assert!(
-        causes.iter().any(|cause| cause.contains("energy_uj: -1")),
-        "{causes:?}"
-    );
-    assert!(
-        causes.iter().any(|cause| cause.contains("missing field")),
-        "{causes:?}"
-    );
+    for expected in ["energy_uj: -1", "missing field"] {
+        let mut causes = aside.iter().map(|one| one["cause"].as_str().unwrap());
+        assert!(causes.any(|cause| cause.contains(expected)), "{aside:?}");
+    }
     let clips = hub.get("/api/v1/clips?node=car-3").await;
     assert_eq!(clips["clips"].as_array().unwrap().len(), 1);
 
-    // What is no batch at all is refused, and not acknowledged.
+    // A payload that is no batch is refused and not acknowledged.
     match send(session, "car-3", b"nonsense".to_vec()).await {
-        Said::Refused(refusal) => assert_eq!(refusal.reason, RefusalReason::Unreadable),
-        said => panic!("{said:?}"),
+        Reply::Refused(refusal) => assert_eq!(refusal.reason, RefusalReason::Unreadable),
+        reply => panic!("{reply:?}"),
     }
-    stand.end().await;
+    fixture.end().await;
 }
 
-/// A payload of any JSON. What was compressed without the dictionary can be read with it.
+/// A payload of any JSON. A frame compressed without the dictionary can be read with it.
 fn compressed(json: &[u8]) -> Vec<u8> {
     let frame = zstd::encode_all(json, 3).unwrap();
     [&[albireo_wire::REPORT_DICTIONARY], &frame[..]].concat()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn state_that_goes_back_loses_and_doubles_nothing_and_is_shown() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn a_node_with_restored_state_loses_and_duplicates_nothing_and_is_shown() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let start = now_ns() - 3_600_000_000_000;
-    deliver(session, &batch("car-4", 4, 1..=10, start))
-        .await
-        .assert_stored();
-    // The disk went back to report 6: what waited then comes again, and new clips have the counts from 7 on.
+    store(session, "car-4", 4, 1..=10, start).await;
+    // The disk was restored as of report 6: waiting reports come again, and new clips are counted from 7 on.
     let mut back = batch("car-4", 4, 5..=6, start);
     back.reports
         .extend(batch("car-4", 5, 7..=13, start + 1).reports);
@@ -139,9 +123,8 @@ async fn state_that_goes_back_loses_and_doubles_nothing_and_is_shown() {
     expected.sort_unstable();
     assert_eq!(counts(hub, "car-4").await, expected);
     let node = hub.get("/api/v1/nodes/car-4").await;
-    assert_eq!(node["reports"]["resets"], 1, "{node}");
-    assert_eq!(node["reports"]["missing"], 0, "{node}");
-    stand.end().await;
+    assert_has(&node["reports"], &json!({"resets": 1, "missing": 0}));
+    fixture.end().await;
 }
 
 /// A hub whose database is replaced by the copy that `copy` makes over a connection to `from`.
@@ -166,13 +149,11 @@ async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), back
         connection.close().await.unwrap();
     }
 
-    // What is stored after the copy was made is gone with it, all of car-2 too.
+    // Reports stored after the copy are lost with the database, all of car-2 among them.
     let hub = Hub::start(config(database)).await;
     let session = uplink(&hub.zenoh).await;
     for (node, series, counts) in [("car-1", 1, 6..=10), ("car-2", 2, 1..=4)] {
-        deliver(&session, &batch(node, series, counts, start))
-            .await
-            .assert_stored();
+        store(&session, node, series, counts, start).await;
     }
     session.close().await.unwrap();
     hub.stop().await;
@@ -180,7 +161,7 @@ async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), back
     let hub = Hub::start(config(backup)).await;
     let session = uplink(&hub.zenoh).await;
     for (node, series, next, lost) in [("car-1", 1, 11, (6, 10)), ("car-2", 2, 5, (1, 4))] {
-        // The next report of the node says what it had before; an answer that is lost is given again.
+        // The next report shows that earlier ones are missing; the hub repeats an answer that was lost.
         for _ in 0..2 {
             let answer = deliver(&session, &batch(node, series, next..=next, start)).await;
             let answer = answer.answer();
@@ -195,14 +176,10 @@ async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), back
         let all: Vec<u64> = (1..=next).collect();
         assert_eq!(counts(&hub, node).await, all);
         let shown = hub.get(&format!("/api/v1/nodes/{node}")).await;
-        assert_eq!(shown["reports"]["stored"], next, "{shown}");
-        assert_eq!(shown["reports"]["missing"], 0, "{shown}");
-        assert_eq!(shown["reports"]["resets"], 0, "{shown}");
+        let expected = json!({"stored": next, "missing": 0, "resets": 0});
+        assert_has(&shown["reports"], &expected);
     }
-    let energy = hub.get("/api/v1/energy?by=node").await;
-    let groups = energy["groups"].as_array().unwrap().iter();
-    let clips: i64 = groups.map(|group| group["clips"].as_i64().unwrap()).sum();
-    assert_eq!(clips, 16, "{energy}");
+    assert_eq!(hub.clips_with_energy().await, 16);
     session.close().await.unwrap();
     hub.stop().await;
 }
@@ -227,7 +204,7 @@ async fn postgres_a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost()
     restored_from_a_backup(&server.url(), (&other("template1"), copy), &other("backup")).await;
 }
 
-/// A report made so many days ago, by a clock that is right.
+/// A report made `days` ago by a correct clock.
 fn aged(node: &str, number: u64, days: u64) -> ReportBatch {
     let made = now_ns() - days * 86_400_000_000_000;
     let mut batch = batch(node, 8, number..=number, made);
@@ -235,12 +212,12 @@ fn aged(node: &str, number: u64, days: u64) -> ReportBatch {
     batch
 }
 
-async fn covered_for_thirty_days(database: &str) {
+async fn remembered_for_thirty_days(database: &str) {
     let mut configuration = config(database);
-    // Rows of clips leave at once: what was stored is known for as long as a node may send it.
+    // Rows of clips are removed soon; the ids of stored reports are kept as long as a node may send them.
     configuration.history.clips_days = 1;
-    let stand = Stand::on(configuration).await;
-    let (hub, session) = (&stand.hub, &stand.session);
+    let fixture = Fixture::on(configuration).await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     for (number, days) in [(1, 0), (2, 1), (3, 29)] {
         let sent = aged("car-9", number, days);
         for _ in 0..2 {
@@ -254,22 +231,21 @@ async fn covered_for_thirty_days(database: &str) {
     let reason = &answer.refused[0].reason;
     assert!(reason.contains("older than 30 days"), "{reason}");
     let node = hub.get("/api/v1/nodes/car-9").await;
-    assert_eq!(node["reports"]["stored"], 3, "{node}");
-    assert_eq!(node["reports"]["refused"], 1, "{node}");
-    stand.end().await;
+    assert_has(&node["reports"], &json!({"stored": 3, "refused": 1}));
+    fixture.end().await;
 }
 
 on_both!(
-    covered_for_thirty_days,
-    ids_are_known_for_thirty_days_and_what_is_older_is_refused_by_name,
-    postgres_ids_are_known_for_thirty_days_and_what_is_older_is_refused_by_name
+    remembered_for_thirty_days,
+    ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id,
+    postgres_ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id
 );
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_whose_clock_is_years_off_loses_nothing_and_is_counted() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
-    // Of 1970, and of a time that is still far away.
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
+    // One of 1970, one of the far future.
     let mut off = batch("car-6", 9, 1..=2, 0);
     off.reports[1].started_ns = u64::MAX;
     off.reports[1].id = id(9, 2, u64::MAX);
@@ -278,52 +254,44 @@ async fn a_node_whose_clock_is_years_off_loses_nothing_and_is_counted() {
     let clips = hub.get("/api/v1/clips?node=car-6").await;
     let clips = clips["clips"].as_array().unwrap();
     assert_eq!(clips.len(), 2);
-    assert!(
-        clips
-            .iter()
-            .all(|clip| clip["at_ms"] == clip["received_ms"])
-    );
-    let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
-    let metrics = metrics.text().await.unwrap();
-    assert!(
-        metrics.contains("albireo_hub_clock_off_total 2"),
-        "{metrics}"
-    );
-    stand.end().await;
+    let mut clips = clips.iter();
+    assert!(clips.all(|clip| clip["at_ms"] == clip["received_ms"]));
+    let metrics = hub.metrics().await;
+    let is_counted = metrics.contains("albireo_hub_clock_off_total 2");
+    assert!(is_counted, "{metrics}");
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_nothing() {
+async fn postgres_a_lost_database_delays_acknowledgements_and_loses_nothing() {
     let server = Postgres::start();
     let hub = Hub::start(config(&server.url())).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
-    deliver(&session, &batch("car-7", 2, 1..=2, start))
-        .await
-        .assert_stored();
+    store(&session, "car-7", 2, 1..=2, start).await;
     let clips = || hub.get("/api/v1/clips?node=car-7");
     tokio::join!(clips(), clips(), clips(), clips());
     server.kill();
     match deliver(&session, &batch("car-7", 2, 3..=4, start)).await {
-        Said::Refused(refusal) => {
+        Reply::Refused(refusal) => {
             assert_eq!(refusal.reason, RefusalReason::Unavailable);
             assert!(refusal.retry_after_ms.is_some());
         }
-        said => panic!("{said:?}"),
+        reply => panic!("{reply:?}"),
     }
     hub.until("/readyz", |answer| answer["ready"] == false)
         .await;
     server.up();
     loop {
         match deliver(&session, &batch("car-7", 2, 3..=4, start)).await {
-            Said::Answer(answer) => break assert!(answer.refused.is_empty()),
-            Said::Refused(refusal) => assert_eq!(refusal.reason, RefusalReason::Unavailable),
-            Said::Nothing => unreachable!(),
+            Reply::Answer(answer) => break assert!(answer.refused.is_empty()),
+            Reply::Refused(refusal) => assert_eq!(refusal.reason, RefusalReason::Unavailable),
+            Reply::Nothing => unreachable!(),
         }
     }
     hub.until("/readyz", |answer| answer["ready"] == true).await;
-    // The connections that were open before it went, too.
+    // The connections that were open before the kill work too.
     let read = tokio::join!(clips(), clips(), clips(), clips());
     for clips in [read.0, read.1, read.2, read.3] {
         assert_eq!(clips["clips"].as_array().unwrap().len(), 4);
@@ -348,14 +316,7 @@ async fn postgres_two_hubs_on_one_database_store_a_report_once() {
     }
     let clips = two.get("/api/v1/clips?node=car-8&limit=1000").await;
     assert_eq!(clips["clips"].as_array().unwrap().len(), 400);
-    let energy = one.get("/api/v1/energy?by=node").await;
-    let clips: i64 = energy["groups"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|group| group["clips"].as_i64().unwrap())
-        .sum();
-    assert_eq!(clips, 400);
+    assert_eq!(one.clips_with_energy().await, 400);
     to_one.close().await.unwrap();
     to_two.close().await.unwrap();
     one.stop().await;
@@ -370,44 +331,43 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
     let hub = Hub::start(config.clone()).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
-    // Somebody else writes, and the hub's commit waits.
+    // Another connection writes, so the hub's commit waits.
     let other = rusqlite::Connection::open(folder.path().join("hub.db")).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
     let mut under_way = tokio::task::JoinSet::new();
-    let busy = 'told: {
+    let busy = 'answered: {
         for number in 0..1000 {
             let batch = batch(&format!("car-{number}"), 3, 1..=2, start);
             let session = session.clone();
             under_way.spawn(async move { deliver(&session, &batch).await });
             let answer = std::time::Duration::from_millis(100);
             if let Ok(Some(said)) = tokio::time::timeout(answer, under_way.join_next()).await {
-                break 'told said.unwrap();
+                break 'answered said.unwrap();
             }
         }
         panic!("no batch was answered");
     };
-    let Said::Refused(refusal) = busy else {
+    let Reply::Refused(refusal) = busy else {
         panic!("{busy:?}")
     };
     assert_eq!(refusal.reason, RefusalReason::Busy);
     assert_eq!(refusal.retry_after_ms, Some(2000));
     other.execute_batch("ROLLBACK").unwrap();
-    // What was taken is written; and then batches are taken again.
+    // Accepted batches are written, and then batches are accepted again.
     while let Some(said) = under_way.join_next().await {
         let said = said.unwrap();
         let refused =
-            matches!(&said, Said::Refused(refusal) if refusal.reason == RefusalReason::Busy);
-        assert!(refused || matches!(said, Said::Answer(_)), "{said:?}");
+            matches!(&said, Reply::Refused(refusal) if refusal.reason == RefusalReason::Busy);
+        assert!(refused || matches!(said, Reply::Answer(_)), "{said:?}");
     }
-    let last = batch("car-last", 4, 1..=2, start);
-    deliver(&session, &last).await.assert_stored();
+    store(&session, "car-last", 4, 1..=2, start).await;
     session.close().await.unwrap();
     hub.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
-async fn postgres_days_are_partitions_and_go_whole() {
+async fn postgres_days_are_partitions_and_are_dropped_whole() {
     use albireo_hub::ingest::{Recorder, decode};
     use albireo_hub::presence::News;
     use albireo_hub::store::Store;
@@ -448,7 +408,7 @@ async fn postgres_days_are_partitions_and_go_whole() {
         assert_eq!(rows(table).await, Some(0), "{table}");
     }
     assert_eq!(rows("report_ids").await, Some(4));
-    // A clip of a day that is not kept any more counts, and goes by itself.
+    // A clip of a day that is no longer kept counts, and is removed by itself.
     record(2, &[(5, 4), (6, 0)]).await.unwrap();
     assert_eq!(
         (rows("clips").await, rows("report_ids").await),

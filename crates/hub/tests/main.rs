@@ -1,4 +1,4 @@
-//! Promises of the hub, over real Zenoh sessions and real databases. Tests named `postgres_…` start a server of their own.
+//! Promises of the hub, over real Zenoh sessions and real databases. Each test named `postgres_…` starts its own server.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

@@ -1,6 +1,8 @@
-//! Which nodes are there and how they are.
+//! The hub knows which nodes exist and their state.
 
-use crate::support::{Hub, Stand, config, full_status, pull, say, sqlite, status, uplink};
+use crate::support::{
+    Fixture, Hub, assert_has, config, full_status, pull, put_status, sqlite, status, uplink,
+};
 use albireo_service::config::ZenohMode;
 use albireo_wire::ConfigChanged;
 use serde_json::json;
@@ -15,17 +17,13 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
     let hub = Hub::start(config).await;
     let session = uplink(&hub.zenoh).await;
     let one = 10;
-    say(&session, "car-1", &full_status(one, 0, &[])).await;
+    put_status(&session, "car-1", &full_status(one, 0, &[])).await;
     let node = hub
         .until("/api/v1/nodes/car-1", |node| node["state"] == "online")
         .await;
     assert_eq!(node["status"]["policy"], "albireo");
-    say(
-        &session,
-        "car-1",
-        &full_status(one, 1, &[("detector", "it hangs")]),
-    )
-    .await;
+    let hanging = full_status(one, 1, &[("detector", "it hangs")]);
+    put_status(&session, "car-1", &hanging).await;
     let node = hub
         .until("/api/v1/nodes/car-1", |node| node["state"] == "degraded")
         .await;
@@ -45,73 +43,65 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let notices = session
         .declare_subscriber("albireo/@changed/car-2")
         .await
         .unwrap();
     let one = 11;
-    say(session, "car-2", &full_status(one, 0, &[])).await;
+    put_status(session, "car-2", &full_status(one, 0, &[])).await;
     hub.until("/api/v1/nodes/car-2", |node| node["state"] == "online")
         .await;
     assert!(!pull(session, "car-2").await.send_full_status);
-    say(session, "car-2", &status(one, 5)).await;
+    put_status(session, "car-2", &status(one, 5)).await;
     let notice = tokio::time::timeout(Duration::from_secs(30), notices.recv_async()).await;
     let notice = notice.unwrap().unwrap();
     albireo_wire::read::<ConfigChanged>(&notice.payload().to_bytes()).unwrap();
     assert!(pull(session, "car-2").await.send_full_status);
-    say(
-        session,
-        "car-2",
-        &full_status(one, 6, &[("power", "no meter")]),
-    )
-    .await;
+    let full = full_status(one, 6, &[("power", "no meter")]);
+    put_status(session, "car-2", &full).await;
     hub.until("/api/v1/nodes/car-2", |node| {
         node["why"] == "power: no meter"
     })
     .await;
     assert!(!pull(session, "car-2").await.send_full_status);
-    stand.end().await;
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_nodes_of_one_name_are_named() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn two_nodes_with_the_same_name_are_reported() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let (one, other) = (10, 11);
-    say(session, "car-3", &full_status(one, 0, &[])).await;
+    put_status(session, "car-3", &full_status(one, 0, &[])).await;
     hub.until("/api/v1/nodes/car-3", |node| node["state"] == "online")
         .await;
-    // Another run is a restart, and nothing of note.
+    // Another run is a restart: nothing to report.
     let mut restarted = full_status(other, 0, &[]);
     restarted.waiting = 9;
-    say(session, "car-3", &restarted).await;
+    put_status(session, "car-3", &restarted).await;
     hub.until("/api/v1/nodes/car-3", |node| node["waiting"] == 9)
         .await;
     assert_eq!(hub.get("/api/v1/nodes/car-3").await["state"], "online");
-    // Both alive is.
-    say(session, "car-3", &full_status(one, 1, &[])).await;
+    // Two runs that both send are a conflict.
+    put_status(session, "car-3", &full_status(one, 1, &[])).await;
     let node = hub
         .until("/api/v1/nodes/car-3", |node| node["state"] == "degraded")
         .await;
     let why = node["why"].as_str().unwrap();
     assert!(why.starts_with("two nodes have this name"), "{why}");
-    stand.end().await;
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
+async fn a_restarted_hub_remembers_the_state_of_its_nodes() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
     let one = 12;
-    say(
-        &session,
-        "car-4",
-        &full_status(one, 0, &[("screen", "no model")]),
-    )
-    .await;
+    let degraded = full_status(one, 0, &[("screen", "no model")]);
+    put_status(&session, "car-4", &degraded).await;
     let before = hub
         .until("/api/v1/nodes/car-4", |node| node["state"] == "degraded")
         .await;
@@ -128,18 +118,14 @@ async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nodes_in_any_order_come_each_once_page_by_page() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn paging_returns_each_node_once_in_every_order() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     for number in 0..7 {
-        let reasons: &[(&str, &str)] = if number == 3 {
-            &[("screen", "no model")]
-        } else {
-            &[]
-        };
-        let mut message = full_status(number, 0, reasons);
+        let reasons = [("screen", "no model")];
+        let mut message = full_status(number, 0, &reasons[..usize::from(number == 3)]);
         message.waiting = u64::from(number % 3);
-        say(session, &format!("car-{number}"), &message).await;
+        put_status(session, &format!("car-{number}"), &message).await;
     }
     hub.until("/api/v1/nodes", |page| page["counts"]["online"] == 6)
         .await;
@@ -150,10 +136,7 @@ async fn nodes_in_any_order_come_each_once_page_by_page() {
             let offset = names.len();
             let path = format!("/api/v1/nodes?sort={sort}&down=true&limit=3&offset={offset}");
             let page = hub.get(&path).await;
-            assert_eq!(
-                (&page["total"], &page["offset"]),
-                (&json!(7), &json!(offset))
-            );
+            assert_has(&page, &json!({"total": 7, "offset": offset}));
             let nodes = page["nodes"].as_array().unwrap();
             if nodes.is_empty() {
                 break;
@@ -169,17 +152,12 @@ async fn nodes_in_any_order_come_each_once_page_by_page() {
     }
     assert_eq!(orders[1][0], "car-3", "the one that is degraded");
     assert_eq!(orders[4][..2], ["car-2", "car-5"], "those with two waiting");
-    let wrong = hub.get("/api/v1/nodes?sort=weight").await;
-    assert!(
-        wrong["detail"].as_str().unwrap().contains("waiting"),
-        "{wrong}"
-    );
-    let wrong = hub.get("/api/v1/nodes?state=ill").await;
-    assert!(
-        wrong["detail"].as_str().unwrap().contains("degraded"),
-        "{wrong}"
-    );
-    stand.end().await;
+    for (query, allowed) in [("sort=weight", "waiting"), ("state=ill", "degraded")] {
+        let wrong = hub.get(&format!("/api/v1/nodes?{query}")).await;
+        let detail = wrong["detail"].as_str().unwrap();
+        assert!(detail.contains(allowed), "{wrong}");
+    }
+    fixture.end().await;
 }
 
 /// A router of a fleet.
@@ -209,7 +187,7 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     let session = uplink(&endpoint).await;
     let token = session.liveliness().declare_token("albireo/@alive/car-9");
     let token = token.await.unwrap();
-    say(&session, "car-9", &full_status(10, 0, &[])).await;
+    put_status(&session, "car-9", &full_status(10, 0, &[])).await;
     let path = "/api/v1/nodes/car-9";
     hub.until(path, |node| node["state"] == "online").await;
 
@@ -218,7 +196,7 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
         .until("/readyz", |answer| answer["ready"] == false)
         .await;
     assert!(held["reasons"]["zenoh"].is_string(), "{held}");
-    // Longer than after what time a node is offline.
+    // Longer than the time after which a node is offline.
     tokio::time::sleep(Duration::from_secs(5)).await;
     assert_eq!(hub.get(path).await["state"], "online");
 
@@ -226,7 +204,7 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     session.close().await.unwrap();
     let second = router(&endpoint).await;
     hub.until("/readyz", |answer| answer["ready"] == true).await;
-    // Now the hub can hear it, and does not.
+    // Now the hub could hear the node and does not.
     hub.until(path, |node| node["state"] == "offline").await;
     second.close().await.unwrap();
     hub.stop().await;

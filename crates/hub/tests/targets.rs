@@ -1,7 +1,9 @@
-//! Targets reach nodes as values do, and take their place; what a node cannot hold is refused in words.
+//! Targets reach nodes as values do, and replace them; a target that a node cannot hold is refused with a reason.
 
-use crate::support::{Hub, Stand, config, full_status, now_ns, on_both, say, sqlite};
-use crate::tuning::{Played, fleet, post, put, put_at, values};
+use crate::support::{
+    Fixture, Hub, assert_has, config, full_status, now_ns, on_both, put_status, sqlite,
+};
+use crate::tuning::{SimulatedFleet, fleet, post, put, put_at, values};
 use albireo_hub::config::LocalChange;
 use albireo_wire::{
     CameraState, CameraStatus, NodeTarget, SettingSource, StatusMessage, Target, TargetStatus,
@@ -10,7 +12,7 @@ use albireo_wire::{
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 
-/// Orders a target, or null.
+/// Sets a target, or none.
 async fn hold(hub: &Hub, target: Value, select: &str) -> Value {
     let body = json!({"target": target, "select": select, "why": "a test"});
     let (status, answer) = put_at(hub, "/api/v1/target", body).await;
@@ -18,7 +20,7 @@ async fn hold(hub: &Hub, target: Value, select: &str) -> Value {
     answer
 }
 
-/// What each node says that it holds.
+/// The target that each node reports.
 fn held(nodes: &Value) -> Vec<Value> {
     let nodes = nodes["nodes"].as_array().unwrap().iter();
     nodes
@@ -28,7 +30,7 @@ fn held(nodes: &Value) -> Vec<Value> {
 
 async fn targets_reach_nodes(database: &str) {
     let hub = Hub::start(config(database)).await;
-    let played = Played::begin(&hub, fleet(6)).await;
+    let simulated = SimulatedFleet::start(&hub, fleet(6)).await;
     let wanted = json!({"skip_rate": 0.6});
     let dry = json!({"target": wanted, "select": "sim-*", "dry_run": true});
     let (_, answer) = put_at(&hub, "/api/v1/target", dry).await;
@@ -38,46 +40,25 @@ async fn targets_reach_nodes(database: &str) {
 
     // Nodes 0 and 4 are in the north.
     let answer = hold(&hub, wanted.clone(), "region=north,sim-000001,nobody").await;
-    assert_eq!(
-        answer["counts"],
-        json!({"applied": 3, "refused": 1}),
-        "{answer}"
-    );
+    let counts = json!({"applied": 3, "refused": 1});
+    assert_eq!(answer["counts"], counts, "{answer}");
     let nodes = hub.get("/api/v1/nodes").await;
     let (on, off) = (&wanted, &Value::Null);
-    assert_eq!(
-        held(&nodes).iter().collect::<Vec<_>>(),
-        [on, on, off, off, on, off]
-    );
+    let all = held(&nodes);
+    let all: Vec<_> = all.iter().collect();
+    assert_eq!(all, [on, on, off, off, on, off]);
     let status = &nodes["nodes"][0]["status"]["target"];
-    assert_eq!(
-        (&status["status"], &status["source"]),
-        (&json!("held"), &json!("hub"))
-    );
-    assert!(
-        values(&nodes)[0] > 3e-4 && values(&nodes)[2] == 3e-4,
-        "{nodes}"
-    );
+    assert_has(status, &json!({"status": "held", "source": "hub"}));
+    let us = values(&nodes);
+    assert!(us[0] > 3e-4 && us[2] == 3e-4, "{nodes}");
     let change = answer["revision"].as_u64().unwrap();
     let changes = hub.get("/api/v1/changes?node=sim-000004").await;
-    let first = &changes["changes"][0];
-    assert_eq!(
-        first["to"],
-        json!({"target": {"skip_rate": 0.6}}),
-        "{changes}"
-    );
-    assert_eq!(
-        (&first["revision"], &first["why"]),
-        (&json!(change), &json!("a test"))
-    );
+    let expected = json!({"to": {"target": wanted}, "revision": change, "why": "a test"});
+    assert_has(&changes["changes"][0], &expected);
     let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
-    assert_eq!(
-        detail["nodes"][0]["from"],
-        json!({"threshold": {"name": "u", "value": 3e-4}}),
-        "{detail}"
-    );
-    let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
-    let metrics = metrics.text().await.unwrap();
+    let from = json!({"threshold": {"name": "u", "value": 3e-4}});
+    assert_eq!(detail["nodes"][0]["from"], from, "{detail}");
+    let metrics = hub.metrics().await;
     for line in [
         "albireo_hub_targets{status=\"held\"} 3",
         "albireo_hub_targets{status=\"cannot_be_met\"} 0",
@@ -85,56 +66,45 @@ async fn targets_reach_nodes(database: &str) {
         assert!(metrics.contains(line), "{line}: {metrics}");
     }
 
-    // The same again changes nobody. A node that takes part in nothing can be told otherwise.
+    // The same target again changes no node. A node that holds nothing can be given another one.
     let answer = hold(&hub, wanted.clone(), "sim-000001").await;
     assert_eq!(answer["counts"], json!({"unchanged": 1}));
     assert_eq!(answer["revision"], Value::Null);
     let answer = hold(&hub, json!({"skip_rate": 0.95}), "sim-000002").await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
     let node = hub.get("/api/v1/nodes/sim-000002").await;
-    assert_eq!(
-        node["status"]["target"]["status"], "cannot_be_met",
-        "{node}"
-    );
+    let status = &node["status"]["target"]["status"];
+    assert_eq!(status, "cannot_be_met", "{node}");
 
-    // A value takes the target's place, and a target the value's, by one and the same revision.
+    // A value replaces the target, and a target the value, each by a single revision.
     let (_, answer) = put(&hub, json!({"u": 5e-4, "select": "sim-000000"})).await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
-    assert_eq!(
-        answer["nodes"][0]["from"],
-        json!({"target": wanted}),
-        "{answer}"
-    );
+    let from = json!({"target": wanted});
+    assert_eq!(answer["nodes"][0]["from"], from, "{answer}");
     let nodes = hub.get("/api/v1/nodes").await;
     assert_eq!((&held(&nodes)[0], values(&nodes)[0]), (off, 5e-4));
     let value = answer["revision"].as_u64().unwrap();
     assert!(value > change);
     let answer = hold(&hub, json!({"skip_rate": 0.5}), "sim-000000").await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
-    assert_eq!(
-        answer["nodes"][0]["from"],
-        json!({"threshold": {"name": "u", "value": 5e-4}}),
-        "{answer}"
-    );
+    let from = json!({"threshold": {"name": "u", "value": 5e-4}});
+    assert_eq!(answer["nodes"][0]["from"], from, "{answer}");
     assert!(answer["revision"].as_u64().unwrap() > value);
 
-    // Who holds something holds nothing any more, and the knob stays; of the others nothing is ordered.
+    // A node that holds a target releases it and keeps its threshold; the others are unchanged.
     let before = values(&hub.get("/api/v1/nodes").await);
     let answer = hold(&hub, Value::Null, "sim-000000,sim-000003").await;
-    assert_eq!(
-        answer["counts"],
-        json!({"applied": 1, "unchanged": 1}),
-        "{answer}"
-    );
+    let counts = json!({"applied": 1, "unchanged": 1});
+    assert_eq!(answer["counts"], counts, "{answer}");
     let nodes = hub.get("/api/v1/nodes").await;
     assert_eq!((&held(&nodes)[0], values(&nodes)), (off, before));
-    played.end().await;
+    simulated.end().await;
     hub.stop().await;
 
-    // What was desired is desired after a restart of the hub: the nodes restart too, and hold nothing at first.
+    // The desired targets survive a restart of the hub: the nodes restart too, and hold nothing at first.
     let restarted = i64::try_from(now_ns() / 1_000_000).unwrap();
     let hub = Hub::start(config(database)).await;
-    let played = Played::begin(&hub, fleet(6)).await;
+    let simulated = SimulatedFleet::start(&hub, fleet(6)).await;
     let nodes = hub
         .until("/api/v1/nodes", |nodes| {
             let all = nodes["nodes"].as_array().unwrap().iter();
@@ -147,18 +117,18 @@ async fn targets_reach_nodes(database: &str) {
         })
         .await;
     assert_eq!((&held(&nodes)[0], &held(&nodes)[3]), (off, off));
-    played.end().await;
+    simulated.end().await;
     hub.stop().await;
 }
 
 on_both!(
     targets_reach_nodes,
-    a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value,
-    postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value
+    a_target_reaches_the_selected_nodes_and_replaces_a_value,
+    postgres_a_target_reaches_the_selected_nodes_and_replaces_a_value
 );
 
-/// A full status of a node with one camera at that `u`.
-fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
+/// The full status of a node with one camera at that `u`.
+fn status_at(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
     let mut status = StatusMessage {
         revision,
         ..full_status(one, seq, &[])
@@ -173,58 +143,54 @@ fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
-    let stand = Stand::start().await;
-    let (hub, session) = (&stand.hub, &stand.session);
+async fn a_target_switched_off_at_the_node_is_drift_with_its_reason() {
+    let fixture = Fixture::start().await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let one = 10;
-    say(session, "car-1", &told(one, 0, 0, 3e-4)).await;
+    put_status(session, "car-1", &status_at(one, 0, 0, 3e-4)).await;
     hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
         .await;
     let body = json!({"target": {"recall": 0.9}, "select": "car-1", "wait_s": 0});
     let (_, answer) = put_at(hub, "/api/v1/target", body).await;
     let change = answer["revision"].as_u64().unwrap();
-    let mut holds = told(one, 1, change, 3e-4);
+    let mut holds = status_at(one, 1, change, 3e-4);
     holds.full.as_mut().unwrap().target = Some(NodeTarget {
         target: Target::Recall(0.9),
         source: SettingSource::Hub,
         status: Some(TargetStatus::Measuring),
         actual: None,
     });
-    say(session, "car-1", &holds).await;
+    put_status(session, "car-1", &holds).await;
     hub.until(&format!("/api/v1/changes/{change}"), |change| {
         change["nodes"][0]["outcome"] == "applied"
     })
     .await;
     assert_eq!(hub.get("/api/v1/drift").await, json!([]));
-    let mut turned = told(one, 2, change, 7e-4);
+    let mut turned = status_at(one, 2, change, 7e-4);
     let off = "the threshold was set by hand";
     turned.full.as_mut().unwrap().target_off = Some(off.to_owned());
-    say(session, "car-1", &turned).await;
+    put_status(session, "car-1", &turned).await;
     let drift = hub
         .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
         .await;
-    let found = &drift[0];
-    assert_eq!(found["desired"], json!({"target": {"recall": 0.9}}));
-    assert_eq!(
-        found["in_force"],
-        json!({"threshold": {"name": "u", "value": 7e-4}}),
-        "{drift}"
-    );
-    assert_eq!(found["why"], off);
-    stand.end().await;
+    let in_force = json!({"threshold": {"name": "u", "value": 7e-4}});
+    let expected =
+        json!({"desired": {"target": {"recall": 0.9}}, "in_force": in_force, "why": off});
+    assert_has(&drift[0], &expected);
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then_left() {
+async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(&sqlite(folder.path()));
     config.tuning.local_change = LocalChange::SetBack;
-    let stand = Stand::on(config).await;
-    let (hub, session) = (&stand.hub, &stand.session);
+    let fixture = Fixture::on(config).await;
+    let (hub, session) = (&fixture.hub, &fixture.session);
     let mut statuses = 0..;
     let mut report = async |revision, u| {
         let seq = statuses.next().unwrap();
-        say(session, "car-1", &told(10, seq, revision, u)).await;
+        put_status(session, "car-1", &status_at(10, seq, revision, u)).await;
     };
     report(0, 3e-4).await;
     hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
@@ -244,7 +210,7 @@ async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then
         revision = changes["changes"][0]["revision"].as_u64().unwrap();
         report(revision, 5e-4).await;
         if times == 1 {
-            // It obeys, and is no drift any more.
+            // The node applies the value, and the drift is over.
             hub.until("/api/v1/drift", |drift| *drift == json!([]))
                 .await;
         }
@@ -254,20 +220,20 @@ async fn a_node_that_is_changed_again_and_again_is_set_back_three_times_and_then
         .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
         .await;
     assert_eq!(drift[0]["set_back"], 3, "{drift}");
-    // Somebody's change begins the count again.
+    // A change by a user restarts the count.
     let body = json!({"u": 6e-4, "select": "car-1", "wait_s": 0});
     let (_, answer) = put(hub, body).await;
     let ordered = answer["revision"].as_u64().unwrap();
     let changes = hub.get("/api/v1/changes").await;
     assert_eq!(changes["changes"][0]["revision"], ordered, "{changes}");
-    stand.end().await;
+    fixture.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_and_a_trial_leave_out_a_node_that_holds_a_target() {
+async fn a_rollout_leaves_out_a_node_that_holds_a_target() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let played = Played::begin(&hub, fleet(3)).await;
+    let simulated = SimulatedFleet::start(&hub, fleet(3)).await;
     hold(&hub, json!({"skip_rate": 0.6}), "sim-000001").await;
     let plan = json!({"u": 5e-4, "select": ["all"], "stages": ["100%"], "soak_s": 3600});
     let (status, begun) = post(&hub, "/api/v1/rollouts", plan).await;
@@ -276,15 +242,15 @@ async fn a_rollout_and_a_trial_leave_out_a_node_that_holds_a_target() {
     assert_eq!(left_out["node"], "sim-000001", "{begun}");
     let why = left_out["why"].as_str().unwrap();
     assert!(why.contains("holds the target skip_rate 0.6"), "{why}");
-    // And a node of a rollout takes no target.
+    // A node in a rollout is given no target.
     let answer = hold(&hub, json!({"skip_rate": 0.6}), "sim-000000").await;
     assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
-    played.end().await;
+    simulated.end().await;
     hub.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_target_that_makes_no_sense_is_refused_with_what_would_do() {
+async fn an_invalid_target_is_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     for (body, expected) in [

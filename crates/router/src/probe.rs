@@ -154,7 +154,12 @@ mod tests {
         for _ in 0..3 {
             probes.record(Err("none".to_owned()));
         }
-        assert!(probes.stuck().unwrap().contains("3 times: none"));
+        assert!(
+            probes
+                .stuck()
+                .unwrap()
+                .contains("3 attempts in a row opened no session: none")
+        );
         assert_eq!((probes.failed(), probes.took()), (5, None));
     }
 }

@@ -36,7 +36,7 @@ fn one(shown: &[OutputBox], detected: &[Detection]) -> AuditSums {
     sums
 }
 
-/// Adds a frame with so many detected boxes, of which so many had been shown.
+/// Adds a frame with `detected` boxes, of which `paired` were shown.
 fn add_crowd(sums: &mut AuditSums, detected: usize, paired: usize) {
     let seen: Vec<_> = (0..detected)
         .map(|place| found(at(place, 0.0), 0))
@@ -53,7 +53,7 @@ fn boxes_of_the_same_object_are_paired() {
         found(at(4, 0.0), 0),
     ];
     let reported = [
-        // Right, of another class; so far off that it is another box; gone.
+        // Correct with another class; too far off to be the same box; a box that is gone.
         shown(at(0, 0.004), 7),
         shown(at(1, 0.04), 1),
         shown(at(50, 0.0), 0),
@@ -65,7 +65,7 @@ fn boxes_of_the_same_object_are_paired() {
 
 #[test]
 fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
-    // The first shown box fits both objects, better the second one; the second fits the second only.
+    // The first shown box fits both objects, the second one better; the second fits only the second object.
     let wide = |center: f64| BoundingBox::new(center, 0.5, 0.2, 0.2);
     let seen = [found(wide(0.40), 0), found(wide(0.46), 0)];
     let reported = [shown(wide(0.44), 0), shown(wide(0.52), 0)];
@@ -75,7 +75,7 @@ fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
 }
 
 #[test]
-fn a_box_that_nobody_can_see_counts_on_neither_side() {
+fn an_invisible_box_counts_on_neither_side() {
     let outside = BoundingBox::new(1.4, 0.5, 0.2, 0.2);
     let broken = BoundingBox::new(f64::NAN, 0.5, 0.2, 0.2);
     let reported = [outside, broken].map(|one| shown(one, 0));
@@ -86,7 +86,7 @@ fn a_box_that_nobody_can_see_counts_on_neither_side() {
 }
 
 #[test]
-fn the_share_that_is_drawn_is_the_one_asked_for_and_the_same_each_time() {
+fn the_drawn_share_is_as_configured_and_reproducible() {
     for (share, least, most) in [(0.02, 1_850, 2_150), (0.5, 49_400, 50_600)] {
         let draw = AuditDraw::new(share, 7);
         let drawn = (0..100_000).filter(|frame| draw.draw(*frame)).count();
@@ -95,7 +95,7 @@ fn the_share_that_is_drawn_is_the_one_asked_for_and_the_same_each_time() {
         assert!((0..1000).all(|frame| draw.draw(frame) == again.draw(frame)));
         let other = AuditDraw::new(share, 8);
         assert!((0..1000).any(|frame| draw.draw(frame) != other.draw(frame)));
-        // No frame in step with a policy that calls every second one.
+        // The draw does not align with a policy that calls on every second frame.
         let even = (0..100_000).step_by(2).filter(|frame| draw.draw(*frame));
         let even = even.count() * 2;
         assert!((least * 9 / 10..=most * 11 / 10).contains(&even), "{even}");
@@ -108,7 +108,7 @@ fn the_share_that_is_drawn_is_the_one_asked_for_and_the_same_each_time() {
 }
 
 #[test]
-fn the_interval_is_wilsons_where_each_frame_has_one_box() {
+fn the_interval_is_wilsons_with_one_box_per_frame() {
     // 8 of 10: R's prop.test(8, 10, correct = FALSE) says 0.4901625 to 0.9433178.
     let rate = wilson(0.8, 10.0);
     assert!((rate.0 - 0.490_162_5).abs() < 1e-6, "{rate:?}");
@@ -124,13 +124,12 @@ fn one_frame_with_twenty_boxes_is_no_certainty() {
     assert!(rate.independent < 1.5 && rate.low < 0.3, "{rate:?}");
 }
 
-/// A stream of frames whose crowds and misses hang together, as they do on roads: the first of `random` is how many
-/// boxes, the second how many of them were shown.
+/// The numbers of boxes and of shown boxes per frame. Crowds and misses are correlated over time, as on roads.
 fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> {
     let mut bad = false;
     (0..frames)
         .map(|_| {
-            // Bad stretches, in which much is missed.
+            // Bad stretches with many misses.
             if random() < 0.05 {
                 bad = random() < 0.2;
             }
@@ -143,7 +142,7 @@ fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> 
 }
 
 #[test]
-fn intervals_hold_the_full_comparison_as_often_as_they_say() {
+fn intervals_cover_the_full_comparison_at_their_rate() {
     let mut state = 1u64;
     let mut random = || {
         state = state
@@ -173,12 +172,12 @@ fn intervals_hold_the_full_comparison_as_often_as_they_say() {
     assert!((mean - truth).abs() < 0.01, "{mean} {truth}");
     let least = rounds as usize * 93 / 100;
     assert!(held >= least, "{held} of {rounds}");
-    // Boxes counted as independent would promise too much: that is what the spread is for.
+    // Treating boxes as independent would promise too much, hence the design effect.
     assert!(naive < least, "{naive} of {rounds}");
 }
 
 #[test]
-fn a_message_with_what_a_later_version_adds_is_read_and_nothing_is_written_for_nothing() {
+fn fields_of_later_versions_are_ignored_and_zeros_are_not_written() {
     let text = serde_json::to_string(&AuditSums::default()).unwrap();
     assert_eq!(text, "{}");
     let later = r#"{"missed":3,"by_weather":{"rain":{}},"frames":2,"squares":{"hue":1}}"#;
@@ -209,7 +208,7 @@ fn add(sums: &mut AuditSums, (reported, seen, missed): &Frame) {
 
 proptest! {
     #[test]
-    fn pooled_sums_are_those_of_counting_together(
+    fn pooled_sums_equal_counting_together(
         frames in prop::collection::vec((any_frame(), 0..4usize), 0..24)
     ) {
         let mut together = AuditSums::default();
@@ -219,7 +218,7 @@ proptest! {
             add(&mut parts[*part], frame);
         }
         let mut pooled = AuditSums::default();
-        // In another order, and over the wire.
+        // In another order, and through JSON.
         for part in parts.iter().rev() {
             let text = serde_json::to_string(part).unwrap();
             pooled.merge(&serde_json::from_str(&text).unwrap());
@@ -240,7 +239,7 @@ proptest! {
     }
 
     #[test]
-    fn no_sums_from_elsewhere_make_an_impossible_rate(
+    fn no_foreign_sums_give_an_impossible_rate(
         missed_boxes in any::<u64>(), detected in any::<u64>(), paired in any::<u64>(), squares in any::<[u64; 3]>()
     ) {
         let mut sums = AuditSums {
@@ -265,8 +264,8 @@ proptest! {
     }
 }
 
-/// The sums of a camera, and its true recall: of the boxes of a frame all but one had been shown, and on the frames that
-/// are missed only half of them.
+/// The sums of a camera and its true recall: all boxes of a frame except one were shown, but only half of them on missed
+/// frames.
 fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
     let mut sums = AuditSums::default();
     let (mut right, mut all) = (0, 0);
@@ -285,16 +284,14 @@ fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
 }
 
 #[test]
-fn the_interval_contains_what_is_true_of_the_missed_frames_too() {
+fn the_interval_covers_missed_frames_too() {
     let (sums, truth) = camera(1_000, 10, 300);
     let compared = sums.compared_recall().unwrap();
     assert!(compared.low > truth, "{compared:?} {truth}");
     let reported = sums.recall().unwrap();
     assert_eq!(reported.rate, compared.rate);
-    assert!(
-        (reported.low..=reported.high).contains(&truth),
-        "{reported:?} {truth}"
-    );
+    let interval = reported.low..=reported.high;
+    assert!(interval.contains(&truth), "{reported:?} {truth}");
     assert!((reported.low - 0.7 * compared.low).abs() < 1e-12);
     assert!((reported.high - (0.3 + 0.7 * compared.high)).abs() < 1e-12);
     let (whole, truth) = camera(1_000, 10, 0);
@@ -303,23 +300,21 @@ fn the_interval_contains_what_is_true_of_the_missed_frames_too() {
 }
 
 #[test]
-fn a_crowded_camera_that_misses_much_is_not_outvoted_by_a_quiet_one_that_misses_nothing() {
+fn a_crowded_camera_with_many_misses_is_not_outvoted_by_a_quiet_one() {
     let (crowded, right) = camera(100, 20, 50);
     let (quiet, also) = camera(300, 2, 0);
     let truth = (right * 2_000.0 + also * 600.0) / 2_600.0;
     let mut pooled = crowded;
     pooled.merge(&quiet);
     let reported = pooled.recall().unwrap();
-    assert!(
-        (reported.low..=reported.high).contains(&truth),
-        "{reported:?} {truth}"
-    );
-    // By frames only an eighth was missed, by boxes more than a third.
+    let interval = reported.low..=reported.high;
+    assert!(interval.contains(&truth), "{reported:?} {truth}");
+    // An eighth of the frames was missed, but more than a third of the boxes.
     assert!(reported.high - reported.low > 0.38, "{reported:?}");
 }
 
 #[test]
-fn only_missed_frames_are_no_rate() {
+fn missed_frames_alone_give_no_rate() {
     let mut sums = AuditSums::default();
     sums.add_missed(3);
     sums.add_missed(0);
@@ -330,7 +325,7 @@ fn only_missed_frames_are_no_rate() {
 }
 
 proptest! {
-    /// Frame by frame, not by sums of squares.
+    /// Computed per frame instead of from sums of squares.
     #[test]
     fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
         frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),

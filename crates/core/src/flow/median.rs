@@ -21,7 +21,7 @@ mod tests {
     use super::median;
 
     #[test]
-    fn the_median_lies_in_the_middle() {
+    fn the_median_is_in_the_middle() {
         assert_eq!(median(&mut []), 0.0);
         assert_eq!(median(&mut [3.0]), 3.0);
         assert_eq!(median(&mut [5.0, 1.0, 3.0]), 3.0);

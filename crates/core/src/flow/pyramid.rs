@@ -242,7 +242,7 @@ mod tests {
     proptest! {
         /// Against the definition: the weighted mean of 25 pixels, mirrored at the edges.
         #[test]
-        fn a_level_is_every_second_pixel_behind_the_gaussian(
+        fn a_level_has_every_second_pixel_of_the_gaussian(
             width in 23usize..60,
             height in 23usize..60,
             seed in any::<u32>(),
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_is_no_picture_is_refused() {
+    fn a_view_that_is_no_picture_is_rejected() {
         let bytes = [0; 100];
         assert!(GreyView::new(10, 10, 10, &bytes).is_some());
         assert!(GreyView::new(8, 10, 10, &bytes[..98]).is_some());

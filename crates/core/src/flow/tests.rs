@@ -1,4 +1,4 @@
-//! Known warps of a texture that can be computed at any place.
+//! The flow on known warps of a computed texture.
 
 mod opencv;
 
@@ -46,7 +46,7 @@ impl Texture {
         (128.0 + 7.0 * value).clamp(0.0, 255.0) as u8
     }
 
-    /// The picture in which what was at p is at `middle + scale·(p − middle) + shift`.
+    /// The picture in which the point p has moved to `middle + scale·(p − middle) + shift`.
     pub(super) fn picture(&self, middle: [f64; 2], shift: [f64; 2], scale: f64) -> Vec<u8> {
         let place = |at: usize, axis: usize| {
             (at as f64 - middle[axis] - shift[axis]) / scale + middle[axis]
@@ -94,7 +94,7 @@ proptest! {
         let motion = followed.motion.unwrap();
         prop_assert!((motion.shift[0] - shift_x).abs() < 0.2, "{:?}", motion);
         prop_assert!((motion.shift[1] - shift_y).abs() < 0.2, "{:?}", motion);
-        // Half a pixel over a small box's side is more than a hundredth of it.
+        // Half a pixel is more than 1 % of a small box's side.
         let relative = 0.01f64.max(0.5 / f64::min(width, height));
         prop_assert!((motion.scale - scale).abs() < relative, "{:?}", motion);
         prop_assert!(motion.spread < relative, "{:?}", motion);
@@ -102,7 +102,7 @@ proptest! {
     }
 
     #[test]
-    fn no_picture_and_no_box_breaks_it(
+    fn no_picture_and_no_box_breaks_the_flow(
         width in 1usize..50,
         height in 1usize..50,
         bytes in prop::collection::vec(any::<u8>(), 2500),
@@ -130,7 +130,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_hidden_is_not_followed() {
+fn a_hidden_box_is_not_followed() {
     let texture = Texture::new(5);
     let before = texture.picture([0.0; 2], [0.0; 2], 1.0);
     let other = Texture::new(6).picture([0.0; 2], [0.0; 2], 1.0);
@@ -140,10 +140,10 @@ fn what_is_hidden_is_not_followed() {
     assert_eq!((seen.points, seen.kept), (36, 36));
     let motion = seen.motion.unwrap();
     assert_eq!((motion.shift, motion.scale), ([0.0; 2], 1.0));
-    // Something else replaces it.
+    // Another texture replaces the box.
     let hidden = flow.follow(&pyramid(&before), &pyramid(&other), area, [0.0; 2]);
     assert!(hidden.agreement() < 0.3, "{hidden:?}");
-    // Half of it.
+    // Another texture replaces half of the box.
     let mut half = before.clone();
     for y in 0..HEIGHT {
         let row = y * WIDTH + 130..(y + 1) * WIDTH;
@@ -151,14 +151,14 @@ fn what_is_hidden_is_not_followed() {
     }
     let half = flow.follow(&pyramid(&before), &pyramid(&half), area, [0.0; 2]);
     assert!((0.2..0.8).contains(&half.agreement()), "{half:?}");
-    // A grey wall has nothing to hold on to.
+    // A grey wall has no texture to track.
     let wall = pyramid(&vec![90; WIDTH * HEIGHT]);
     let lost = flow.follow(&wall, &wall, area, [0.0; 2]);
     assert_eq!((lost.points, lost.kept, lost.motion), (36, 0, None));
 }
 
 #[test]
-fn a_guess_finds_what_moved_too_far_to_be_found_without() {
+fn a_guess_finds_boxes_that_moved_too_far_otherwise() {
     let texture = Texture::new(11);
     let middle = [160.0, 90.0];
     let shift = [60.0, -20.0];

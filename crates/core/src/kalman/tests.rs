@@ -1,4 +1,4 @@
-//! The running filter against the textbook's, over random lives.
+//! Compares the filter with the textbook's over random lives.
 
 use super::dense::DenseFilter;
 use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};
@@ -10,7 +10,7 @@ fn boxes() -> impl Strategy<Value = BoundingBox> {
         .prop_map(|(x, y, width, height)| BoundingBox::new(x, y, width, height))
 }
 
-/// A life: each frame is predicted, and those with a box are updated.
+/// A life: every frame is predicted, and frames with a box are updated.
 fn lives(frames: usize) -> impl Strategy<Value = Vec<Option<BoundingBox>>> {
     prop::collection::vec(prop::option::weighted(0.6, boxes()), 1..frames)
 }
@@ -42,7 +42,7 @@ fn close(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(1.0)
 }
 
-/// Lives `life` in both filters and compares everything after every step.
+/// Runs `life` through both filters, and compares them after every step.
 fn compare<const N: usize>(
     mut dense: DenseFilter<N>,
     mut filter: Filter,
@@ -86,7 +86,7 @@ fn compare<const N: usize>(
 
 proptest! {
     #[test]
-    fn ten_and_eight_dimensions_equal_the_textbook_filters(
+    fn filters_of_ten_and_eight_dimensions_equal_the_textbook(
         ten in parameters(),
         size in sizes(), first in boxes(), life in lives(60),
     ) {
@@ -99,7 +99,7 @@ proptest! {
     }
 
     #[test]
-    fn no_box_within_the_gate_lies_beyond_its_reach_which_has_no_room_to_spare(
+    fn the_reach_of_the_gate_is_a_tight_bound(
         parameters in parameters(),
         size in sizes(), first in boxes(), exponent in -12.0f64..2.0,
     ) {
@@ -116,7 +116,7 @@ proptest! {
     }
 
     #[test]
-    fn sides_are_kept_from_falling_below_their_least_and_nothing_else_changes(
+    fn sides_are_clamped_to_their_minimum_and_nothing_else_changes(
         size in sizes(), first in boxes(), least in (0.0..1.0, 0.0..1.0),
     ) {
         let model = FilterModel::new(&FilterParameters::default(), size);
@@ -143,7 +143,7 @@ proptest! {
                 filter.update(&model, measured);
             }
             let covariance = filter.covariance();
-            // Rounding treats the triangles of (I − K H) P differently: bits, which never build up.
+            // Rounding makes the triangles of (I − K H) P differ by a few bits, which do not accumulate.
             let asymmetry = (covariance - covariance.transpose()).amax();
             prop_assert!(asymmetry <= 1e-12 * covariance.amax(), "{asymmetry:e}");
             prop_assert!(covariance.cholesky().is_some(), "{covariance}");
@@ -152,7 +152,7 @@ proptest! {
 }
 
 #[test]
-fn tau_of_a_new_object_and_in_the_steady_state_are_the_published_ones() {
+fn tau_of_a_new_object_and_in_the_steady_state_are_as_published() {
     let size = PictureSize::new(1280, 720);
     let model = FilterModel::new(&FilterParameters::default(), size);
     let here = BoundingBox::new(0.5, 0.5, 0.1, 0.1);

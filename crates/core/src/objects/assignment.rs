@@ -222,7 +222,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_total_is_the_smallest_there_is((rows, columns, cost) in matrices(6)) {
+        fn the_total_cost_is_minimal((rows, columns, cost) in matrices(6)) {
             let mut solver = AssignmentSolver::default();
             let pairs = solver.solve(rows, columns, &cost);
             prop_assert_eq!(pairs.len(), rows.min(columns));
@@ -232,7 +232,7 @@ mod tests {
 
         /// `lsap` is a port of SciPy's solver, so even ties must agree.
         #[test]
-        fn pairs_are_those_of_scipy_ties_included((rows, columns, cost) in matrices(40)) {
+        fn pairs_equal_those_of_scipy_even_with_ties((rows, columns, cost) in matrices(40)) {
             let mut solver = AssignmentSolver::default();
             // A used solver must answer as a fresh one.
             solver.solve(2, 3, &[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]);
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_is_empty_or_cannot_be_solved_has_no_pairs() {
+    fn an_empty_or_unsolvable_matrix_has_no_pairs() {
         let mut solver = AssignmentSolver::default();
         assert!(solver.solve(0, 5, &[]).is_empty());
         assert!(solver.solve(5, 0, &[]).is_empty());

@@ -186,7 +186,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn as_many_pairs_as_can_be_at_the_smallest_cost((rows, columns, edges) in graphs()) {
+        fn the_most_pairs_are_found_at_the_smallest_cost((rows, columns, edges) in graphs()) {
             let mut solver = ComponentSolver::default();
             let mut pairs = Vec::new();
             // A used solver must answer as a fresh one.

@@ -28,7 +28,7 @@ mod tests {
     use crate::geometry::BoundingBox;
 
     #[test]
-    fn only_detections_that_a_filter_can_digest_are_let_in() {
+    fn only_detections_that_a_filter_can_process_are_accepted() {
         let good = Detection {
             bounding_box: BoundingBox::new(0.5, 0.5, 0.1, 0.2),
             class: ClassId(0),

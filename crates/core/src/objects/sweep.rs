@@ -72,7 +72,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn all_that_overlap_are_found_and_no_other(ones in boxes(), many in boxes()) {
+        fn exactly_the_overlapping_boxes_are_found(ones in boxes(), many in boxes()) {
             let mut sweep = Sweep::default();
             // A used one must answer as a fresh one.
             sweep.fill(ones.iter().copied());

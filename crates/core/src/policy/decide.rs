@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_is_given_up_leaves_the_outcome_and_the_next_one_is_decided() {
+    fn an_abandoned_frame_keeps_the_outcome_and_the_next_one_is_decided() {
         let mut policy = Albireo::new(AlbireoSettings::paper(), 3e-4).unwrap();
         let found = [seen(0.5, 0.9)];
         let mut known = FrameEvidence::in_view(&found);

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn one_object_is_published_once() {
+    fn an_object_is_published_once() {
         // Each overlaps the next by about .8, and the second next by .67.
         let row = [
             one(0.50, 0, 0.6, BoxSource::Predicted),

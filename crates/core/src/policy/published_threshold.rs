@@ -79,7 +79,7 @@ mod tests {
     ];
 
     #[test]
-    fn at_the_papers_size_both_filters_are_the_same_to_the_last_bit() {
+    fn at_the_papers_size_both_filters_are_identical_to_the_last_bit() {
         let picture = PictureSize::new(1280, 720);
         let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
         let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filter_of_the_paper_does_not_know_the_size() {
+    fn the_filter_of_the_paper_ignores_the_size() {
         let models = SIZES.map(|size| FilterModel::new(&AlbireoSettings::paper().filter, size));
         assert!(models.windows(2).all(|pair| pair[0] == pair[1]));
     }
@@ -151,8 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slider_of_u_begins_where_it_makes_a_difference_and_ends_where_the_paper_is_left_far_behind()
-     {
+    fn the_range_of_u_covers_every_useful_value() {
         let model = FilterModel::new(
             &AlbireoSettings::paper().filter,
             PictureSize::new(1280, 720),

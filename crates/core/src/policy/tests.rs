@@ -1,4 +1,4 @@
-//! What every policy promises, whatever is done to it.
+//! The promises that every policy keeps under any sequence of events.
 
 mod camera;
 
@@ -10,7 +10,7 @@ use super::*;
 use crate::detection::ClassId;
 use proptest::prelude::*;
 
-/// What becomes of one frame.
+/// The fate of a frame.
 #[derive(Clone, Debug)]
 struct Event {
     step: u32,
@@ -58,7 +58,7 @@ fn detections(found: &[(f64, f64, bool)]) -> Vec<Detection> {
     found.iter().map(detection).collect()
 }
 
-/// Plays one frame; returns its outcome unless it was given up, and how often the detector answered.
+/// Plays one frame; returns its outcome unless it was abandoned, and how often the detector answered.
 fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>, usize) {
     let picture = match event.small_picture {
         true => PictureSize::new(64, 36),
@@ -92,7 +92,7 @@ fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>,
         answered += usize::from(matches!(evidence, Some(Evidence::Detections(_))));
         need = policy.answer(evidence.unwrap_or(Evidence::Unavailable));
         answers += 1;
-        assert!(answers <= 3, "the questions never end");
+        assert!(answers <= 3, "too many requests");
     }
     let mut outcome = Outcome::default();
     policy.finish(&mut outcome);
@@ -103,7 +103,7 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     let state = outcome.state;
     assert_eq!(state.is_skipped(), answered == 0, "{name}: {state}");
     assert!(answered <= 1, "{name}");
-    // The detector is called for a cause, and for none it is not.
+    // Every detector call has a cause, and every cause a call.
     let called = answered > 0 || outcome.degraded;
     assert_eq!(
         outcome.cause.is_some(),
@@ -126,7 +126,7 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     }
 }
 
-/// Every policy under every profile, with the threshold `u` where it has that.
+/// Every policy under every profile, with the threshold `u` if it has one.
 fn all_policies(u: f64) -> impl Iterator<Item = PolicyConfig> {
     known_policies().flat_map(move |name| {
         [Profile::Paper, Profile::Reference].map(|profile| PolicyConfig {
@@ -156,7 +156,7 @@ proptest! {
                     check(&config.name, &outcome, answered);
                 }
             }
-            // After a reset a policy decides as a new one.
+            // After a reset a policy decides like a new one.
             policy.reset();
             let mut fresh = config.build().unwrap();
             for (index, event) in (0u64..).zip(&script) {
@@ -171,7 +171,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
-    fn without_pictures_flow_decides_to_the_last_bit_as_if_it_were_off(
+    fn without_pictures_flow_changes_no_bit_of_the_decisions(
         events in events(),
         knob in 0.0..1.0f64,
     ) {
@@ -196,7 +196,7 @@ proptest! {
 }
 
 #[test]
-fn a_knob_is_in_force_as_configured_and_takes_no_value_out_of_its_range() {
+fn a_knob_has_its_configured_value_and_rejects_values_out_of_range() {
     for name in known_policies() {
         let config = PolicyConfig {
             name: name.to_owned(),

@@ -1,4 +1,4 @@
-//! A node that is made of a few straight lines, second by second: time is counted and never waited for.
+//! Simulates a node by a few straight lines, second by second in virtual time.
 
 use super::*;
 use crate::audit::{AuditSquares, AuditSums};
@@ -10,7 +10,7 @@ const RANGE: KnobRange = KnobRange {
     most: 2.0,
 };
 
-/// A camera on a detector, and what they use.
+/// A camera with a detector, and what they consume.
 #[derive(Clone)]
 struct Plant {
     rate: f64,
@@ -19,10 +19,10 @@ struct Plant {
     steepness: f64,
     detector_ms: f64,
     idle_watts: f64,
-    /// Watts of a detector that always works.
+    /// Watts of a detector that is always busy.
     detector_watts: f64,
     random: u64,
-    /// Frames until the detector is called next.
+    /// Frames until the next detector call.
     until_call: f64,
     owed: f64,
 }
@@ -54,7 +54,7 @@ impl Plant {
         (self.busy - self.steepness * (knob / 0.3).ln()).clamp(0.04, 1.0)
     }
 
-    /// A second with the knob at that value. The pauses between calls vary as they do on a road.
+    /// Plays a second with the knob at this value. The pauses between calls vary as they do on roads.
     fn second(&mut self, knob: f64) -> Measured {
         self.owed += self.rate;
         let frames = self.owed.floor();
@@ -83,7 +83,7 @@ impl Plant {
     }
 }
 
-/// Lets `seconds` pass; every state.
+/// Lets `seconds` pass; returns every state.
 fn run(controller: &mut TargetController, plant: &mut Plant, seconds: u32) -> Vec<TargetState> {
     (0..seconds)
         .map(|_| {
@@ -93,7 +93,7 @@ fn run(controller: &mut TargetController, plant: &mut Plant, seconds: u32) -> Ve
         .collect()
 }
 
-/// After a minute it is within 10 % of the target and stays there, and within 3 % of it on the mean.
+/// Asserts that after a minute the value stays within 10 % of the target, and its mean is within 3 %.
 fn settles(controller: &mut TargetController, plant: &mut Plant, what: &str) {
     let what = format!("{}, {what}", controller.target());
     let wanted = controller.target().value();
@@ -109,14 +109,14 @@ fn settles(controller: &mut TargetController, plant: &mut Plant, what: &str) {
     assert!(held.count() > 180, "{what}");
 }
 
-/// With 15 frames per second, 40 ms and 13 W at most these can be met in all the scenes below.
+/// Targets that can be met in all the scenes below, with 15 frames per second, 40 ms and at most 13 W.
 const LOAD_TARGETS: [Target; 2] = [Target::SkipRate(0.5), Target::Watts(6.4)];
 
 #[test]
 fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detector() {
     for (target, seed) in LOAD_TARGETS.into_iter().zip(1..) {
         let mut plant = Plant::new(seed);
-        // From the far end of the range.
+        // Starting from the far end of the range.
         let mut controller = TargetController::new(target, RANGE, 0.05).unwrap();
         settles(&mut controller, &mut plant, "at the start");
         let scenes = [
@@ -134,7 +134,7 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
 }
 
 #[test]
-fn with_three_frames_a_second_it_takes_longer_and_does_not_swing() {
+fn three_frames_per_second_settle_slower_without_oscillation() {
     let mut plant = Plant::new(71);
     plant.rate = 3.0;
     let mut controller = TargetController::new(Target::SkipRate(0.5), RANGE, 0.05).unwrap();
@@ -146,26 +146,26 @@ fn with_three_frames_a_second_it_takes_longer_and_does_not_swing() {
 }
 
 #[test]
-fn a_knob_that_answers_twice_or_half_as_much_is_held_too() {
+fn a_knob_with_twice_or_half_the_effect_settles_too() {
     for (steepness, seed) in [(0.44, 11), (0.12, 12)] {
         for target in LOAD_TARGETS {
             let mut plant = Plant::new(seed);
             plant.steepness = steepness;
             let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
-            // The flat one takes longer.
+            // The flat scene takes longer.
             run(&mut controller, &mut plant, 60);
-            settles(&mut controller, &mut plant, "another answer");
+            settles(&mut controller, &mut plant, "another steepness");
         }
     }
 }
 
 #[test]
-fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
+fn an_overload_is_reported_counted_and_left_within_a_minute_of_its_end() {
     let target = Target::Watts(5.8);
     let mut plant = Plant::new(21);
     let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
     settles(&mut controller, &mut plant, "before");
-    // Throttled: six times as slow, and a crowd.
+    // Throttling makes the detector six times slower, and a crowd comes.
     plant.detector_ms = 240.0;
     plant.busy = 1.0;
     let states = run(&mut controller, &mut plant, 600);
@@ -174,7 +174,7 @@ fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
     assert!((last.knob - RANGE.most).abs() < 1e-9);
     assert_eq!(last.unmet, 1);
     assert!((450.0..600.0).contains(&last.unmet_s), "{last:?}");
-    // However long it lasted, nothing has wound up.
+    // No integral has wound up, however long it lasted.
     plant.detector_ms = 40.0;
     plant.busy = 0.6;
     settles(&mut controller, &mut plant, "after");
@@ -183,7 +183,7 @@ fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
 }
 
 #[test]
-fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
+fn a_load_below_the_target_at_the_accurate_end_counts_as_met() {
     let mut plant = Plant::new(31);
     plant.busy = 0.0;
     let target = Target::Watts(7.5);
@@ -195,7 +195,7 @@ fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
 }
 
 #[test]
-fn a_step_of_a_minute_turns_the_knob_no_further_than_one_of_two_seconds() {
+fn a_step_of_a_minute_moves_the_knob_no_further_than_one_of_two_seconds() {
     let turned = |seconds: f64| {
         let mut plant = Plant::new(61);
         let mut controller = TargetController::new(Target::SkipRate(0.8), RANGE, 0.1).unwrap();
@@ -211,7 +211,7 @@ fn a_step_of_a_minute_turns_the_knob_no_further_than_one_of_two_seconds() {
 }
 
 #[test]
-fn a_restart_with_the_kept_value_goes_on_where_it_was() {
+fn a_restart_continues_from_the_stored_value() {
     for target in LOAD_TARGETS {
         let mut plant = Plant::new(41);
         let mut controller = TargetController::new(target, RANGE, 1.0).unwrap();
@@ -242,7 +242,7 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_reported() {
         watts: Some(4.0),
         ..Measured::default()
     };
-    // The frames of the seconds before are in the window for a while.
+    // Frames of the previous seconds stay in the window for a while.
     for _ in 0..61 {
         controller.step(&silence);
     }
@@ -253,7 +253,7 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_reported() {
     assert!((controller.knob() - knob).abs() < 1e-9);
 }
 
-/// A second of audit: boxes of the detector and how many had been shown, falling with the knob.
+/// A second of audit: the detector's boxes, and how many were shown, which falls as the knob rises.
 fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
     let recall = (at_default - 0.05 * (knob / 0.3).ln()).clamp(0.0, 1.0);
     let mut sums = AuditSums::default();
@@ -274,7 +274,7 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
 }
 
 #[test]
-fn the_target_of_recall_stands_still_while_more_than_a_fifth_of_the_audit_is_missed() {
+fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
     let mut plant = Plant::new(71);
     let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
     let mut hour = |missed_of_ten: u64| {
@@ -300,7 +300,7 @@ fn the_target_of_recall_stands_still_while_more_than_a_fifth_of_the_audit_is_mis
 }
 
 #[test]
-fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_is_said() {
+fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let target = Target::Recall(0.85);
     let mut plant = Plant::new(61);
     let mut controller = TargetController::new(target, RANGE, 2.0).unwrap();
@@ -342,7 +342,7 @@ fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_i
 }
 
 #[test]
-fn targets_that_cannot_be_are_refused_with_a_reason() {
+fn impossible_targets_are_rejected_with_a_reason() {
     for wrong in [
         Target::SkipRate(1.0),
         Target::SkipRate(f64::NAN),
@@ -369,7 +369,7 @@ fn targets_that_cannot_be_are_refused_with_a_reason() {
 }
 
 #[test]
-fn the_range_is_what_costs_little_accuracy_unless_said_and_other_knobs_are_refused() {
+fn the_default_range_costs_little_accuracy_and_other_knobs_are_rejected() {
     let range = KnobRange::of("albireo", Some(&Albireo::KNOB), None, None).unwrap();
     assert_eq!((range.least, range.most), (1.5e-4, 2e-3));
     let knob = &ExpectedLoss::KNOB;
@@ -403,7 +403,7 @@ fn any_number() -> impl Strategy<Value = f64> {
 
 proptest! {
     #[test]
-    fn whatever_is_measured_the_knob_stays_a_number_in_its_range(
+    fn with_any_measurement_the_knob_stays_in_its_range(
         steps in prop::collection::vec(
             (any_number(), any::<u32>(), any::<u32>(), prop::option::of(any_number())),
             1..40

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_json_it_has_the_digits_it_means() {
+    fn the_json_has_only_significant_digits() {
         let found = Estimate {
             value: 2.0 / 3.0,
             low: 0.0,
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_that_agree_leave_little_doubt_and_blocks_that_do_not_much() {
+    fn agreeing_blocks_give_a_narrow_interval_and_others_a_wide_one() {
         let alike = [[9.0, 10.0], [18.0, 20.0], [9.0, 10.0], [9.0, 10.0]];
         let sure = Estimate::ratio(alike.into_iter()).unwrap();
         assert!((sure.value - 0.9).abs() < 1e-12);
@@ -94,14 +94,14 @@ mod tests {
     }
 
     #[test]
-    fn one_block_says_nothing_of_the_spread_and_none_says_nothing() {
+    fn one_block_has_no_spread_and_none_has_no_estimate() {
         let one = Estimate::ratio([[9.0, 10.0], [0.0, 0.0]].into_iter()).unwrap();
         assert_eq!((one.low, one.high), (0.0, 1.0));
         assert_eq!(Estimate::ratio([[0.0, 0.0]].into_iter()), None);
     }
 
     #[test]
-    fn the_interval_is_students_where_all_blocks_weigh_the_same() {
+    fn the_interval_is_students_for_blocks_of_equal_weight() {
         // .45, .5, .5, .55 a block: mean .5, standard error 0.020412, t(3) = 3.182446.
         let parts = [0.45, 0.5, 0.5, 0.55].map(|value| [value, 1.0]);
         let found = Estimate::ratio(parts.into_iter()).unwrap();

@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_target_is_read_by_its_name_and_what_cannot_be_is_refused_in_words() {
+    fn a_target_is_read_by_its_name_and_an_impossible_one_is_rejected_with_a_reason() {
         assert_eq!("recall=0.95".parse(), Ok(Target::Recall(0.95)));
         assert_eq!("skip_rate = 0.5".parse(), Ok(Target::SkipRate(0.5)));
         for (text, part) in [

@@ -115,10 +115,8 @@ fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero
     assert_eq!(nothing, None);
     let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
     let result = pooled(&[], &truths);
-    assert_eq!(
-        (result.ap50, result.precision, result.recall),
-        (0.0, 0.0, 0.0)
-    );
+    let figures = [result.ap50, result.precision, result.recall];
+    assert_eq!(figures, [0.0; 3]);
 }
 
 #[test]
@@ -136,7 +134,7 @@ fn separate_classes_do_not_match_each_other_and_are_averaged() {
     assert_eq!(separate.ap50, 0.5);
 }
 
-/// The definition, written without any of the shortcuts.
+/// The definition, without shortcuts.
 fn slow_average_precision(
     predictions: &[Vec<ScoredBox>],
     truth: &[Vec<ScoredBox>],
@@ -194,7 +192,7 @@ fn some_box() -> impl Strategy<Value = Corners> {
 
 proptest! {
     #[test]
-    fn the_fast_way_equals_the_definition(
+    fn the_fast_algorithm_equals_the_definition(
         frames in proptest::collection::vec(
             (
                 proptest::collection::vec((some_box(), 0..6u8), 0..8),
@@ -220,7 +218,7 @@ proptest! {
 }
 
 #[test]
-fn boxes_in_an_ignored_region_are_no_false_alarms_and_found_objects_there_count() {
+fn boxes_in_an_ignored_region_are_no_false_positives_and_found_objects_there_count() {
     let region = square(100.0, 0.0, 100.0);
     let half_outside = square(60.0, 0.0, 80.0);
     let mostly_outside = square(50.0, 0.0, 80.0);
@@ -236,11 +234,11 @@ fn boxes_in_an_ignored_region_are_no_false_alarms_and_found_objects_there_count(
     let judged = outside_ignored(&[found, later], &truths, &[vec![region]]);
     let confidences = |frame: &[ScoredBox]| frame.iter().map(|b| b.confidence).collect::<Vec<_>>();
     assert_eq!(confidences(&judged[0]), [0.7, 0.6, 0.5]);
-    // The region is the first frame's.
+    // The region belongs to the first frame.
     assert_eq!(confidences(&judged[1]), [0.9]);
 }
 
-/// `count` boxes, 20 a frame, each predicted a little off its place.
+/// `count` boxes, 20 per frame, each predicted slightly off its place.
 fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>) {
     let place = |frame: usize, index: usize| {
         let x = ((frame * 37 + index * 61) % 1200) as f64;
@@ -253,11 +251,8 @@ fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>
         boxes(frame)
             .map(|(index, c)| {
                 let x1 = c.x1 + off_by(index);
-                let corners = Corners {
-                    x1,
-                    x2: x1 + 80.0,
-                    ..c
-                };
+                let x2 = x1 + 80.0;
+                let corners = Corners { x1, x2, ..c };
                 scored(corners, ((frame * 7 + index) % 101) as f64 / 101.0)
             })
             .collect()
@@ -266,9 +261,9 @@ fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>
     (predictions.collect(), truth.collect())
 }
 
-/// Sorting apart, the work is in the pairs compared.
+/// Apart from sorting, the work is in the compared pairs.
 #[test]
-fn a_million_boxes_are_compared_in_a_number_of_pairs_linear_in_their_number() {
+fn a_million_boxes_need_a_linear_number_of_comparisons() {
     let pairs = [10_000, 100_000, 1_000_000].map(|count| {
         let (predictions, truth) = spread_over_frames(count);
         let matching = Matching::new(&predictions, &truth, None);

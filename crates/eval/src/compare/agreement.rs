@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_boxes_agree_wholly_and_shifted_ones_by_what_overlaps() {
+    fn identical_boxes_agree_fully_and_shifted_ones_by_their_overlap() {
         let reference: Boxes = [
             (0, vec![at(0.0, 0.9), at(50.0, 0.8)]),
             (1, vec![at(0.0, 0.9)]),
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn only_frames_that_both_answered_are_judged() {
+    fn only_frames_that_both_answered_are_compared() {
         let reference: Boxes = [(0, vec![at(0.0, 0.9)]), (1, vec![at(0.0, 0.9)])].into();
         let other: Boxes = [(1, vec![at(0.0, 0.9)]), (2, vec![at(0.0, 0.9)])].into();
         let found = agreement(&other, &reference).unwrap();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_without_boxes_says_nothing() {
+    fn a_reference_without_boxes_gives_no_figure() {
         let empty: Boxes = [(0, vec![])].into();
         assert_eq!(agreement(&empty, &empty), None);
         assert_eq!(agreement(&Boxes::new(), &Boxes::new()), None);

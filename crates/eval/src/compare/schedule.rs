@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_second_round_is_in_reverse_order() {
+    fn every_second_round_runs_in_reverse_order() {
         let order: Vec<_> = schedule(3, 3).iter().map(|run| run.variant).collect();
         assert_eq!(order, [0, 1, 2, 2, 1, 0, 0, 1, 2]);
         assert_eq!(

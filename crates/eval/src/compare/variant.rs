@@ -64,10 +64,10 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_is_refused_with_what_to_do() {
+    fn an_impossible_comparison_is_rejected_with_a_remedy() {
         let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
         assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("--policy albireo"));
-        assert!(refused(&["albireo"], &[]).contains("name a second policy"));
+        assert!(refused(&["albireo"], &[]).contains("name a second one"));
         assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));
     }
 }

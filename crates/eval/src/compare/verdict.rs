@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_was_skipped_the_sentence_says_what_to_try() {
+    fn without_skipped_frames_the_verdict_gives_advice() {
         let mut runs = vec![run(0, 0, 100, None), run(0, 1, 100, None)];
         runs[1].advice = Some(Suggestion {
             knob: "u",
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn one_round_and_a_clip_not_played_at_its_own_pace_say_nothing_of_a_year() {
+    fn one_round_or_an_unpaced_clip_gives_no_yearly_figure() {
         let runs = |rounds: usize| {
             let two = |round| {
                 [
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn calls_whose_rounds_disagree_are_no_clear_difference() {
+    fn calls_that_differ_between_rounds_are_no_clear_difference() {
         let calls = [(100, 20), (100, 95), (100, 85)];
         let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
             [run(round, 0, first, None), run(round, 1, own, None)]

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pedestrian_and_rider_are_both_person_so_that_seven_classes_are_six() {
+    fn pedestrian_and_rider_are_both_mapped_to_person() {
         let mapped: std::collections::BTreeSet<u16> = albireo_core::detection::BDD100K_CLASSES
             .iter()
             .map(|name| match from_name(name) {

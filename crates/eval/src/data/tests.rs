@@ -13,7 +13,7 @@ fn folder(files: &[(&str, &str)]) -> TempDir {
     folder
 }
 
-/// That `read` was refused with a sentence that has all of `parts`.
+/// Asserts that `read` failed with an error that contains all of `parts`.
 fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     let message = read.expect_err("it must be refused").to_string();
     for part in parts {
@@ -21,7 +21,7 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     }
 }
 
-/// That what is written is read back to the last bit.
+/// Asserts that written clips are read back to the last bit.
 fn assert_written_back(clips: &DataSet) {
     let copy = tempfile::tempdir().unwrap();
     recorded::write(copy.path(), &clips.clips).unwrap();
@@ -59,14 +59,14 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
 }
 
 #[test]
-fn what_is_written_is_read_back_to_the_last_bit() {
+fn written_data_is_read_back_to_the_last_bit() {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
     let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
     assert_written_back(&clips);
 }
 
 #[test]
-fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
+fn ignored_regions_are_read_frame_by_frame_and_written_back() {
     let files = folder(&[
         ("sequences.json", INDEX),
         ("detections/a.csv", HEADER),
@@ -87,38 +87,27 @@ fn missing_ground_truth_that_the_index_counts_is_named() {
 
 #[test]
 fn a_broken_row_is_named_with_file_and_line() {
-    for (rows, part) in [
-        ("0,1,2,3,4,0.9,2\n0,1,2,3,4,0.9\n", "the row has 6 columns"),
-        ("0,1,2,3,4,0.9,2\n0,1,2,x,4,0.9,2\n", "`x2` is `x`"),
-        (
-            "0,1,2,3,4,0.9,2\n3,1,2,3,4,0.9,2\n",
-            "frame 3 does not exist",
-        ),
-        (
-            "0,1,2,3,4,0.9,2\n-1,1,2,3,4,0.9,2\n",
-            "frame -1 does not exist",
-        ),
-        ("0,1,2,3,4,0.9,2\n0.5,1,2,3,4,0.9,2\n", "`frame` is `0.5`"),
-        ("0,1,2,3,4,0.9,2\n0,1,2,3,4,0.9,-2\n", "`class` is `-2`"),
+    for (row, part) in [
+        ("0,1,2,3,4,0.9", "the row has 6 columns"),
+        ("0,1,2,x,4,0.9,2", "`x2` is `x`"),
+        ("3,1,2,3,4,0.9,2", "frame 3 does not exist"),
+        ("-1,1,2,3,4,0.9,2", "frame -1 does not exist"),
+        ("0.5,1,2,3,4,0.9,2", "`frame` is `0.5`"),
+        ("0,1,2,3,4,0.9,-2", "`class` is `-2`"),
     ] {
-        assert_refused(
-            recorded(INDEX, Some(rows), None),
-            &["detections/a.csv:3: ", part],
-        );
+        let rows = format!("0,1,2,3,4,0.9,2\n{row}\n");
+        let parts = ["detections/a.csv:3: ", part];
+        assert_refused(recorded(INDEX, Some(&rows), None), &parts);
     }
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
-    assert_refused(
-        recorded::read(files.path()),
-        &["a.csv:1: the header is `frame,x`"],
-    );
-    assert_refused(
-        recorded("{\n\"sequences\": [{]}", Some(""), None),
-        &["sequences.json:2: "],
-    );
+    let header = "a.csv:1: the header is `frame,x`";
+    assert_refused(recorded::read(files.path()), &[header]);
+    let index = "{\n\"sequences\": [{]}";
+    assert_refused(recorded(index, Some(""), None), &["sequences.json:2: "]);
 }
 
 #[test]
-fn a_description_that_cannot_be_is_refused() {
+fn an_impossible_description_is_rejected() {
     for (index, part) in [
         (
             INDEX.replace("\"a\"", "\"../a\""),
@@ -132,7 +121,7 @@ fn a_description_that_cannot_be_is_refused() {
 }
 
 #[test]
-fn meaningless_rows_are_left_out_counted_and_named() {
+fn meaningless_rows_are_dropped_counted_and_named() {
     let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
                 0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
     let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
@@ -143,16 +132,14 @@ fn meaningless_rows_are_left_out_counted_and_named() {
     assert_eq!(counted(LeftOut::OutsidePicture), 1);
     assert_eq!(counted(LeftOut::ConfidenceRange), 1);
     assert_eq!(report.reaching_outside, 1);
-    assert_eq!(
-        clips.clips[0].detections.iter().flatten().flatten().count(),
-        1
-    );
+    let kept = clips.clips[0].detections.iter().flatten().flatten();
+    assert_eq!(kept.count(), 1);
     let lines = report.lines().join("\n");
     assert!(lines.contains("detections/a.csv:2"), "{lines}");
 }
 
 #[test]
-fn what_a_clip_lacks_is_said_and_an_empty_clip_is_counted() {
+fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
     let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
     let lines = clips.report.lines().join("\n");
     assert!(lines.contains("no detections"), "{lines}");
@@ -186,11 +173,8 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     let truth = clip.truth.as_ref().unwrap();
     let objects: Vec<_> = truth[0].iter().map(|b| (b.object, b.class)).collect();
     assert_eq!(objects, [(Some(4), PERSON), (Some(7), PERSON)]);
-    let corners = truth[0][0].corners;
-    assert_eq!(
-        (corners.x1, corners.y1, corners.x2, corners.y2),
-        (10.0, 20.0, 20.0, 40.0)
-    );
+    let c = truth[0][0].corners;
+    assert_eq!([c.x1, c.y1, c.x2, c.y2], [10.0, 20.0, 20.0, 40.0]);
     assert!(truth[1].is_empty());
     assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
     assert_eq!(clips.report.unmapped_classes["6"], 1);
@@ -201,18 +185,13 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
 }
 
 #[test]
-fn kitti_tracking_maps_its_types_and_counts_what_it_leaves_out() {
+fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
     let label = "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
                  0 -1 DontCare -1 -1 -10 1 1 5 5 -1 -1 -1 -1 -1 -1 -1\n\
                  2 2 Tram 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
                  2 3 Cyclist 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n";
-    let files = folder(&[
-        ("label_02/0007.txt", label),
-        (
-            "det_02/0007.txt",
-            "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n",
-        ),
-    ]);
+    let found = "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n";
+    let files = folder(&[("label_02/0007.txt", label), ("det_02/0007.txt", found)]);
     let clips = kitti::read(files.path()).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("0007", 4));
@@ -247,26 +226,20 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
     let boxes = clip.truth.as_ref().unwrap();
-    assert_eq!(
-        (boxes[0][0].class, boxes[0][0].object),
-        (PERSON, Some(122_062))
-    );
+    let rider = boxes[0][0];
+    assert_eq!((rider.class, rider.object), (PERSON, Some(122_062)));
     assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
     assert_eq!(clips.report.unmapped_classes["trailer"], 1);
-    // Ground truth instead of predictions is noticed, and so is a frame that comes twice.
-    assert_refused(
-        bdd100k::read(&source(None, Some(&truth))),
-        &["has no `score`"],
-    );
+    // Ground truth in place of predictions is an error, and so is a repeated frame.
+    let swapped = bdd100k::read(&source(None, Some(&truth)));
+    assert_refused(swapped, &["has no `score`"]);
     let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
-    assert_refused(
-        bdd100k::read(&source(Some(&twice.path().join("gt.json")), None)),
-        &["occurs twice"],
-    );
+    let repeated = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None));
+    assert_refused(repeated, &["occurs twice"]);
 }
 
 #[test]
-fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
+fn clips_without_detections_are_dropped_by_name_or_rejected() {
     let frame = r#"{"name": "f", "videoName": "NAME", "frameIndex": 0, "labels": [
         {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}"#;
     let (a, b) = (frame.replace("NAME", "a"), frame.replace("NAME", "b"));
@@ -282,22 +255,18 @@ fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
         frame_rate: None,
     };
     let clips = bdd100k::read(&source).unwrap();
-    let clips = clips
-        .only_with_detections(&truth)
-        .expect("one clip has both");
+    let clips = clips.only_with_detections(&truth).unwrap();
     assert_eq!(clips.clips.len(), 1);
     let lines = clips.report.lines().join("\n");
-    assert!(
-        lines.contains("b: ground truth without stored detections"),
-        "{lines}"
-    );
+    let expected = "b: ground truth without stored detections";
+    assert!(lines.contains(expected), "{lines}");
     source.detections = None;
     let clips = bdd100k::read(&source).unwrap();
     assert_refused(clips.only_with_detections(&truth), &["--detections"]);
 }
 
 #[test]
-fn coco_groups_images_into_clips_and_leaves_out_crowds() {
+fn coco_groups_images_into_clips_and_drops_crowds() {
     let set = r#"{"images": [
         {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
         {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
@@ -327,7 +296,7 @@ fn coco_groups_images_into_clips_and_leaves_out_crowds() {
 }
 
 #[test]
-fn clips_of_one_name_get_different_names_fit_for_files() {
+fn clips_with_equal_names_get_different_file_names() {
     let mut clips = DataSet::default();
     for name in ["a/b", "a-b", "..", "a-b"] {
         clips.push(Clip::new(name.to_owned(), PictureSize::new(10, 10), 1));

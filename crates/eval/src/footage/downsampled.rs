@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_taken_as_evenly_as_can_be() {
+    fn frames_are_selected_as_evenly_as_possible() {
         assert_eq!(taken(FrameSelection::new(25.0, 5.0), 20), [0, 5, 10, 15]);
         assert_eq!(taken(FrameSelection::new(25.0, 10.0), 11), [0, 3, 5, 8, 10]);
         assert_eq!(taken(FrameSelection::new(12.5, 25.0), 3), [0, 1, 2]);

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn each_folder_of_the_demonstrations_road_is_a_clip() {
+    fn each_folder_of_the_demo_is_a_clip() {
         let road = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
         let name: SourceName = road.parse().unwrap();
         let names = ["busy", "sparse", "empty-then-car", "night"];

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn an_archive_that_cannot_be_played_is_refused_by_name() {
+    fn an_unplayable_archive_is_rejected_by_name() {
         let refused = |file: &Path| Pictures::of_archive(file, 5.0).unwrap_err().to_string();
         let missing = refused(Path::new("no/such.tar"));
         assert!(missing.starts_with("no/such.tar: "), "{missing}");
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_s_pictures_come_in_order_to_the_end_and_again() {
+    fn pictures_of_a_folder_come_in_order_and_can_be_rewound() {
         let folder = tempfile::tempdir().unwrap();
         let picture = |name: &str, side: u16| {
             let file = jpeg_encoder::Encoder::new_file(folder.path().join(name), 80).unwrap();

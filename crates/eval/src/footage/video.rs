@@ -337,7 +337,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rate_is_a_fraction_that_makes_sense() {
+    fn a_rate_is_a_valid_fraction() {
         assert_eq!(rate("25/1"), Some(25.0));
         assert_eq!(rate("30000/1001"), Some(30000.0 / 1001.0));
         for text in ["0/0", "90000/1", "x", "-5/1", ""] {
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_s_address_is_refused_with_what_to_do() {
+    fn a_camera_address_is_rejected_with_a_remedy() {
         let address = "rtsp://user:hidden@camera/1";
         let error = Video::open(address, None, VideoEncoding::Jpeg, Ffmpeg::default());
         let text = error.unwrap_err().to_string();

@@ -13,11 +13,11 @@ use albireo_vision::picture::Picture;
 
 const PICTURE: PictureSize = PictureSize::new(100, 100);
 
-/// Asks for each kind of evidence in turn and notes what it was told.
+/// Asks for each kind of evidence in turn and records the answers.
 #[derive(Default)]
 struct Curious {
     script: Vec<Need>,
-    told: Vec<String>,
+    answers: Vec<String>,
     step: usize,
 }
 
@@ -47,7 +47,7 @@ impl Policy for Curious {
         self.next()
     }
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        self.told.push(match evidence {
+        self.answers.push(match evidence {
             Evidence::Screen { empty } => format!("screen {empty}"),
             Evidence::GreyPicture(grey) => format!("grey {}", grey.size),
             Evidence::Detections(found) => format!("detections {}", found.len()),
@@ -72,7 +72,7 @@ impl Policy for Curious {
     fn reset(&mut self) {}
 }
 
-/// A recording of two frames with a grey picture each; of the second the screen could not say anything.
+/// A recording of two frames with grey pictures; the second has no screen verdict.
 fn recording(found: &[ScoredBox]) -> Clip {
     let grey = Picture {
         size: PictureSize::new(2, 1),
@@ -90,7 +90,7 @@ fn recording(found: &[ScoredBox]) -> Clip {
     }
 }
 
-/// Of a detector that drops what is below 0.5.
+/// Replays a detector that drops detections below 0.5.
 fn replayed(
     policy: &mut dyn Policy,
     recording: &Clip,
@@ -106,21 +106,19 @@ fn replayed(
 }
 
 #[test]
-fn a_policy_gets_what_it_asks_for_and_learns_what_the_screen_could_not_say() {
+fn a_policy_gets_its_evidence_and_learns_of_missing_screen_verdicts() {
     let mut policy = Curious {
         script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
         ..Curious::default()
     };
     let result = replayed(&mut policy, &recording(&[]), Profile::Paper).expect("it runs");
-    let told = "screen false, grey 2x1, detections 0, unavailable, grey 2x1, detections 0";
-    assert_eq!(policy.told.join(", "), told);
-    assert_eq!(result.frames.len(), 2);
-    assert!(
-        result
-            .frames
-            .iter()
-            .all(|frame| frame.screen && frame.detector)
-    );
+    let expected = "screen false, grey 2x1, detections 0, unavailable, grey 2x1, detections 0";
+    assert_eq!(policy.answers.join(", "), expected);
+    let asked = result
+        .frames
+        .iter()
+        .map(|frame| (frame.screen, frame.detector));
+    assert_eq!(asked.collect::<Vec<_>>(), [(true, true); 2]);
 }
 
 #[test]
@@ -134,27 +132,25 @@ fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
 }
 
 #[test]
-fn the_boxes_a_node_publishes_are_judged_and_all_boxes_beside_them() {
+fn published_boxes_are_scored_and_all_boxes_as_well() {
     let recording = recording(&[]);
     let counts = |profile, least| {
         let floor = MinConfidence::new(least, 0.8);
         let mut source = StoredEvidence::new(&recording, &Settings::default()).unwrap();
         let result = replay(&mut Curious::default(), &mut source, profile, floor, false);
         let result = result.expect("it runs");
-        (
-            result.boxes[0].len(),
-            result.boxes_all.map(|all| all[0].len()),
-        )
+        let all = result.boxes_all.map(|all| all[0].len());
+        (result.boxes[0].len(), all)
     };
-    // The detector found it with a confidence of 0.7.
+    // The detection has a confidence of 0.7.
     assert_eq!(counts(Profile::Paper, None), (0, Some(1)));
     assert_eq!(counts(Profile::Paper, Some(0.7)), (1, Some(1)));
-    // The published evaluator judges every box.
+    // The published evaluator scores every box.
     assert_eq!(counts(Profile::Reference, None), (1, None));
 }
 
 #[test]
-fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_out() {
+fn a_policy_that_uses_pixels_is_rejected_on_stored_detections_with_a_remedy() {
     let mut policy = Curious {
         script: vec![Need::GreyPicture],
         ..Curious::default()
@@ -171,7 +167,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
 }
 
 #[test]
-fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyConfigError> {
+fn two_replays_of_a_policy_differ_only_in_time() -> Result<(), PolicyConfigError> {
     let mut policy = PolicyConfig::default().build()?;
     let found = scored(square(40.0, 40.0, 20.0), 0.9);
     let mut run = || {

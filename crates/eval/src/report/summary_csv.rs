@@ -100,7 +100,7 @@ mod tests {
     use albireo_core::policy::FrameState;
 
     #[test]
-    fn a_figure_that_does_not_exist_is_an_empty_cell() {
+    fn a_missing_figure_is_an_empty_cell() {
         let rows = rows(&[of_states("clip, one", "vanilla", &[FrameState::I])]);
         let cell = |name: &str| {
             let found = rows[0].iter().find(|(column, _)| *column == name);

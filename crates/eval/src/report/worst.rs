@@ -126,7 +126,7 @@ mod tests {
     use albireo_core::policy::FrameState;
 
     #[test]
-    fn a_picture_lies_under_the_boxes_and_one_that_is_gone_leaves_them() {
+    fn boxes_are_drawn_over_their_picture_or_alone_without_it() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("1.jpg");
         let encoder = jpeg_encoder::Encoder::new_file(&file, 80).unwrap();

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_cannot_be_is_refused_with_its_line() {
+    fn an_impossible_time_is_rejected_with_its_line() {
         for wrong in ["0", "-3", "60001", "nan", "inf"] {
             assert!(RunTimes::read(wrong).is_err(), "{wrong}");
         }

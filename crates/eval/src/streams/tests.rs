@@ -9,14 +9,14 @@ use albireo_core::policy::PolicyConfig;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
-/// With a detector whose runs take these milliseconds in turn.
+/// The stream at arrival with a detector whose runs take these times in turn, ms.
 fn at_arrival(milliseconds: &str) -> Stream {
     Stream::AtArrival {
         detector: RunTimes::read(milliseconds).unwrap(),
     }
 }
 
-/// Ten frames per second; one car that moves by `speed` pixels a frame.
+/// A clip at 10 frames per second of a car that moves by `speed` pixels per frame.
 fn drive_by(frames: usize, speed: f64) -> Clip {
     let car = |frame: usize| Corners {
         x1: 100.0 + speed * frame as f64,
@@ -64,14 +64,14 @@ fn left_edges(published: &Published) -> Vec<Option<i64>> {
 }
 
 #[test]
-fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
+fn vanilla_as_delivered_shows_the_latest_finished_boxes_on_every_frame() {
     let clip = drive_by(6, 10.0);
     // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
     let late = published(&clip, "vanilla", at_arrival("113"));
     let expected = [None, None, Some(100), Some(110), Some(120), Some(130)];
     assert_eq!(left_edges(&late), expected);
     assert_eq!(late.calls, 6);
-    // At 250 ms the newest frame is taken and the others are lost.
+    // At 250 ms the newest frame is used and the others are lost.
     let slow = published(&clip, "vanilla", at_arrival("250"));
     let expected = [None, None, None, Some(100), Some(100), Some(120)];
     assert_eq!(left_edges(&slow), expected);
@@ -90,7 +90,7 @@ fn measured_times_of_the_detector_are_used_in_turn() {
 }
 
 #[test]
-fn a_policy_that_answers_at_once_is_where_the_car_is() {
+fn a_policy_that_answers_at_once_shows_the_car_in_place() {
     let clip = drive_by(40, 6.0);
     let at_once = published(&clip, "expected-loss:0", at_arrival("113"));
     let edges = left_edges(&at_once);
@@ -99,7 +99,7 @@ fn a_policy_that_answers_at_once_is_where_the_car_is() {
         let off = edge.unwrap() - (100 + 6 * frame as i64);
         assert!(off.abs() <= 2, "frame {frame}: {off}");
     }
-    // One frame of two finds the detector free.
+    // Every second frame finds the detector free.
     assert_eq!(at_once.calls, 20);
     let waiting = published(&clip, "vanilla", at_arrival("113"));
     let behind = 100 + 6 * 30 - left_edges(&waiting)[30].unwrap();
@@ -107,7 +107,7 @@ fn a_policy_that_answers_at_once_is_where_the_car_is() {
 }
 
 #[test]
-fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
+fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
     let clip = drive_by(30, 6.0);
     let vanilla = published(&clip, "vanilla", Stream::Settled);
     let expected: Vec<_> = (0..30).map(|frame| Some(100 + 6 * frame)).collect();
@@ -116,24 +116,20 @@ fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
     let skipping = published(&clip, "fixed-skip-in-tracker:3", Stream::Settled);
     assert_eq!((skipping.boxes.len(), skipping.calls), (30, 10));
     for (frame, edge) in left_edges(&skipping).iter().enumerate().skip(6).take(20) {
-        assert!(
-            (edge.unwrap() - (100 + 6 * frame as i64)).abs() <= 1,
-            "frame {frame}"
-        );
+        let off = edge.unwrap() - (100 + 6 * frame as i64);
+        assert!(off.abs() <= 1, "frame {frame}: {off}");
     }
     assert!(skipping.delay >= 27, "{}", skipping.delay);
 }
 
 #[test]
-fn the_table_compares_with_vanilla_and_a_clip_without_times_is_refused() {
+fn the_table_compares_with_vanilla_and_a_clip_without_times_is_rejected() {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
-    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"))
-        .unwrap()
-        .table();
-    let mut rows = table
-        .lines()
-        .filter(|line| line.starts_with("expected-loss-0"));
+    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"));
+    let table = table.unwrap().table();
+    let rows = table.lines();
+    let mut rows = rows.filter(|line| line.starts_with("expected-loss-0"));
     assert!(rows.next().unwrap().contains(" 50.0 "), "{table}");
     assert!(rows.next().unwrap().contains(" +"), "{table}");
     assert!(table.lines().all(|line| line.len() <= 80), "{table}");

@@ -3,7 +3,7 @@ use crate::average_precision::Accuracy;
 use crate::replay::Replay;
 use albireo_core::policy::FrameState;
 
-/// What a policy made of a clip with frames of these states.
+/// The result of a policy on a clip with these frame states.
 pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> ClipResult {
     let mut result = ClipResult::from_replay(clip, policy, &Replay::default());
     result.frames = states.len();
@@ -50,7 +50,7 @@ fn differences_are_taken_clip_by_clip_over_the_clips_with_ground_truth() {
 }
 
 #[test]
-fn the_skip_frontier_holds_who_is_not_beaten() {
+fn the_skip_frontier_contains_every_unbeaten_policy() {
     let results = [
         result("a", "vanilla", Some(0.7), 0),
         result("a", "good", Some(0.6), 5),

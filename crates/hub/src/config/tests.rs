@@ -15,14 +15,13 @@ fn read(text: &str) -> Result<HubConfig, ConfigError> {
 
 #[test]
 fn the_shipped_file_is_exactly_the_defaults() {
-    assert_eq!(
-        load::<HubConfig>(Some(&shipped())).unwrap(),
-        HubConfig::default()
-    );
-    assert_eq!(load::<HubConfig>(None).unwrap(), HubConfig::default());
+    let shipped = shipped();
+    for file in [Some(&*shipped), None] {
+        assert_eq!(load::<HubConfig>(file).unwrap(), HubConfig::default());
+    }
 }
 
-/// The key of a line that sets one, also when it is commented out.
+/// The key that a line sets, even in a comment.
 fn key_of(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
     let plain = |byte: u8| byte.is_ascii_lowercase() || byte == b'_';
@@ -67,7 +66,7 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
 }
 
 #[test]
-fn a_key_that_is_not_given_has_the_hubs_default_and_not_the_nodes() {
+fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {
     let config =
         read("[zenoh]\nmulticast_scouting = true\n[http]\ncors_origins = [\"https://a.example\"]")
             .unwrap();
@@ -78,7 +77,7 @@ fn a_key_that_is_not_given_has_the_hubs_default_and_not_the_nodes() {
 }
 
 #[test]
-fn an_impossible_value_is_refused_with_its_key() {
+fn an_impossible_value_is_rejected_with_its_key() {
     for (text, key) in [
         ("[hub]\nprefix = \"a//b\"", "hub.prefix"),
         ("[zenoh]\nmode = \"boss\"", "zenoh"),
@@ -112,15 +111,13 @@ fn an_impossible_value_is_refused_with_its_key() {
         let error = read(text).expect_err(text);
         let found: Vec<String> = error.findings.iter().map(ToString::to_string).collect();
         assert_eq!(found.len(), 1, "{text}: {found:?}");
-        assert!(
-            found[0].starts_with(&format!("{key}: ")),
-            "{text}: {found:?}"
-        );
+        let expected = format!("{key}: ");
+        assert!(found[0].starts_with(&expected), "{text}: {found:?}");
     }
 }
 
 #[test]
-fn a_password_is_not_shown() {
+fn a_password_is_never_shown() {
     let config = DatabaseConfig {
         url: "postgres://hub:s3cret@db.example/fleet".into(),
         ..DatabaseConfig::default()

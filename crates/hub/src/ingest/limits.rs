@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn two_batches_of_a_node_may_wait_and_one_more_is_told_to_come_again() {
+    fn two_batches_of_a_node_may_wait_and_a_third_is_asked_to_retry() {
         let (limits, now) = (limits(), Instant::now());
         let first = limits.admit("a", now).unwrap();
         let _second = limits.admit("a", now).unwrap();
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn above_its_allowance_a_node_waits_and_a_backlog_of_weeks_drains_whole() {
+    fn above_its_allowance_a_node_waits_and_a_backlog_of_weeks_drains_completely() {
         let (limits, start) = (limits(), Instant::now());
         // Three weeks of one camera, five megabytes a day, and what is made meanwhile.
         let day = Duration::from_secs(86_400);
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_jumps_or_that_nodes_deny_is_not_believed() {
+    fn a_clock_that_jumps_or_disagrees_with_the_nodes_is_not_trusted() {
         let (start, start_ms) = (Instant::now(), 1_795_000_000_000);
         let hour = |hours: u64| start + Duration::from_secs(3600 * hours);
         let ms = |hours: i64| start_ms + 3_600_000 * hours;

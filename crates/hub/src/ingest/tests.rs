@@ -1,4 +1,4 @@
-//! What is decided of a report, by table.
+//! The decisions about a report, by table.
 
 mod hostile;
 
@@ -16,7 +16,7 @@ fn id(made_ms: i64) -> Uuid {
     Builder::from_unix_timestamp_millis(made_ms.unsigned_abs(), &[7; 10]).into_uuid()
 }
 
-/// The present by a hub, and by a node whose clock is that much ahead.
+/// The present according to a hub, and to a node whose clock is that much ahead.
 fn present(ahead_ms: i64) -> Present {
     Present {
         hub_ms: NOW_MS,
@@ -25,14 +25,14 @@ fn present(ahead_ms: i64) -> Present {
 }
 
 #[test]
-fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() {
+fn the_day_of_a_report_is_that_of_its_id_unless_implausible() {
     let day = |made_ms: i64, ahead_ms: i64| key(id(made_ms), present(ahead_ms)).unwrap().day;
     for days in [0, 1, 30] {
         assert_eq!(day(NOW_MS - days * DAY_MS, 0), 20_780 - days);
     }
-    // A little ahead, as clocks are.
+    // A clock that is slightly ahead.
     assert_eq!(day(NOW_MS + 3_600_000, 3_600_000), 20_780);
-    // The clock of the board at its boot, one of another decade, ones that ran ahead.
+    // A board's clock at boot, one of another decade, two that ran ahead.
     for (made_ms, wanted) in [
         (0, 20_780),
         (1_600_000_000_000, 20_780),
@@ -47,13 +47,13 @@ fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() 
 }
 
 #[test]
-fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() {
+fn a_report_older_than_the_kept_ids_is_rejected_if_the_clocks_agree() {
     let old = id(NOW_MS - 31 * DAY_MS);
     let reason = key(old, present(0)).unwrap_err();
     assert!(reason.contains("made 31 days ago"), "{reason}");
-    // A node whose clock is a month behind makes such identities today.
+    // A node whose clock is a month behind makes such ids today.
     assert_eq!(key(old, present(-31 * DAY_MS)).unwrap().day, -20_780);
-    // And a hub whose clock is a hundred days ahead refuses nothing.
+    // A hub whose clock is a hundred days ahead rejects nothing.
     let hub = Present {
         hub_ms: NOW_MS + 100 * DAY_MS,
         node_ms: NOW_MS,
@@ -62,7 +62,7 @@ fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() 
 }
 
 #[test]
-fn a_hub_whose_clock_was_behind_keeps_identities_once_it_is_right() {
+fn a_hub_whose_clock_was_behind_keeps_ids_once_it_is_correct() {
     for behind_ms in [100 * DAY_MS, NOW_MS] {
         let hub = Present {
             hub_ms: NOW_MS - behind_ms,
@@ -72,30 +72,23 @@ fn a_hub_whose_clock_was_behind_keeps_identities_once_it_is_right() {
     }
 }
 
-/// What is seen of counts of reports that are new.
+/// The results for counts of new reports.
 fn see(counts: &mut Counts, given: &[u64]) -> Vec<Seen> {
     given.iter().map(|count| counts.see(*count, true)).collect()
 }
 
-/// What is missing since the first count that came.
+/// The missing counts from `base` on.
 fn missing(counts: &Counts, base: u64) -> Vec<(u64, u64)> {
     let wanted = counts.wanted().iter().copied();
     wanted.filter(|(first, _)| *first >= base).collect()
 }
 
 #[test]
-fn counts_that_are_left_out_are_missing_until_they_come() {
+fn skipped_counts_are_missing_until_they_arrive() {
     let mut counts = Counts::default();
     let seen = see(&mut counts, &[400, 401, 405, 409]);
-    assert_eq!(
-        seen,
-        [
-            Seen::Expected,
-            Seen::Expected,
-            Seen::Gap(402, 404),
-            Seen::Gap(406, 408)
-        ]
-    );
+    assert_eq!(seen[..2], [Seen::Expected; 2]);
+    assert_eq!(seen[2..], [Seen::Gap(402, 404), Seen::Gap(406, 408)]);
     assert_eq!(missing(&counts, 400), [(402, 404), (406, 408)]);
     assert_eq!(see(&mut counts, &[403, 406]), [Seen::Expected; 2]);
     assert_eq!(missing(&counts, 400), [(402, 402), (404, 404), (407, 408)]);
@@ -104,10 +97,10 @@ fn counts_that_are_left_out_are_missing_until_they_come() {
 }
 
 #[test]
-fn a_known_count_under_a_new_identity_starts_again_and_misses_nothing_of_before() {
+fn a_known_count_under_a_new_id_is_a_reset_and_misses_nothing_earlier() {
     let mut counts = Counts::default();
     see(&mut counts, &[1, 2, 3, 9]);
-    // The same report again is no other report.
+    // The same report again is not another report.
     assert_eq!(counts.see(2, false), Seen::Expected);
     assert_eq!(counts.wanted(), [(4, 8)]);
     assert_eq!(counts.see(2, true), Seen::Reset);
@@ -117,7 +110,7 @@ fn a_known_count_under_a_new_identity_starts_again_and_misses_nothing_of_before(
 }
 
 #[test]
-fn reports_of_before_this_database_are_asked_for_and_neither_missing_nor_another_beginning() {
+fn reports_from_before_this_database_are_requested_and_are_neither_missing_nor_a_reset() {
     let mut counts = Counts::default();
     see(&mut counts, &[101, 102]);
     assert_eq!(counts.wanted(), [(1, 100)]);
@@ -128,7 +121,7 @@ fn reports_of_before_this_database_are_asked_for_and_neither_missing_nor_another
 }
 
 #[test]
-fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_is_not() {
+fn the_first_count_under_a_new_id_is_a_reset_and_an_earlier_one_is_not() {
     let mut counts = Counts::default();
     see(&mut counts, &[5, 6, 3]);
     assert_eq!(counts.see(3, true), Seen::Expected);
@@ -136,7 +129,7 @@ fn the_first_count_under_a_new_identity_is_another_beginning_and_one_before_it_i
 }
 
 #[test]
-fn counts_are_read_from_their_row_as_they_were_written() {
+fn counts_are_read_back_from_their_row_unchanged() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);
     let row = row(&counts).unwrap();
@@ -145,7 +138,7 @@ fn counts_are_read_from_their_row_as_they_were_written() {
 }
 
 #[test]
-fn two_boards_with_copies_of_one_state_make_nothing_missing() {
+fn two_boards_with_copies_of_one_state_cause_no_missing_reports() {
     let mut counts = Counts::default();
     see(&mut counts, &[100]);
     for more in 1..50 {
@@ -157,7 +150,7 @@ fn two_boards_with_copies_of_one_state_make_nothing_missing() {
 }
 
 #[test]
-fn counts_that_nobody_makes_fill_no_memory() {
+fn invented_counts_fill_no_memory() {
     let mut counts = Counts::default();
     for count in 1..10_000 {
         counts.see(count * 3, true);
@@ -170,12 +163,12 @@ fn counts_that_nobody_makes_fill_no_memory() {
 
 proptest! {
     #[test]
-    fn what_is_missing_is_what_never_came(came in prop::collection::vec(1_u64..60, 1..80)) {
+    fn exactly_the_reports_that_never_arrived_are_missing(came in prop::collection::vec(1_u64..60, 1..80)) {
         let mut counts = Counts::default();
         let mut known = BTreeSet::new();
         let base = came[0];
         for count in came {
-            // No count twice under another identity.
+            // No count has two ids.
             let seen = counts.see(count, known.insert(count));
             prop_assert!(seen != Seen::Reset);
         }

@@ -1,4 +1,4 @@
-//! The state function by table, and the fleet over time.
+//! The state of a node by table, and the fleet over time.
 
 use super::*;
 use crate::config::PresenceConfig;
@@ -12,7 +12,7 @@ const LIMITS: Limits = Limits {
 };
 
 #[test]
-fn the_state_is_what_the_table_in_the_documentation_says() {
+fn the_state_follows_the_table_in_the_documentation() {
     use HealthState::{Degraded as Bad, NotReady, Ready};
     use PresenceState::{Degraded, Offline, Online, Silent};
     let well = |seconds| PresenceInput {
@@ -74,7 +74,7 @@ fn life(seq: u64) -> StatusMessage {
 }
 
 #[test]
-fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
+fn an_unheard_node_becomes_silent_then_offline_and_returns() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
@@ -95,7 +95,7 @@ fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
 }
 
 #[test]
-fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
+fn a_node_silent_at_a_hub_restart_becomes_offline_in_time() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let remembered = NodeRow {
         name: "a".to_owned(),
@@ -119,7 +119,7 @@ fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
 }
 
 #[test]
-fn a_notice_for_a_lost_status_comes_at_most_every_few_seconds() {
+fn a_notice_for_a_lost_status_is_sent_at_most_every_few_seconds() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     assert!(fleet.apply_status("a", &life(0), start, 0));
@@ -129,7 +129,7 @@ fn a_notice_for_a_lost_status_comes_at_most_every_few_seconds() {
 }
 
 #[test]
-fn a_heartbeat_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks_for_all() {
+fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_full_status() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
@@ -150,16 +150,13 @@ fn a_heartbeat_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks
     assert!(!fleet.alive("a", sign(1), at(90), 90_000));
     fleet.sweep(at(180), 180_000);
     let view = fleet.view("a").unwrap();
-    assert_eq!(
-        view.state,
-        PresenceState::Degraded,
-        "heard 90 s ago, as it was"
-    );
+    // It was heard 90 s ago, so its state stays.
+    assert_eq!(view.state, PresenceState::Degraded);
     assert_eq!((view.waiting, view.revision), (3, 7));
-    // One was lost, and what it said with it.
+    // A status was lost.
     assert!(fleet.alive("a", sign(3), at(181), 181_000));
     assert!(fleet.needs_full_status("a"));
-    // Of another run nothing is known: it is not taken for this one.
+    // The hub knows nothing of another run, and does not mistake it for this one.
     let other = Heartbeat {
         run: run + 1,
         seq: 0,

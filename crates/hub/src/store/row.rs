@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_of_another_type_or_none_is_an_error_in_words() {
+    fn a_column_of_another_type_or_a_missing_one_is_a_clear_error() {
         let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
         let error = read::<ChangeNode>(row.clone()).unwrap_err();
         assert!(error.to_string().contains("seven"), "{error}");

@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_is_that_of_an_independent_computation() {
+    fn the_interval_equals_an_independent_computation() {
         // SciPy 1.17: ttest_ind(a, b, equal_var=False, trim=0.2), its df and confidence_interval(0.95).
         let a: Vec<f64> = (0..11).map(|i| f64::from(i * i % 13) / 10.0).collect();
         let b: Vec<f64> = (0..9).map(|i| f64::from(i * 7 % 11) / 20.0).collect();
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_relative_change_of_nothing_or_to_nothing_is_no_number() {
+    fn a_relative_change_from_or_to_zero_is_no_number() {
         assert_eq!(Scale::Relative.change(0.0, 1.0), None);
         assert_eq!(Scale::Relative.change(1.0, 0.0), None);
         assert_eq!(Scale::Relative.change(1.0, f64::INFINITY), None);
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_is_judged_as_fishers_test_does() {
+    fn silence_is_judged_by_fishers_test() {
         let silence = |nodes, silent| Silence { nodes, silent };
         // scipy.stats.fisher_exact([[5, 5], [10, 80]], alternative="greater")
         near(
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn no_effect_is_judged_one_as_seldom_as_was_asked_from_8_to_5000_nodes() {
+    fn false_positives_stay_at_the_configured_rate_from_8_to_5000_nodes() {
         let mut road = Road(Pcg64Mcg::seed_from_u64(7));
         for (nodes, hours, repeats) in [
             ([10, 10], 4, 2000),

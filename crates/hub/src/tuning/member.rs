@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn applied_is_what_the_node_reports() {
+    fn a_change_is_applied_once_the_node_reports_it() {
         let no = None;
         for (what, node, at, expected) in [
             ("nothing yet", reported(true, 6, old(), no), 10, "pending"),
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_was_away_has_its_full_time_after_its_return() {
+    fn a_node_that_was_offline_has_its_full_time_after_its_return() {
         let mut member = asked();
         for (reachable, at, expected) in [
             (false, 50, "waiting"),
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_was_never_asked_has_nothing_to_go_back_from() {
+    fn a_node_that_was_never_asked_has_nothing_to_return_from() {
         let mut member = Member::new("n".to_owned(), old(), true);
         member.give_back();
         assert!(member.due().is_none());
@@ -368,7 +368,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_shuffle_has_everybody_once_and_is_the_same_for_the_same_seed(count in 0usize..200, seed in any::<u64>()) {
+        fn a_shuffle_has_every_node_once_and_is_reproducible(count in 0usize..200, seed in any::<u64>()) {
             let shuffled = || {
                 let mut list: Vec<usize> = (0..count).collect();
                 shuffle(&mut list, seed);

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn names_globs_labels_and_all_select_what_they_say() {
+    fn names_globs_labels_and_all_select_the_right_nodes() {
         for (selector, expected) in [
             ("cam-1", vec!["cam-1"]),
             ("cam-?", vec!["cam-1", "cam-2"]),
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_selector_that_cannot_be_meant_is_refused() {
+    fn an_invalid_selector_is_rejected() {
         for text in ["", ",", "a b", "region=", "=north", "cam-1 &", "käse", "!"] {
             assert!(text.parse::<Selector>().is_err(), "{text:?}");
         }
@@ -222,7 +222,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_selector_comes_back_from_json_as_it_was(terms in prop::collection::vec("!?[a-z*?-]{1,8}(=[a-z*]{1,4})?( & [a-z]{1,3})?", 1..4)) {
+        fn a_selector_survives_json_unchanged(terms in prop::collection::vec("!?[a-z*?-]{1,8}(=[a-z*]{1,4})?( & [a-z]{1,3})?", 1..4)) {
             let selector = Selector::new(&terms).unwrap();
             let text = serde_json::to_string(&selector).unwrap();
             prop_assert_eq!(serde_json::from_str::<Selector>(&text).unwrap(), selector);

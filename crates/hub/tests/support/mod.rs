@@ -1,4 +1,4 @@
-//! A hub with a real database, real Zenoh sessions of nodes, and what they say.
+//! A hub with a real database, and the messages of nodes over real Zenoh sessions.
 
 #![allow(
     clippy::unwrap_used,
@@ -7,10 +7,13 @@
     unreachable_pub
 )]
 
+#[path = "../../../../tests/support/assertions.rs"]
+mod assertions;
 #[path = "../../../../tests/support/ports.rs"]
 mod ports;
 pub mod postgres;
 
+pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
 use albireo_hub::config::HubConfig;
@@ -26,7 +29,7 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use uuid::{Builder, Uuid};
 
-/// The longest any single thing may take on a busy machine.
+/// The limit of any single wait on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A running hub.
@@ -38,7 +41,7 @@ pub struct Hub {
     task: tokio::task::JoinHandle<Result<(), albireo_hub::HubError>>,
 }
 
-/// A configuration with addresses of its own.
+/// A configuration with a free Zenoh address.
 pub fn config(database: &str) -> HubConfig {
     let mut config = HubConfig::default();
     config.zenoh.listen = vec![format!("tcp/127.0.0.1:{}", free_port())];
@@ -48,7 +51,7 @@ pub fn config(database: &str) -> HubConfig {
     config
 }
 
-/// A file in `folder`.
+/// The URL of the database file in `folder`.
 pub fn sqlite(folder: &Path) -> String {
     format!("sqlite:{}", folder.join("hub.db").display())
 }
@@ -72,19 +75,31 @@ impl Hub {
         hub
     }
 
-    /// Stops it as a signal would.
+    /// Stops the hub as a signal does.
     pub async fn stop(self) {
         self.shutdown.cancel();
         self.task.await.unwrap().unwrap();
     }
 
-    /// What a path answers.
+    /// The JSON answer at `path`.
     pub async fn get(&self, path: &str) -> Value {
         let response = reqwest::get(format!("{}{path}", self.http)).await.unwrap();
         response.json().await.unwrap()
     }
 
-    /// Asks until the answer is as wanted.
+    pub async fn metrics(&self) -> String {
+        let response = reqwest::get(format!("{}/metrics", self.http)).await;
+        response.unwrap().text().await.unwrap()
+    }
+
+    /// The number of clips in the energy by node.
+    pub async fn clips_with_energy(&self) -> i64 {
+        let energy = self.get("/api/v1/energy?by=node").await;
+        let groups = energy["groups"].as_array().unwrap().iter();
+        groups.map(|group| group["clips"].as_i64().unwrap()).sum()
+    }
+
+    /// Asks until the answer satisfies `wanted`.
     pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -95,30 +110,27 @@ impl Hub {
             if wanted(&answer) {
                 return answer;
             }
-            assert!(
-                Instant::now() < until,
-                "{path} never came to what is wanted: {answer}"
-            );
+            assert!(Instant::now() < until, "{path} stays at {answer}");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
 }
 
-/// A hub with a database of its own, and a session of a node.
-pub struct Stand {
+/// A hub and a node's session.
+pub struct Fixture {
     pub hub: Hub,
     pub session: zenoh::Session,
     folder: Option<tempfile::TempDir>,
 }
 
-impl Stand {
-    /// With a SQLite file.
+impl Fixture {
+    /// A hub with a SQLite file.
     pub async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let stand = Self::on(config(&sqlite(folder.path()))).await;
+        let fixture = Self::on(config(&sqlite(folder.path()))).await;
         Self {
             folder: Some(folder),
-            ..stand
+            ..fixture
         }
     }
 
@@ -138,7 +150,7 @@ impl Stand {
     }
 }
 
-/// A test on a database of each kind.
+/// A test on SQLite and on PostgreSQL.
 macro_rules! on_both {
     ($test:path, $sqlite:ident, $postgres:ident) => {
         #[tokio::test(flavor = "multi_thread")]
@@ -157,7 +169,7 @@ macro_rules! on_both {
 }
 pub(crate) use on_both;
 
-/// A Zenoh session of a node's uplink.
+/// The Zenoh session of a node's uplink.
 pub async fn uplink(endpoint: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -171,24 +183,23 @@ pub async fn uplink(endpoint: &str) -> zenoh::Session {
     zenoh::open(config).await.unwrap()
 }
 
-/// What came back of a batch.
+/// The reply to a batch.
 #[derive(Debug, PartialEq)]
-pub enum Said {
+pub enum Reply {
     Answer(ReportAnswer),
     Refused(ReportRefusal),
     Nothing,
 }
 
-impl Said {
-    /// The acknowledgement.
+impl Reply {
     pub fn answer(self) -> ReportAnswer {
         match self {
             Self::Answer(answer) => answer,
-            said => panic!("{said:?}"),
+            reply => panic!("{reply:?}"),
         }
     }
 
-    /// Says that everything was stored.
+    /// Asserts that every report was stored.
     pub fn assert_stored(self) {
         let answer = self.answer();
         assert!(answer.refused.is_empty(), "{answer:?}");
@@ -196,7 +207,7 @@ impl Said {
 }
 
 /// Sends a payload on the key of `node`.
-pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Said {
+pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Reply {
     let key = format!("albireo/@report/{node}");
     let replies = session
         .get(key)
@@ -207,31 +218,43 @@ pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Sai
     while let Ok(reply) = replies.recv_async().await {
         match reply.result() {
             Ok(sample) => {
-                return Said::Answer(albireo_wire::read(&sample.payload().to_bytes()).unwrap());
+                return Reply::Answer(albireo_wire::read(&sample.payload().to_bytes()).unwrap());
             }
             Err(error) => {
                 if let Ok(refusal) = albireo_wire::read(&error.payload().to_bytes()) {
-                    return Said::Refused(refusal);
+                    return Reply::Refused(refusal);
                 }
             }
         }
     }
-    Said::Nothing
+    Reply::Nothing
 }
 
-/// Sends a batch, again and again until somebody answers.
-pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Said {
+/// Sends a batch until a hub answers.
+pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Reply {
     let until = Instant::now() + PATIENCE;
     let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
     let payload = payload.unwrap();
     loop {
         match send(session, &batch.node, payload.clone()).await {
-            Said::Nothing => {}
-            said => return said,
+            Reply::Nothing => {}
+            reply => return reply,
         }
-        assert!(Instant::now() < until, "nobody answers");
+        assert!(Instant::now() < until, "no hub answers");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
+}
+
+/// Delivers the batch of these reports, all of which must be stored.
+pub async fn store(
+    session: &zenoh::Session,
+    node: &str,
+    series: u8,
+    numbers: std::ops::RangeInclusive<u64>,
+    started_ns: u64,
+) {
+    let batch = batch(node, series, numbers, started_ns);
+    deliver(session, &batch).await.assert_stored();
 }
 
 /// Now, nanoseconds since the Unix epoch.
@@ -240,7 +263,7 @@ pub fn now_ns() -> u64 {
     u64::try_from(since.unwrap().as_nanos()).unwrap()
 }
 
-/// The audit of every second report: ten boxes of the detector in four frames, nine or eight of which had been shown.
+/// The audit of every second report: ten boxes of the detector in four frames, of which nine or eight were shown.
 fn audit(number: u64) -> AuditReport {
     let shown = if number.is_multiple_of(4) { 9 } else { 8 };
     let mut sums = AuditSums::default();
@@ -261,14 +284,14 @@ fn audit(number: u64) -> AuditReport {
     }
 }
 
-/// An identity of its own for each number of a series, of that time.
+/// The id of a report of that series and number, made at that time.
 pub fn id(series: u8, number: u64, made_ns: u64) -> Uuid {
     let mut random = [series; 10];
     random[2..].copy_from_slice(&number.to_be_bytes());
     Builder::from_unix_timestamp_millis(made_ns / 1_000_000, &random).into_uuid()
 }
 
-/// A report of that number of a series that began `number` × 40 s after `started_ns`.
+/// The report of clip `number` of a series, which began `number` × 40 s after `started_ns`.
 pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipReport {
     let begun_ns = started_ns + number * 40_000_000_000;
     let joules = 100.1 + number as f64 / 3.0;
@@ -297,7 +320,7 @@ pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipRepor
     }
 }
 
-/// The batch of the reports of those numbers of a series.
+/// The batch of reports with those numbers.
 pub fn batch(
     node: &str,
     series: u8,
@@ -314,7 +337,7 @@ pub fn batch(
     }
 }
 
-/// The running counts of the clips of a node that the hub shows, in order.
+/// The counts of a node's clips at the hub, sorted.
 pub async fn counts(hub: &Hub, node: &str) -> Vec<u64> {
     let clips = hub
         .get(&format!("/api/v1/clips?node={node}&limit=1000"))
@@ -328,7 +351,7 @@ pub async fn counts(hub: &Hub, node: &str) -> Vec<u64> {
     counts
 }
 
-/// A status without its rest.
+/// A short status, without the full part.
 pub fn status(run: u32, seq: u64) -> StatusMessage {
     StatusMessage {
         v: VERSION,
@@ -343,7 +366,6 @@ pub fn status(run: u32, seq: u64) -> StatusMessage {
     }
 }
 
-/// A full status.
 pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
     let state = if reasons.is_empty() {
         HealthState::Ready
@@ -363,8 +385,8 @@ pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessag
     }
 }
 
-/// Puts a node's status.
-pub async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
+/// Publishes the status of a node.
+pub async fn put_status(session: &zenoh::Session, node: &str, status: &StatusMessage) {
     let payload = serde_json::to_vec(status).unwrap();
     session
         .put(format!("albireo/@status/{node}"), payload)
@@ -372,7 +394,7 @@ pub async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
         .unwrap();
 }
 
-/// What the hub answers when the node asks what is desired.
+/// The desired setting that the hub answers to a node's query.
 pub async fn pull(session: &zenoh::Session, node: &str) -> Desired {
     let request = PullRequest {
         v: VERSION,

@@ -1,4 +1,4 @@
-//! A PostgreSQL server of its own: in a temporary folder, on loopback, by a user that is not root.
+//! A PostgreSQL server per test: in a temporary folder, on loopback, under a user other than root.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -11,7 +11,7 @@ pub struct Postgres {
     tools: PathBuf,
 }
 
-/// Where the server's programs are: on the path, or where Debian puts them.
+/// The folder of the server's programs: on the path, or where Debian puts them.
 fn tools() -> PathBuf {
     let found = std::env::var_os("PATH")
         .into_iter()
@@ -31,7 +31,7 @@ fn tools() -> PathBuf {
 }
 
 impl Postgres {
-    /// Makes a new server and starts it.
+    /// Creates a server and starts it.
     pub fn start() -> Self {
         let server = Self {
             folder: tempfile::Builder::new().prefix("hub-pg").tempdir().unwrap(),
@@ -39,31 +39,13 @@ impl Postgres {
             tools: tools(),
         };
         if is_root() {
-            let owner = Command::new("chown")
-                .arg("postgres")
-                .arg(server.folder.path())
-                .status();
-            assert!(
-                owner.unwrap().success(),
-                "the folder is given to the user postgres"
-            );
+            let mut chown = Command::new("chown");
+            let owner = chown.arg("postgres").arg(server.folder.path()).status();
+            assert!(owner.unwrap().success(), "chown to the user postgres");
         }
         let data = server.data();
-        let mut made = server.command(
-            "initdb",
-            &[
-                "-D",
-                &data,
-                "-A",
-                "trust",
-                "-U",
-                "hub",
-                "-E",
-                "UTF8",
-                "--locale=C",
-                "-N",
-            ],
-        );
+        let options: Vec<_> = "-A trust -U hub -E UTF8 --locale=C -N".split(' ').collect();
+        let mut made = server.command("initdb", &[&["-D", &*data], &options[..]].concat());
         assert!(made.status().unwrap().success(), "initdb");
         server.up();
         server
@@ -73,7 +55,7 @@ impl Postgres {
         self.folder.path().join("data").display().to_string()
     }
 
-    /// Starts the server. After a kill its last processes may need a moment to go: it is tried again.
+    /// Starts the server, with retries: after a kill its last processes may need a moment to exit.
     pub fn up(&self) {
         let options = format!(
             "-c listen_addresses=127.0.0.1 -c port={} -c unix_socket_directories= -c max_connections=50",
@@ -95,45 +77,22 @@ impl Postgres {
         }
     }
 
-    /// Kills it with SIGKILL: what was not written to its log is gone.
+    /// Kills the server with SIGKILL: changes not yet in its log are lost.
     pub fn kill(&self) {
         let file = format!("{}/postmaster.pid", self.data());
         let first = std::fs::read_to_string(file).unwrap();
         let id = first.lines().next().unwrap().to_owned();
-        // Its children would answer on until they notice.
+        // Its children would answer until they notice.
         let _ = Command::new("pkill").args(["-9", "-P", &id]).status();
         let killed = Command::new("kill").args(["-9", &id]).status().unwrap();
         assert!(killed.success(), "the server's process {id} is killed");
     }
 
-    /// Plays a file of statements to it.
-    #[allow(
-        dead_code,
-        reason = "of the test programs that share this file one has files to play"
-    )]
-    pub fn play(&self, file: &std::path::Path) {
-        // A client's program may lie elsewhere than the server's.
-        let beside = self.tools.join("psql");
-        let program = if beside.exists() {
-            beside
-        } else {
-            PathBuf::from("psql")
-        };
-        let ended = Command::new(program)
-            .args(["-q", "-v", "ON_ERROR_STOP=1", "-d", &self.url(), "-f"])
-            .arg(file)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .status();
-        assert!(ended.unwrap().success(), "{} is played", file.display());
-    }
-
-    /// Where it is.
     pub fn url(&self) -> String {
         format!("postgres://hub@127.0.0.1:{}/postgres", self.port)
     }
 
-    /// One of the server's programs, as the user it runs as.
+    /// A command of one of the server's programs, under the server's user.
     fn command(&self, program: &str, arguments: &[&str]) -> Command {
         let program = self.tools.join(program);
         let mut command = if is_root() {

@@ -124,7 +124,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn of_two_nodes_that_start_together_one_has_the_name_and_the_other_says_so() {
+    async fn of_two_nodes_that_start_together_one_gets_the_name_and_the_other_reports_it() {
         let one = session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)]).await;
         let at = one.info().locators().await[0].to_string();
         let connect = format!("[{at:?}]");

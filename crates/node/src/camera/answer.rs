@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_box_is_clipped_to_the_picture_and_one_outside_is_left_out() {
+    fn a_box_is_clipped_to_the_picture_and_one_outside_is_dropped() {
         let size = PictureSize::new(200, 100);
         let edge = BoundingBox::new(0.0, 0.5, 0.2, 0.2);
         assert_eq!(clipped_corners(edge, size), Some([0.0, 40.0, 20.0, 60.0]));

@@ -125,7 +125,7 @@ mod tests {
     use std::path::PathBuf;
 
     #[test]
-    fn everything_that_is_missing_is_named_at_once() {
+    fn everything_missing_is_named_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let taken = folder.path().join("taken");
         std::fs::write(&taken, "short").unwrap();
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_provider_that_the_library_does_not_have_is_named() {
+    fn a_provider_missing_from_the_library_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let library = folder.path().join("libonnxruntime.so");
         std::fs::write(&library, []).unwrap();
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_taken_is_in_the_way() {
+    fn a_port_in_use_is_an_error() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let mut config = NodeConfig::default();

@@ -6,9 +6,9 @@ fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/node.toml")
 }
 
-/// How many keys there are, of every section.
+/// The number of keys in all sections.
 const KEYS: usize = 80;
-const _: () = assert!(KEYS <= 80, "the most that somebody should have to read");
+const _: () = assert!(KEYS <= 80, "more keys than a user should have to read");
 
 fn load(text: &str) -> Result<NodeConfig, ConfigError> {
     let directory = tempfile::tempdir().unwrap();
@@ -25,6 +25,13 @@ fn problems(text: &str) -> Vec<String> {
         .iter()
         .map(ToString::to_string)
         .collect()
+}
+
+/// The only problem of a configuration.
+fn problem(text: &str) -> String {
+    let mut found = problems(text);
+    assert_eq!(found.len(), 1, "{text}: {found:?}");
+    found.remove(0)
 }
 
 /// All keys of a value, `section.key` each; keys of tables in lists count as those of the section.
@@ -55,17 +62,14 @@ fn keys(value: &serde_json::Value, section: &str, found: &mut Vec<String>) {
 
 #[test]
 fn the_shipped_file_is_exactly_the_defaults() {
-    assert_eq!(
-        albireo_service::config::load::<NodeConfig>(Some(&shipped())).unwrap(),
-        NodeConfig::default()
-    );
-    assert_eq!(
-        albireo_service::config::load::<NodeConfig>(None).unwrap(),
-        NodeConfig::default()
-    );
+    let shipped = shipped();
+    for file in [Some(&*shipped), None] {
+        let config: NodeConfig = albireo_service::config::load(file).unwrap();
+        assert_eq!(config, NodeConfig::default());
+    }
 }
 
-/// The key of a line that sets one, also when it is commented out.
+/// The key that a line sets, even in a comment.
 fn key_of(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
     let is_key = |byte: u8| {
@@ -112,7 +116,7 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
     assert_eq!(shown.len(), KEYS);
 }
 
-/// The keys that a section takes, as its refusal of an unknown one names them.
+/// The keys of a section, as named in the error about an unknown one.
 fn keys_taken(section: &str, text: &str) -> Vec<String> {
     let found = problems(&format!("{text}unknown_key = 1"));
     let known = found[0].split_once("; known are ").expect("known keys").1;
@@ -121,7 +125,7 @@ fn keys_taken(section: &str, text: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
+fn the_program_accepts_no_key_that_the_shipped_file_lacks() {
     let sections = keys_taken("", "");
     let mut taken = Vec::new();
     for section in sections {
@@ -131,7 +135,7 @@ fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
         };
         taken.extend(keys_taken(&format!("{section}."), &text));
     }
-    // Sections of their own: the GPU's, and those of the policies to compare with (docs/policies.md).
+    // Subsections: the GPU's, and those of the policies for comparison (docs/policies.md).
     let compared = "fixed_skip ctd statues in_tracker";
     let mut sections: Vec<_> = compared
         .split(' ')
@@ -144,7 +148,7 @@ fn the_program_takes_no_key_that_the_shipped_file_does_not_show() {
 }
 
 #[test]
-fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
+fn the_keys_in_comments_can_be_used_unchanged() {
     let text: String = std::fs::read_to_string(shipped())
         .unwrap()
         .lines()
@@ -160,10 +164,8 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
     let config = load(&text).unwrap();
     assert_eq!(config.http.token.unwrap().secret(), "a-long-random-secret");
     assert_eq!(config.tokens[0].name, "prometheus");
-    assert_eq!(
-        config.cameras[0].source.as_ref().unwrap().to_string(),
-        "rtsp://192.168.0.20/stream"
-    );
+    let source = config.cameras[0].source.as_ref().unwrap();
+    assert_eq!(source.to_string(), "rtsp://192.168.0.20/stream");
 }
 
 #[test]
@@ -175,17 +177,14 @@ fn an_unknown_key_is_named_with_the_known_ones() {
         ("[nod]\nname = \"a\"", "nod"),
         ("colour = 1", "colour"),
     ] {
-        let found = problems(text);
-        assert_eq!(found.len(), 1, "{found:?}");
-        assert!(
-            found[0].starts_with(&format!("{key}: unknown key")),
-            "{found:?}"
-        );
+        let found = problem(text);
+        let expected = format!("{key}: unknown key");
+        assert!(found.starts_with(&expected), "{found}");
     }
 }
 
 #[test]
-fn every_removed_key_is_refused_with_what_became_of_it() {
+fn every_removed_key_is_rejected_with_its_replacement() {
     for removed in NodeConfig::REMOVED.lines() {
         let (key, became) = removed.split_once(": ").unwrap();
         let text = match key.split_once(" = ") {
@@ -198,12 +197,9 @@ fn every_removed_key_is_refused_with_what_became_of_it() {
                 None => format!("{key} = 1\n"),
             },
         };
-        let found = problems(&text);
-        assert_eq!(found.len(), 1, "{found:?}");
-        assert!(
-            found[0].contains(&format!("was removed: {became}")),
-            "{found:?}"
-        );
+        let found = problem(&text);
+        let expected = format!("was removed: {became}");
+        assert!(found.contains(&expected), "{found}");
     }
 }
 
@@ -212,24 +208,19 @@ fn answers_at_once_need_a_policy_that_predicts_and_time_to_settle() {
     let camera = "[[camera]]\nname = \"front\"\nanswer = \"at_once\"\n";
     for policy in ["albireo", "expected-loss", "expected-loss+flow"] {
         let text = format!("policy.name = \"{policy}\"\n{camera}");
-        assert_eq!(
-            load(&text).unwrap().cameras[0].answer,
-            Some(AnswerTime::AtOnce)
-        );
+        let answer = load(&text).unwrap().cameras[0].answer;
+        assert_eq!(answer, Some(AnswerTime::AtOnce));
     }
-    let found = problems(&format!("policy.name = \"vanilla\"\n{camera}"));
-    assert_eq!(found.len(), 1, "{found:?}");
-    assert!(found[0].contains("does not predict boxes"), "{found:?}");
+    let found = problem(&format!("policy.name = \"vanilla\"\n{camera}"));
+    assert!(found.contains("does not predict boxes"), "{found}");
     let settle = "settle = { enabled = true, longest_ms = 500 }\ndetector.timeout_ms = 1000\n";
     assert!(load(settle).is_ok());
     let found = problems(&format!("{settle}{camera}"));
-    assert!(
-        found[0].starts_with("settle.longest_ms: is 500"),
-        "{found:?}"
-    );
+    let expected = "settle.longest_ms: is 500";
+    assert!(found[0].starts_with(expected), "{found:?}");
 }
 
-/// The key that is refused, and a configuration (lines with `&` between them).
+/// The rejected key, and a configuration with lines separated by `&`.
 const IMPOSSIBLE: &str = r#"
 node.name: node.name = "a/b"
 node.name: node.name = 7
@@ -291,53 +282,44 @@ camera.a.threshold: policy.name = "vanilla" & camera = [{ name = "a", threshold 
 "#;
 
 #[test]
-fn an_impossible_value_is_refused_with_its_key() {
+fn an_impossible_value_is_rejected_with_its_key() {
     for line in IMPOSSIBLE.trim().lines() {
         let (key, text) = line.split_once(": ").unwrap();
-        let found = problems(&text.replace(" & ", "\n"));
-        assert_eq!(found.len(), 1, "{text}: {found:?}");
-        assert!(
-            found[0].starts_with(&format!("{key}: ")),
-            "{text}: {found:?}"
-        );
+        let found = problem(&text.replace(" & ", "\n"));
+        let expected = format!("{key}: ");
+        assert!(found.starts_with(&expected), "{text}: {found}");
     }
 }
 
 #[test]
-fn a_wrong_policy_hides_no_wrong_number_and_the_likely_name_is_offered() {
+fn an_unknown_policy_hides_no_wrong_number_and_gets_a_suggestion() {
     let mut found = problems("[policy]\nname = \"expectedloss\"\nu = 5\nlambda = -1");
     found.sort();
     assert_eq!(found.len(), 3, "{found:?}");
     assert!(found[0].starts_with("policy.lambda: "), "{found:?}");
-    assert!(
-        found[1].contains("did you mean `expected-loss`?"),
-        "{found:?}"
-    );
+    let expected = "did you mean `expected-loss`?";
+    assert!(found[1].contains(expected), "{found:?}");
     assert!(found[2].starts_with("policy.u: "), "{found:?}");
 }
 
 #[test]
-fn everything_wrong_is_sent_at_once() {
+fn all_errors_are_reported_at_once() {
     let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_payload_bytes = 0");
     assert_eq!(found.len(), 3, "{found:?}");
 }
 
 #[test]
-fn a_file_that_is_missing_or_no_toml_is_named() {
-    let error = albireo_service::config::load::<NodeConfig>(Some(Path::new("/nowhere/node.toml")))
-        .unwrap_err();
-    assert!(
-        error
-            .to_string()
-            .starts_with("/nowhere/node.toml cannot be used:"),
-        "{error}"
-    );
+fn a_missing_or_invalid_file_is_named() {
+    let nowhere = Path::new("/nowhere/node.toml");
+    let error = albireo_service::config::load::<NodeConfig>(Some(nowhere)).unwrap_err();
+    let expected = "/nowhere/node.toml cannot be used:";
+    assert!(error.to_string().starts_with(expected), "{error}");
     let error = load("[http\nlisten = 1").unwrap_err();
     assert!(error.to_string().contains("line 1"), "{error}");
 }
 
 #[test]
-fn an_address_that_others_reach_is_accepted_with_a_token_or_a_word() {
+fn an_address_open_to_others_is_accepted_with_a_token_or_explicit_permission() {
     for rest in [
         "token = \"s3cret-s3cret-s3cret\"",
         "token_file = \"/run/token\"",

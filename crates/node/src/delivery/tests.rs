@@ -1,8 +1,8 @@
-//! Delivery and settings between the files of nodes and the database of a hub, in one thread under virtual time: the real code on
-//! its real files, joined by a network that loses, delays, doubles and reorders. A seed decides what fails and when; one seed
-//! gives one run.
+//! Simulates delivery and settings between nodes and a hub, in one thread under virtual time: the real code on real files,
+//! connected by a network that loses, delays, duplicates and reorders messages. A seed decides what fails and when; the same
+//! seed always gives the same run.
 //!
-//! `make simulate SEEDS=10000` runs many; `make simulate SEED=7` runs one and prints what happens.
+//! `make simulate SEEDS=10000` runs many seeds; `make simulate SEED=7` runs one and prints its events.
 
 mod hub;
 mod node;
@@ -24,7 +24,7 @@ fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }
 
-/// What a seed comes to, or what is wrong in the end.
+/// Runs a seed; returns an error if the final state is wrong.
 type Simulation = fn(u64, bool) -> Result<Run, String>;
 
 fn delivery(seed: u64, verbose: bool) -> Result<Run, String> {
@@ -35,14 +35,14 @@ fn settings(seed: u64, verbose: bool) -> Result<Run, String> {
     Settings::new(seed, verbose).run()
 }
 
-/// Runs a seed; what is wrong afterwards, and how to run it again.
+/// Runs a seed; an error names the command that reproduces it.
 fn run(simulation: Simulation, seed: u64, verbose: bool) -> Result<Run, String> {
     let ran = catch_unwind(|| simulation(seed, verbose));
-    let ran = ran.unwrap_or_else(|_| Err("it panicked".to_owned()));
+    let ran = ran.unwrap_or_else(|_| Err("panicked".to_owned()));
     ran.map_err(|wrong| format!("seed {seed}: {wrong}\n  again: make simulate SEED={seed}"))
 }
 
-/// Runs one of `share` of the seeds on all cores, until five have failed.
+/// Runs a `share`-th of the seeds on all cores, until five have failed.
 fn run_seeds(simulation: Simulation, what: &str, share: u64) {
     let replayed = setting("ALBIREO_SEED");
     let first = replayed.unwrap_or(0);
@@ -50,7 +50,7 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
     let many = replayed.map_or(many, |_| 1);
     let (began, next) = (Instant::now(), AtomicU64::new(first));
     let (runs, wrong) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
-    // Each takes some megabytes of memory for its files.
+    // Each thread needs a few megabytes of memory for its files.
     let threads = std::thread::available_parallelism().map_or(1, |many| many.get().min(8));
     std::thread::scope(|scope| {
         for _ in 0..threads {
@@ -85,19 +85,19 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
 }
 
 #[test]
-fn no_seed_loses_or_doubles_a_report() {
+fn no_seed_loses_or_duplicates_a_report() {
     run_seeds(delivery, "reports", 1);
 }
 
 #[test]
-fn no_seed_forgets_an_order_or_a_return() {
-    // One takes as long as ten of the others.
+fn no_seed_forgets_a_change_or_a_return() {
+    // A seed takes ten times as long as one of delivery.
     run_seeds(settings, "orders and rollouts", 10);
 }
 
 #[test]
-fn a_seed_that_once_found_a_fault_of_orders_and_rollouts_finds_none() {
-    // Revisions were given again after a restoration; a rollout that was stopped as the hub was killed never ended.
+fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
+    // Revisions were reused after a restore; a rollout stopped just as the hub was killed never ended.
     for seed in [6, 1185] {
         let ran = run(settings, seed, false);
         assert_eq!(ran.err(), None);

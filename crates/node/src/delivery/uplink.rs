@@ -364,7 +364,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_session_on_which_nothing_can_be_said_is_a_fault_of_the_uplink() {
+    async fn a_mute_session_is_a_fault_of_the_uplink() {
         let mut config = NodeConfig::default();
         config.outbox.retry_min_ms = 1;
         let board = Board::open(&config).unwrap();

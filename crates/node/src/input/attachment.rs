@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ros_attachment_of_another_kind_is_passed_over() {
+    fn a_ros_attachment_of_another_kind_is_ignored() {
         for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
             assert_eq!(
                 read_attachment(Some(bytes), PayloadFormat::Ros2Image).unwrap(),
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_json_attachment_is_read_and_a_bad_one_says_what_is_wrong() {
+    fn a_json_attachment_is_read_and_an_invalid_one_is_explained() {
         let attachment = read_attachment(
             Some(br#"{"v":1,"seq":9,"t_ns":5,"clip":"a","width":4,"height":2}"#),
             PayloadFormat::Encoding,

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_ring_gives_back_what_waits_and_lets_in_again_when_opened() {
+    fn a_closed_ring_returns_its_items_and_accepts_again_when_opened() {
         let ring = ring(4, true);
         ring.put(1);
         ring.put(2);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_waits_is_woken_and_giving_up_a_wait_loses_nothing() {
+    async fn a_waiter_is_woken_and_a_cancelled_wait_loses_nothing() {
         let ring = Arc::new(ring(2, true));
         let given_up = timeout(Duration::from_millis(1), ring.next()).await;
         assert!(given_up.is_err());

@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_is_lost_and_what_comes_of_it_later_is_late_once() {
+    fn frames_in_a_gap_are_lost_and_count_as_late_once_if_they_arrive() {
         use Arrival::{Duplicate, Late, Stray};
         let mut camera = Camera::new();
         assert_eq!(
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_without_a_readable_number_is_not_lost_as_well() {
+    fn a_sample_with_an_unreadable_number_does_not_also_count_as_lost() {
         let mut camera = Camera::new();
         for (unreadable, seq, arrival) in [(0, 0, new(0, 0)), (2, 5, new(5, 2)), (0, 8, new(8, 2))]
         {
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_publisher_that_comes_for_seconds_and_goes_costs_a_camera_no_frame() {
+    fn a_publisher_that_appears_for_seconds_costs_a_camera_no_frame() {
         for own in [None, Some(9)] {
             let mut camera = Camera::new();
             camera.send(0..50, own);
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_costs_no_frame_where_the_publisher_is_seen_to_go() {
+    fn a_restart_after_a_visible_departure_costs_no_frame() {
         let mut camera = Camera::new();
         camera.send(0..50, Some(1));
         for (stream, numbers) in [(2, 0..50), (3, 20..60), (4, 500..520), (5, 0..5)] {
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_without_a_word_costs_what_comes_within_a_second() {
+    fn a_silent_restart_costs_only_the_frames_of_one_second() {
         for sent in [20, 1000] {
             let mut camera = Camera::new();
             camera.send(0..sent, None);
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_cameras_on_one_key_the_first_is_heard() {
+    fn of_two_cameras_on_one_key_the_first_wins() {
         for (first, second) in [((0, Some(1)), (0, Some(2))), ((1000, None), (0, None))] {
             let mut camera = Camera::new();
             for number in 0..200 {
@@ -454,7 +454,7 @@ mod tests {
     proptest! {
         /// Frames are lost, repeated and delayed by less than the window: every one is counted as what it is.
         #[test]
-        fn the_books_balance(
+        fn all_frames_are_accounted_for(
             sent in prop::collection::vec((0_u8..10, 0_u64..20), 1..400),
             start in 0_u64..1_000_000,
         ) {

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_that_skips_nothing_is_told_a_value_under_which_it_would() {
+    fn a_policy_that_skips_nothing_gets_a_value_that_would_skip() {
         let knob = Albireo::KNOB;
         let mut watch = SkipWatch::default();
         let mut clear = 0;
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_street_says_nothing_of_the_threshold() {
+    fn an_empty_street_gives_no_advice_on_the_threshold() {
         assert_eq!(advice(FrameState::EI, &Albireo::KNOB, 3e-4, 0.0), None);
     }
 
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_price_of_nothing_is_told_the_default() {
+    fn a_lambda_of_zero_gets_the_default_as_advice() {
         let knob = ExpectedLoss::KNOB;
         let advice = advice(FrameState::I, &knob, 0.0, 0.1).unwrap();
         assert_eq!(advice.attempt, knob.default);

@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn only_what_is_the_nodes_own_and_lasts_is_stuck() {
+    async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
         let service_state = |readiness: &Readiness, limit| {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_zenoh_fault_hides_no_stuck_detector_and_a_session_that_stays_closed_is_stuck() {
+    async fn a_zenoh_fault_hides_no_stuck_detector_and_a_permanently_closed_session_is_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
         let degraded = DetectorStatus::Degraded {
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_gpu_is_left_to_a_new_start_at_once_and_a_failed_run_is_not() {
+    fn a_lost_gpu_calls_for_a_restart_at_once_and_a_failed_run_does_not() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(900);
         let reason = "the GPU is lost to this process".to_owned();

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_set_before_the_disk_comes_does_not_overwrite_what_is_on_it() {
+    fn a_setting_made_before_the_disk_is_ready_does_not_overwrite_the_stored_one() {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("disk/state");
         let first = Settings::open(Some(&state));

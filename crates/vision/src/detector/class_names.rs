@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn without_names_the_list_that_belongs_to_the_head_is_taken_if_it_is_as_long() {
+    fn without_names_the_heads_list_is_used_if_its_length_fits() {
         use HeadName::{Detr, EndToEnd, Yolo, Yolox};
         let none = Metadata::default();
         let names = |head, classes| read(None, &none, head, classes);
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_given_comes_before_the_metadata_and_these_before_the_own_list() {
+    fn configured_names_precede_the_metadata_which_precede_the_built_in_list() {
         let (head, classes) = (HeadName::Yolo, Some(2));
         let metadata = metadata("{0: 'car', 1: 'bus'}");
         let read = |given| read(given, &metadata, head, classes).unwrap();
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_or_an_empty_file_is_an_error_that_names_the_file() {
+    fn a_gap_or_an_empty_file_is_an_error_with_the_file_name() {
         for text in ["", "car\n\nbus\n"] {
             let (file, names) = file_with(text);
             let error = refused(Some(&names), &Metadata::default(), 3);
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn names_in_the_metadata_that_cannot_be_read_are_an_error_unless_others_are_given() {
+    fn unreadable_names_in_the_metadata_are_an_error_unless_others_are_configured() {
         let broken = metadata("{0: car}");
         let error = refused(None, &broken, 1);
         assert!(error.contains("metadata"), "{error}");

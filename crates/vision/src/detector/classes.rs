@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_with_none_of_the_seven_has_all_of_its_classes_reported() {
+    fn a_model_with_none_of_the_seven_reports_all_its_classes() {
         let fish = classes(&["cod", "", "ray"], &DetectorConfig::default());
         let names = [0, 1, 2].map(|number| name(&fish, number));
         assert_eq!(names, [Some("cod"), None, Some("ray")]);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_reports_only_what_is_in_it_under_its_numbers() {
+    fn a_list_reports_only_its_classes_under_its_numbers() {
         let config = config(Some(&["bus", "pedestrian", "person"]), &[("train", "bus")]);
         let some = classes(&["car", "person", "train", "bus", "people"], &config);
         assert_eq!(name(&some, 0), None);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_the_model_has_not_is_an_error_that_lists_those_it_has() {
+    fn an_unknown_class_name_is_an_error_that_lists_the_known_ones() {
         for (config, key) in [
             (config(Some(&["lorry"]), &[]), "detector.report_classes"),
             (config(None, &[("lorry", "truck")]), "detector.class_map"),

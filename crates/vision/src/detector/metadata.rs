@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_cannot_be_read_say_where() {
+    fn unreadable_names_are_reported_with_the_place() {
         for (text, part) in [
             ("", "`{` or `[`"),
             ("{}", "no name"),
@@ -261,12 +261,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_text_is_read_or_refused_and_never_ends_the_program(text in "\\PC*") {
+        fn any_text_is_read_or_rejected_without_a_panic(text in "\\PC*") {
             let _ = names(&text);
         }
 
         #[test]
-        fn names_come_back_as_they_were_written(
+        fn names_are_read_back_as_written(
             wanted in prop::collection::vec("[a-z '\"\\\\]{0,12}", 1..20)
         ) {
             let text: Vec<String> = wanted

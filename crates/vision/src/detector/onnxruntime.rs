@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn when_there_is_none_the_error_lists_every_place_and_says_what_to_do() {
+    fn without_a_library_the_error_lists_every_place_and_a_remedy() {
         let error = search(None, &[Path::new("/nowhere/a"), Path::new("/nowhere/b")])
             .find()
             .unwrap_err()

@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_prepared_at_once_have_buffers_of_their_own_and_buffers_are_used_again() {
+    fn pictures_prepared_in_parallel_have_separate_buffers_which_are_reused() {
         let preparation = preparation();
         let [first, second] = [1, 2].map(|value| preparation.prepare(&picture(value)).ok());
         let values = |prepared: &Option<PreparedPicture>| {

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn output_is_impossible_when_nothing_found_can_be_and_something_was_found() {
+    fn output_is_impossible_if_all_of_its_boxes_are_rejected() {
         const SOUND: [f32; 4] = [24.0, 12.0, 32.0, 16.0];
         for (boxes, score, found, is_impossible) in [
             (SOUND, 0.9, 1, false),
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_of_a_batch_are_taken_apart_picture_by_picture() {
+    fn outputs_of_a_batch_are_split_by_picture() {
         let boxes: Vec<f32> = (0..12).map(|value| value as f32).collect();
         let scores = [0.5, 0.6];
         let outputs = [

@@ -121,8 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_comes_late_is_interrupted_and_one_that_stays_is_not_waited_for_beyond_the_patience()
-    {
+    fn late_runs_are_interrupted_and_hanging_ones_are_abandoned_after_a_limit() {
         let sessions = Sessions::new();
         assert!(sessions.end_all(PATIENCE));
         let (interrupt, interrupted) = channel();

@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_for_which_there_is_no_memory_is_a_fault() {
+    fn a_picture_too_large_for_memory_is_a_fault() {
         let mut buffer = vec![1; 8];
         let fault = make_room(&mut buffer, isize::MAX as usize).unwrap_err();
         assert_eq!(fault.kind(), "oversized");
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_memory_of_a_huge_picture_is_given_back() {
+    fn the_memory_of_a_huge_picture_is_released() {
         let mut buffer = Vec::new();
         make_room(&mut buffer, 100 << 20).unwrap();
         make_room(&mut buffer, 1 << 20).unwrap();

@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_come_in_the_order_people_count_and_other_files_are_passed_over() {
+    fn pictures_come_in_natural_order_and_other_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
         for name in "f10.jpg f9.jpg f9b.PNG notes.txt a2.jpeg f010.jpg".split(' ') {
             std::fs::write(folder.path().join(name), b"").unwrap();

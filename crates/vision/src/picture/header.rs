@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_that_is_not_there_is_undecodable_and_says_why() {
+    fn a_missing_header_is_undecodable_with_a_reason() {
         for (file, part) in [
             (jpeg(&[&SOF[..6]]), "cut short inside segment 0xc0"),
             (jpeg(&[&[0xFF, 0xDA, 0, 2]]), "no frame header"),
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_of_image_inside_a_thumbnail_does_not_make_a_file_whole() {
+    fn an_end_marker_inside_a_thumbnail_does_not_complete_a_file() {
         let thumbnail = [0xFF, 0xE1, 0, 4, 0xFF, 0xD9];
         let scan = [0xFF, 0xDA, 0, 2, 1, 2, 3];
         let cut = jpeg(&[&thumbnail, &SOF, &scan]);

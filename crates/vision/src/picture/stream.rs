@@ -174,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_are_cut_where_their_heads_say() {
+    fn parts_are_split_by_their_headers() {
         let stream = b"--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 5\r\n\r\nab\r\nc\r\n\
                        --ffmpeg\r\nContent-Type: image/jpeg\r\nContent-Length: 1\r\n\r\nd\r\n--ffmpeg\r\n";
         let mut reader = &stream[..];
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_changing_size_are_cut_and_too_large_ones_passed_by() {
+    fn pictures_of_changing_size_are_split_and_oversized_ones_skipped() {
         let stream = b"P6\n2 1\n255\nabcdefP6\n3 1\n255\nabcdefghiP6\n1 1\n255\nxyz";
         let mut reader = &stream[..];
         let limits = FrameLimits {

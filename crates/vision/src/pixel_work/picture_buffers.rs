@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn the_buffer_of_one_giant_picture_is_given_back_and_that_of_a_stream_of_them_is_kept() {
+    fn the_buffer_of_a_single_giant_picture_is_released_and_of_many_is_kept() {
         const HD: usize = 1920 * 1080 * 3;
         const GIANT: usize = 16 * HD;
         let buffers = PictureBuffers::new(4);
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_gets_the_smallest_buffer_that_holds_it_and_no_more_than_some_lie_idle() {
+    fn a_picture_gets_the_smallest_fitting_buffer_and_few_stay_idle() {
         let buffers = PictureBuffers::new(2);
         let held = [100, 300, 200].map(|bytes| buffers.pooled(picture(bytes)));
         drop(held);

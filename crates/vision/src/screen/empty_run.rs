@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_detector_looks_after_the_longest_run_and_that_is_counted() {
+    fn the_detector_runs_after_the_longest_run_and_that_is_counted() {
         let mut run = EmptyRun::new(3);
         let mut overruled = 0;
         let limited: Vec<_> = (0..9)
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_verdict_that_does_not_count_is_overruled_and_only_for_its_frame() {
+    fn only_a_verdict_beyond_the_limit_is_overruled_for_its_frame() {
         let mut run = EmptyRun::new(1);
         for (empty, is_overruled) in [(true, false), (true, true), (true, false), (false, false)] {
             run.next_frame();

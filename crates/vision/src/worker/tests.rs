@@ -1,5 +1,5 @@
-//! The worker with models that wait, fail, panic and hang. The tests pause time and advance it by
-//! hand, so none depends on how fast the machine is.
+//! The worker with models that wait, fail, panic and hang. The tests advance paused time by hand, so the speed of the machine
+//! does not matter.
 
 mod any_order;
 mod building;
@@ -15,7 +15,7 @@ use tokio::time::advance;
 
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What the scripted model does with its next picture.
+/// The result of the scripted model's next run.
 enum Step {
     Answer,
     AnswerTooFew,
@@ -25,7 +25,7 @@ enum Step {
     Panic,
 }
 
-/// What the scripted model takes for a picture: which camera's, and something that is shared.
+/// The picture of a scripted model: its camera, and shared data.
 type Scene = (CameraSlot, Arc<()>);
 
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
@@ -78,26 +78,26 @@ impl Drop for Scripted {
     }
 }
 
-/// A worker with scripted models, and the test's ends of their lines.
+/// A worker with scripted models, and the test's ends of their channels.
 struct Stage {
     worker: Worker<Scene, CameraSlot>,
     started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
     ended: mpsc::UnboundedReceiver<()>,
-    /// How the next runs end, whichever model they are on; a model takes the next step as it waits.
+    /// The results of the next runs, on any model.
     steps: blocking::Sender<Step>,
-    /// Attempts to build that are to fail.
+    /// The number of builds that will fail.
     failing_builds: Arc<AtomicUsize>,
-    /// What they fail with.
+    /// The reason of failing builds.
     build_failure: Arc<Mutex<&'static str>>,
     /// The facts of models built from now on.
     facts: Arc<AtomicUsize>,
-    /// What the next model that ends waits for.
+    /// The signal that the next dropped model waits for.
     end: Arc<Mutex<Option<blocking::Receiver<()>>>>,
     _held: blocking::Sender<()>,
 }
 
-/// Without this, tokio's held clock jumps to the next timer whenever the runtime has nothing to do, although
-/// the model's thread is busy. A blocking task in flight keeps it from that.
+/// Keeps tokio's paused clock from jumping to the next timer while the runtime is idle but the model's thread is busy: a
+/// blocking task in progress prevents that.
 fn hold_time() -> blocking::Sender<()> {
     let (hold, held) = blocking::channel::<()>();
     tokio::task::spawn_blocking(move || held.recv().is_ok());
@@ -185,21 +185,21 @@ impl Stage {
         self.steps.send(step).unwrap();
     }
 
-    /// Asks for a picture of camera 0 and ends its run; what the caller gets.
+    /// Asks for a picture of camera 0 and ends its run. Returns the caller's answer.
     async fn run(&mut self, step: Step) -> Result<Answer<CameraSlot>, InferenceError> {
         let asked = self.begin(0).await;
         self.end(step);
         asked.await.unwrap()
     }
 
-    /// As [`run`](Self::run), of a run that costs the model; the error that the caller gets.
+    /// Like [`run`](Self::run), for a run that ends the model. Returns the caller's error.
     async fn fail(&mut self, step: Step) -> InferenceError {
         let error = self.run(step).await.unwrap_err();
         self.ended.recv().await.unwrap();
         error
     }
 
-    /// Stops the worker in a task of its own.
+    /// Stops the worker in a separate task.
     fn stop(&self) -> tokio::task::JoinHandle<()> {
         let worker = self.worker.clone();
         tokio::spawn(async move { worker.stop().await })
@@ -240,7 +240,7 @@ impl Stage {
     }
 }
 
-/// Moves time and lets everything on the runtime see it.
+/// Advances time, and lets all tasks run before and after.
 async fn pass(time: Duration) {
     settle().await;
     advance(time).await;
@@ -254,10 +254,10 @@ async fn settle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn cameras_take_turns_however_much_one_of_them_asks() {
+async fn cameras_take_turns_however_often_one_asks() {
     let mut stage = stage(settings()).await;
     let mut asked = vec![stage.begin(0).await];
-    // Camera 0 asks for much before the others ask at all.
+    // Camera 0 asks often before the others ask at all.
     asked.extend((0..6).map(|_| stage.ask(0)));
     stage.until_waiting(6).await;
     asked.extend([1, 2, 1, 2].map(|camera| stage.ask(camera)));
@@ -276,7 +276,7 @@ async fn cameras_take_turns_however_much_one_of_them_asks() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_session() {
+async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
     let mut stage = stage(settings()).await;
     let begun = Instant::now();
     let late = stage.begin(0).await;
@@ -294,7 +294,7 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_sessio
     let reason = stage.until_degraded().await;
     assert!(reason.contains("2000 ms"), "{reason}");
 
-    // Until the run has come back, the answer comes at once.
+    // Until the run returns, requests are refused at once.
     assert!(stage.worker.accepts().is_err());
     let refused = stage.ask(2).await.unwrap().unwrap_err();
     assert!(matches!(refused, InferenceError::Unavailable(_)));
@@ -319,13 +319,13 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_sessio
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() {
+async fn a_late_run_that_fails_has_its_session_rebuilt() {
     let mut stage = stage(settings()).await;
     let late = stage.begin(0).await;
     pass(TIMEOUT).await;
     late.await.unwrap().unwrap_err();
     stage.end(Step::Fail);
-    // The task has heard of it, and its pause has begun.
+    // The task knows of the failure, and its backoff has begun.
     stage.until_counted(|counts| counts.failed == 1).await;
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
@@ -335,7 +335,7 @@ async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
+async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
     pass(TIMEOUT).await;
@@ -357,7 +357,7 @@ async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
+async fn a_model_with_impossible_results_is_reported_and_tried_again() {
     let mut stage = stage(settings()).await;
     let error = stage.run(Step::Implausible).await.unwrap_err();
     let reason = "scripted nonsense".to_owned();
@@ -367,10 +367,8 @@ async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
     assert_eq!(*stage.worker.status.borrow(), expected);
     assert!(stage.worker.accepts().is_ok());
     stage.run(Step::Answer).await.unwrap();
-    assert!(matches!(
-        *stage.worker.status.borrow(),
-        DetectorStatus::Ready { .. }
-    ));
+    let status = stage.worker.status.borrow().clone();
+    assert!(matches!(status, DetectorStatus::Ready { .. }));
     let counts = stage.counts();
     let counted = (counts.completed, counts.failed, counts.rebuilds);
     assert_eq!(counted, (1, 1, 0));
@@ -381,11 +379,9 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let mut stage = stage(settings()).await;
     let error = stage.fail(Step::Fail).await;
     assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
-    // The status is set before the answer goes out.
-    assert!(matches!(
-        *stage.worker.status.borrow(),
-        DetectorStatus::Degraded { .. }
-    ));
+    // The status is set before the answer is sent.
+    let status = stage.worker.status.borrow().clone();
+    assert!(matches!(status, DetectorStatus::Degraded { .. }));
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
 
@@ -425,9 +421,9 @@ fn in_threes() -> WorkerSettings {
 }
 
 #[tokio::test(start_paused = true)]
-async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
+async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer() {
     let mut stage = stage(in_threes()).await;
-    // No other camera has ever asked, so there is none to wait for.
+    // No other camera has asked before, so the run does not wait.
     let first = stage.begin(0).await;
     let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
     stage.until_waiting(4).await;
@@ -435,7 +431,7 @@ async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
     first.await.unwrap().unwrap();
     assert_eq!(stage.next_run().await, [1, 2, 3]);
     stage.end(Step::Answer);
-    // Of five cameras two more could join; they do not.
+    // Two more of the five cameras could join, but do not.
     pass(BATCH_WAIT).await;
     assert_eq!(stage.next_run().await, [4]);
     stage.end(Step::Answer);
@@ -447,7 +443,7 @@ async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_picture_waits_for_others_so_long_and_no_longer() {
+async fn a_picture_waits_for_others_only_for_the_configured_time() {
     let mut stage = stage(in_threes()).await;
     for camera in [0, 1] {
         // Camera 1 is the second that ever asks: it waits for camera 0.
@@ -463,7 +459,7 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
         let queued = asked.await.unwrap().unwrap().queued;
         assert_eq!(queued, BATCH_WAIT * camera as u32);
     }
-    // Complete before the time is over.
+    // A batch that is complete before the wait is over.
     let one = stage.ask(1);
     stage.until_waiting(1).await;
     pass(BATCH_WAIT / 2).await;
@@ -475,7 +471,7 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it() {
+async fn a_run_reports_its_own_time_without_waiting_and_how_many_shared_it() {
     const WAITED: Duration = Duration::from_millis(500);
     const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
@@ -497,7 +493,7 @@ async fn a_run_reports_its_own_time_whatever_was_waited_and_how_many_shared_it()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_batch_that_fails_or_hangs_is_answered_to_all_who_share_it() {
+async fn a_batch_that_hangs_is_answered_for_all_its_pictures() {
     let mut stage = stage(in_threes()).await;
     let first = stage.begin(0).await;
     let asked = [1, 2, 3].map(|camera| stage.ask(camera));
@@ -524,7 +520,7 @@ async fn stopping_ends_the_wait_for_a_batch() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
+async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
     let mut stage = stage(settings()).await;
     let doubling = (0..9).map(|failure| (100 << failure, false));
     let longest = [(30_000, false), (30_000, false), (100, true), (200, false)];
@@ -544,7 +540,7 @@ async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why() {
+async fn a_failed_rebuild_is_retried_and_the_status_says_why() {
     let mut stage = stage(settings()).await;
     stage.failing_builds.store(2, Ordering::SeqCst);
     stage.fail(Step::Fail).await;
@@ -560,7 +556,7 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back() {
+async fn a_model_rebuilt_with_another_signature_is_rejected_until_the_old_one_returns() {
     let mut stage = stage(settings()).await;
     stage.facts.store(8, Ordering::SeqCst);
     stage.fail(Step::Fail).await;
@@ -575,9 +571,9 @@ async fn a_model_rebuilt_with_other_facts_is_refused_until_the_old_ones_are_back
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
+async fn stopping_finishes_the_current_run_and_rejects_the_rest() {
     let mut stage = stage(settings()).await;
-    let in_hand = stage.begin(0).await;
+    let current = stage.begin(0).await;
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     let stopping = stage.stop();
@@ -586,9 +582,9 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
     assert_eq!(refused, InferenceError::Stopped);
     assert!(!stopping.is_finished());
     stage.end(Step::Answer);
-    in_hand.await.unwrap().unwrap();
+    current.await.unwrap().unwrap();
     stopping.await.unwrap();
-    assert!(stage.ended.try_recv().is_ok(), "the model is gone");
+    assert!(stage.ended.try_recv().is_ok(), "the model is dropped");
     stage.worker.stop().await;
 }
 
@@ -604,7 +600,7 @@ async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_does_not_wait_for_a_run_that_exceeds_its_limit_already() {
+async fn stopping_does_not_wait_for_a_run_already_beyond_its_limit() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
     pass(TIMEOUT).await;
@@ -620,7 +616,7 @@ async fn the_worker_ends_with_its_last_handle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_picture_whose_asker_has_gone_is_not_run() {
+async fn a_picture_whose_caller_is_gone_is_not_run() {
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let gone = stage.ask(1);
@@ -638,7 +634,7 @@ async fn a_picture_whose_asker_has_gone_is_not_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
+async fn the_picture_belongs_to_the_caller_again_after_the_answer() {
     let mut stage = stage(settings()).await;
     stage.end(Step::Answer);
     let (camera, shared) = (CameraSlot(0), Arc::default());

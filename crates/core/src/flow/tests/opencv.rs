@@ -1,10 +1,9 @@
-//! Points against OpenCV's `calcOpticalFlowPyrLK` on the same pictures; `tests/parity/flow.py` makes the fixture.
+//! Compares tracked points with OpenCV's `calcOpticalFlowPyrLK` on the same pictures; `tests/parity/flow.py` makes the fixture.
 
 use super::*;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// What of the fixture is read.
 #[derive(Deserialize)]
 struct Fixture {
     pairs: Vec<PicturePair>,
@@ -14,7 +13,7 @@ struct Fixture {
 struct PicturePair {
     before: String,
     after: String,
-    /// x, y, found x, found y, distance of the way back's end or -1.
+    /// x, y, found x, found y, and the distance after tracking back, or -1.
     points: Vec<[f32; 5]>,
 }
 
@@ -43,10 +42,12 @@ fn pyramid(file: &Path) -> Pyramid {
 
 #[derive(Debug, Default)]
 struct Tally {
-    /// Points of the grid, those that only OpenCV trusts, only we, and both.
     points: usize,
+    /// Points that only OpenCV trusts.
     theirs: usize,
+    /// Points that only we trust.
     ours: usize,
+    /// The differences at points that both trust, px.
     differences: Vec<f32>,
 }
 
@@ -88,7 +89,7 @@ fn share_above(tally: &Tally, limit: f32) -> f64 {
 }
 
 #[test]
-fn points_go_where_opencv_finds_them() {
+fn points_move_as_in_opencv() {
     let given = std::env::var_os("ALBIREO_FLOW_FIXTURE").map(PathBuf::from);
     let by_hand = given.is_some();
     let folder = given

@@ -1,4 +1,4 @@
-//! Promises of the life of objects.
+//! The life cycle of objects.
 
 use super::*;
 use crate::policy::AlbireoSettings;
@@ -29,7 +29,7 @@ fn confirmed(x: f64) -> ObjectStates {
 }
 
 #[test]
-fn the_third_detection_confirms() {
+fn the_third_detection_confirms_an_object() {
     let mut objects = objects();
     for expected in [false, false, true] {
         frame(&mut objects, &[seen(0.5)]);
@@ -40,7 +40,7 @@ fn the_third_detection_confirms() {
 }
 
 #[test]
-fn a_tentative_object_goes_with_its_first_miss_and_its_number_is_not_used_again() {
+fn a_tentative_object_is_removed_at_its_first_miss_and_its_number_is_not_reused() {
     let mut objects = objects();
     frame(&mut objects, &[seen(0.5)]);
     frame(&mut objects, &[]);
@@ -55,7 +55,7 @@ fn a_confirmed_object_is_rescued_twice_and_removed_at_the_third_miss() {
     for rescues in [1, 2] {
         frame(&mut objects, &[]);
         assert_eq!(objects.states()[0].misses, rescues);
-        // Frames without the detector neither count nor start again.
+        // Frames without the detector neither count nor reset the count.
         objects.predict(PICTURE, 1);
         assert_eq!(objects.states()[0].misses, rescues);
     }
@@ -64,7 +64,7 @@ fn a_confirmed_object_is_rescued_twice_and_removed_at_the_third_miss() {
 }
 
 #[test]
-fn a_detection_ends_the_row_of_rescues() {
+fn a_detection_resets_the_count_of_rescues() {
     let mut objects = confirmed(0.5);
     for _ in 0..3 {
         frame(&mut objects, &[]);
@@ -86,7 +86,7 @@ fn an_unsure_object_is_not_rescued() {
 }
 
 #[test]
-fn a_rescue_resets_the_age_only_where_the_setting_says_so() {
+fn a_rescue_resets_the_age_only_if_configured() {
     for resets in [false, true] {
         let mut settings = AlbireoSettings::paper().objects();
         settings.life_cycle.rescue_resets_age = resets;
@@ -114,7 +114,7 @@ fn an_object_that_leaves_the_picture_is_removed() {
 }
 
 #[test]
-fn the_sides_stay_at_a_pixel_or_more() {
+fn sides_stay_at_least_one_pixel_long() {
     let mut objects = objects();
     for step in (1..10).rev() {
         let mut shrinking = seen(0.5);
@@ -143,7 +143,7 @@ fn lost_frames_are_predicted_frames() {
 }
 
 #[test]
-fn after_too_long_a_gap_nothing_is_remembered() {
+fn too_long_a_gap_forgets_all_objects() {
     let mut objects = confirmed(0.5);
     objects.predict(PICTURE, 301);
     assert_eq!(objects.states().len(), 1);
@@ -152,7 +152,7 @@ fn after_too_long_a_gap_nothing_is_remembered() {
 }
 
 #[test]
-fn hostile_detections_are_counted_and_leave_no_trace() {
+fn hostile_detections_are_counted_and_have_no_effect() {
     let mut objects = confirmed(0.5);
     let mut clean = objects.clone();
     let mut found = vec![seen(0.5)];
@@ -174,7 +174,7 @@ fn hostile_detections_are_counted_and_leave_no_trace() {
 }
 
 #[test]
-fn a_picture_without_pixels_harms_nothing() {
+fn a_picture_without_pixels_is_harmless() {
     let mut objects = confirmed(0.5);
     objects.predict(PictureSize::new(0, 0), 1);
     for state in objects.states() {

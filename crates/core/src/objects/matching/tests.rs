@@ -1,4 +1,4 @@
-//! Promises of the matcher.
+//! The matcher pairs objects with detections.
 
 use super::*;
 use crate::detection::ObjectId;
@@ -52,8 +52,8 @@ fn at(x: f64, side: f64) -> BoundingBox {
 }
 
 #[test]
-fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
-    // Small: no overlap, but close for the filter's uncertainty.
+fn an_object_unseen_for_long_is_matched_by_distance_alone() {
+    // Small boxes without overlap, but close given the filter's uncertainty.
     let near = [detection(at(0.512, 0.01))];
     for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
         let settings = Association { gate, ..SETTINGS };
@@ -64,7 +64,7 @@ fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
             ..settings
         };
         assert_eq!(associate(&no_second_stage, &young, &near), [None]);
-        // Overlapping wholly, but too old for stage 1.
+        // Full overlap, but too old for stage 1.
         let same = [detection(at(0.5, 0.01))];
         for (age, matched) in [(2, Some(0)), (3, None)] {
             let states = [object(at(0.5, 0.01), age)];
@@ -74,14 +74,14 @@ fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
 }
 
 #[test]
-fn what_was_matched_by_overlap_is_gone_for_the_second_stage() {
+fn objects_matched_by_overlap_are_excluded_from_the_second_stage() {
     let states = [object(at(0.5, 0.1), 1), object(at(0.505, 0.1), 5)];
     let detections = [detection(at(0.505, 0.1))];
     assert_eq!(associate(&SETTINGS, &states, &detections), [Some(0), None]);
 }
 
 #[test]
-fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
+fn a_hopeless_pair_displaces_a_good_one_only_if_gates_are_applied_last() {
     // Overlaps .82 and .67 for the first object, .23 and .04 for the second: .67 + .23 is the most in
     // all, but .23 is beyond the gate.
     let states = [object(at(0.5, 0.1), 1), object(at(0.572, 0.1), 1)];
@@ -100,7 +100,7 @@ fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
 }
 
 #[test]
-fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
+fn boxes_without_overlap_are_not_matched_by_overlap_at_any_gate() {
     let (states, apart) = ([object(at(0.2, 0.1), 1)], [detection(at(0.8, 0.1))]);
     for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
         let settings = Association {
@@ -114,7 +114,7 @@ fn boxes_that_do_not_overlap_are_not_matched_by_overlap_whatever_the_gate() {
 }
 
 #[test]
-fn detections_that_are_not_usable_are_never_matched() {
+fn unusable_detections_are_never_matched() {
     let states = [object(at(0.5, 0.1), 1)];
     let detections = [detection(at(f64::NAN, 0.1)), detection(at(0.5, 0.1))];
     let mut matcher = Matcher::default();
@@ -130,7 +130,7 @@ fn boxes(most: usize) -> impl Strategy<Value = Vec<BoundingBox>> {
     prop::collection::vec(one, 0..most)
 }
 
-/// What the matcher does, from all pairs: each is measured, and those within the gate compete.
+/// The matcher's definition: all pairs are measured, and those within the gate compete.
 fn associate_without_index(
     settings: &Association,
     states: &[ObjectState],
@@ -158,7 +158,7 @@ fn associate_without_index(
                 let own = state.filter.bounding_box();
                 let iou = own.intersection_over_union(other.bounding_box);
                 let distance = state.filter.squared_distance(&model(), other.bounding_box);
-                // An overlap is what its cost says: one of 1e-30, which is rounding alone, is none.
+                // The overlap follows from the cost: 1e-30, a rounding error, is no overlap.
                 let cost = 1.0 - iou;
                 let cost = match stage {
                     0 => (1.0 - cost >= settings.iou_gate && cost < 1.0).then_some(cost),
@@ -176,8 +176,7 @@ fn associate_without_index(
     detection_of
 }
 
-/// Boxes on a coarse grid and of few sizes, so that many coincide and costs are equal; or anywhere, some of them large,
-/// some far outside.
+/// Boxes on a coarse grid with few sizes, so that many coincide and costs tie; or boxes anywhere, some large, some far outside.
 fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
     let step = |steps: u8, unit: f64| (0..steps).prop_map(move |step| f64::from(step) * unit);
     let coarse = (step(24, 0.04), step(24, 0.04), step(3, 0.02), step(3, 0.02));
@@ -193,9 +192,9 @@ fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u32)>> {
 }
 
 proptest! {
-    /// And so as many pairs match as can, at the smallest cost: the solver finds these, as its own tests say.
+    /// The most pairs match at the smallest cost, as the solver's own tests show.
     #[test]
-    fn looking_only_where_boxes_may_meet_changes_no_match_not_even_among_equals(
+    fn the_search_near_boxes_changes_no_match_even_with_ties(
         seen in scene(150), found in scene(150),
         iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {

@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn kill_only_asks_no_screen() {
+    fn kill_only_does_not_use_the_screen() {
         let mut run = Run::new("kill-only", Profile::Paper);
         let empty = FrameEvidence {
             empty: Some(true),

@@ -109,7 +109,7 @@ mod tests {
     use crate::policy::{BoxSource, Profile};
 
     #[test]
-    fn the_detector_runs_on_what_the_screen_does_not_call_empty() {
+    fn the_detector_runs_unless_the_screen_calls_the_frame_empty() {
         let found = [seen(0.5, 0.9)];
         let mut run = Run::new("erd-only", Profile::Paper);
         for _ in 0..2 {
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_screen_the_detector_runs_and_the_frame_is_not_called_screened() {
+    fn without_the_screen_the_detector_runs_and_the_frame_is_not_screened() {
         let found = [seen(0.5, 0.9)];
         let mut run = Run::new("erd-only", Profile::Paper);
         assert_eq!(

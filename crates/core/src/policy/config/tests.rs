@@ -1,4 +1,4 @@
-//! Promises of the configuration.
+//! The configuration selects, validates and builds policies.
 
 use super::*;
 use crate::policy::SkippedBoxes;
@@ -12,14 +12,14 @@ fn error(text: &str) -> String {
 }
 
 #[test]
-fn without_configuration_it_is_albireo_with_the_papers_threshold() {
+fn the_default_is_albireo_with_the_papers_threshold() {
     let policy = config("").build().unwrap();
     assert_eq!(policy.name(), "albireo");
     assert_eq!(policy.knob_value(), Some(3e-4));
 }
 
 #[test]
-fn every_known_name_builds_a_policy_of_that_name_whose_knob_fits_into_a_message() {
+fn every_known_name_builds_its_policy_with_a_knob_that_fits_into_a_message() {
     for name in known_policies() {
         let policy = config(&format!("name = '{name}'")).build().unwrap();
         assert_eq!(policy.name(), name);
@@ -30,7 +30,7 @@ fn every_known_name_builds_a_policy_of_that_name_whose_knob_fits_into_a_message(
 }
 
 #[test]
-fn an_unknown_policy_is_refused_with_the_names_there_are() {
+fn an_unknown_policy_is_rejected_with_the_known_names() {
     let message = error("name = 'mine'");
     assert!(message.contains("no policy `mine`"), "{message}");
     assert!(message.contains("`albireo`, `vanilla`"), "{message}");
@@ -39,7 +39,7 @@ fn an_unknown_policy_is_refused_with_the_names_there_are() {
 }
 
 #[test]
-fn a_bad_threshold_is_refused() {
+fn an_invalid_threshold_is_rejected() {
     for u in ["0", "-1.0", "nan", "inf", "2"] {
         let message = error(&format!("u = {u}"));
         assert!(message.starts_with("policy.u: `u` must be"), "{message}");
@@ -74,16 +74,13 @@ fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_knob() {
         let mut config = PolicyConfig::default();
         config.select(asked).unwrap();
         let policy = config.build().unwrap();
-        assert_eq!(
-            (policy.name(), policy.knob_value()),
-            (name, value),
-            "{asked}"
-        );
+        let found = (policy.name(), policy.knob_value());
+        assert_eq!(found, (name, value), "{asked}");
     }
 }
 
 #[test]
-fn a_selection_that_makes_no_sense_says_why_and_changes_nothing() {
+fn an_invalid_selection_is_rejected_with_a_reason_and_changes_nothing() {
     for (asked, part) in [
         ("fixedskip:2", "`fixed-skip`"),
         ("", "there is no policy ``"),
@@ -118,7 +115,7 @@ fn a_selection_that_makes_no_sense_says_why_and_changes_nothing() {
 }
 
 #[test]
-fn the_baselines_have_tables_of_their_own() {
+fn the_baselines_have_their_own_tables() {
     let read = config(
         "name = 'ctd'\n[fixed_skip]\nn = 3\nskipped_boxes = 'predict'\n[ctd]\nthreshold = 0.7\n\
          longest_skip = 4\nlost_frames = 3\n[statues]\npixel_difference = 20",
@@ -135,14 +132,10 @@ fn the_baselines_have_tables_of_their_own() {
         "[fixed_skip]\nskip = 1",
         "[statues]\nsize = 1",
     ] {
-        assert!(
-            toml::from_str::<PolicyConfig>(unknown).is_err(),
-            "{unknown}"
-        );
+        let read = toml::from_str::<PolicyConfig>(unknown);
+        assert!(read.is_err(), "{unknown}");
     }
     let message = error("name = 'statues'\n[statues]\npixel_difference = 0");
-    assert!(
-        message.starts_with("policy.statues: `pixel_difference`"),
-        "{message}"
-    );
+    let expected = "policy.statues: `pixel_difference`";
+    assert!(message.starts_with(expected), "{message}");
 }

@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_prior_leaves_what_was_counted() {
+    fn another_prior_keeps_the_counts() {
         let rate = |prior: Option<f64>| {
             let mut births = BirthRate::new();
             births.fade(1);

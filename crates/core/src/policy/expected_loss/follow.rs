@@ -252,7 +252,7 @@ mod tests {
     use crate::policy::{BoxSource, ObjectId};
 
     #[test]
-    fn a_box_is_followed_where_prediction_cannot_know_its_motion() {
+    fn a_box_is_followed_even_if_its_motion_is_unpredictable() {
         let flow = ride("expected-loss+flow:1", usize::MAX);
         let blind = ride("expected-loss:1", usize::MAX);
         let worst = |skipped: &[(BoxSource, f64)]| {
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_no_longer_be_followed_calls_the_detector() {
+    fn a_box_that_can_no_longer_be_followed_calls_the_detector() {
         let after = |hidden: usize| {
             let calls = ride("expected-loss+flow:1", hidden).calls;
             calls.iter().filter(|index| **index >= 4).count()
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_into_view_at_the_border_belongs_to_the_object() {
+    fn parts_that_enter_at_the_border_belong_to_the_object() {
         for (what, from, to, sides, longer) in [
             (
                 "entering at the left",
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_followed_box_that_was_right_is_no_surprise() {
+    fn a_correctly_followed_box_is_no_surprise() {
         let at = |center_x: f64| Detection {
             bounding_box: BoundingBox::new(center_x, 0.5, 0.1, 0.1),
             class: ClassId(0),

@@ -431,7 +431,7 @@ mod tests {
 
     /// An object that comes nearer at constant speed: its picture at distance d is s = 1/d, x = 1/d.
     #[test]
-    fn what_comes_nearer_at_constant_speed_is_followed_better_with_perspective() {
+    fn perspective_improves_the_prediction_of_approaching_objects() {
         let error = |largest_growth: f64| {
             let at = |frame: u32| {
                 let s: f64 = 1.0 / (4.0 - 0.1 * f64::from(frame));

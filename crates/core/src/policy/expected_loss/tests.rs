@@ -22,8 +22,8 @@ fn detection(x: f64, y: f64, side: f64, confidence: f64) -> Detection {
     }
 }
 
-/// Frame `frame` of a film: objects that pass at different speeds, one of them only now and then seen,
-/// and long stretches of an empty road.
+/// Frame `frame` of a film: objects that pass at different speeds, one of them seen only sometimes, and long stretches of an
+/// empty road.
 fn film(frame: u64) -> Vec<Detection> {
     let time = frame as f64;
     let mut seen = Vec::new();
@@ -39,7 +39,7 @@ fn film(frame: u64) -> Vec<Detection> {
     seen
 }
 
-/// The frames of the film, of so many, on which the detector is called.
+/// The frames with a detector call among the first `frames` of the film.
 fn calls(run: &mut Run<ExpectedLoss>, frames: u64) -> Vec<u64> {
     (0..frames)
         .filter(|&index| !run.see(&film(index)).is_skipped())
@@ -67,12 +67,12 @@ fn a_higher_lambda_calls_the_detector_less_often() {
     let counts = [0.0, 0.1, 0.5, 2.0, 100.0].map(|lambda| calls(&mut policy(lambda), 400).len());
     assert_eq!(counts[0], 400);
     assert!(counts.is_sorted_by(|a, b| a > b), "{counts:?}");
-    // Only the longest pause is left: one frame of 15.
+    // Only the longest pause still calls: one frame in 15.
     assert!((23..=30).contains(&counts[4]), "{counts:?}");
 }
 
 #[test]
-fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
+fn a_fast_object_calls_the_detector_more_often_than_a_slow_one() {
     let skipped = |amplitude: f64| {
         let mut run = policy(0.5);
         let mut sees = |index: u32| {
@@ -86,7 +86,7 @@ fn a_fast_object_calls_the_detector_more_often_than_a_steady_one() {
 }
 
 #[test]
-fn a_knob_turned_takes_effect_with_the_next_frame() {
+fn a_new_lambda_applies_from_the_next_frame() {
     let mut run = policy(100.0);
     calls(&mut run, 10);
     assert_eq!(run.see(&film(10)), FrameState::P);
@@ -111,7 +111,7 @@ fn a_screen_that_never_says_empty_changes_no_decision() {
 }
 
 #[test]
-fn a_screen_that_says_empty_spares_the_detector_until_it_says_otherwise() {
+fn a_screen_that_says_empty_skips_the_detector_until_it_says_otherwise() {
     let mut run = policy(0.0);
     let silent = FrameEvidence::detections(&[]);
     let empty = FrameEvidence {
@@ -124,7 +124,7 @@ fn a_screen_that_says_empty_spares_the_detector_until_it_says_otherwise() {
     assert_eq!(run.see(&film(0)), FrameState::EI);
     // With an object in view the screen is not asked.
     assert_eq!(run.see(&film(1)), FrameState::I);
-    // Without its verdict the detector is asked.
+    // Without its verdict the detector runs.
     assert_eq!(policy(0.0).frame(1, silent), FrameState::I);
 }
 
@@ -136,7 +136,7 @@ fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
     for round in 0..20 {
         assert_eq!(run.blind(), FrameState::P);
         assert!(run.outcome.degraded);
-        // Objects that leave the picture meanwhile are dropped; none appears.
+        // Objects that leave the picture are dropped; none appears.
         let boxes = &run.outcome.boxes;
         assert!((1..=before.len()).contains(&boxes.len()), "round {round}");
         assert!(boxes.iter().all(|b| b.source == BoxSource::Predicted));
@@ -145,7 +145,7 @@ fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
         let before = before.iter().find(|before| before.id == after.id);
         assert_eq!(before.map(|before| before.misses), Some(after.misses));
     }
-    // The blindness has an end: then nothing is known any more.
+    // After a limit all objects are forgotten.
     for _ in 0..11 {
         run.blind();
     }
@@ -175,7 +175,7 @@ fn a_gap_predicts_as_many_single_frames_do() {
     for frames in [1, 2, 5, 14] {
         let mut single = policy(0.0);
         calls(&mut single, 10);
-        // Nothing calls the detector but the longest pause.
+        // Only the longest pause calls the detector.
         single.policy.set_knob(100.0).unwrap();
         let mut gap = Run::with(single.policy.clone());
         for _ in 0..frames {
@@ -188,7 +188,7 @@ fn a_gap_predicts_as_many_single_frames_do() {
 }
 
 #[test]
-fn after_a_gap_beyond_all_prediction_the_objects_are_forgotten() {
+fn too_long_a_gap_forgets_the_objects() {
     let mut run = policy(100.0);
     run.see(&film(0));
     let gap = FrameEvidence::in_view(&[]);
@@ -212,7 +212,7 @@ fn a_picture_of_another_shape_forgets_the_objects_and_one_of_more_pixels_does_no
 }
 
 #[test]
-fn a_fixed_schedule_calls_on_one_frame_of_n() {
+fn a_fixed_schedule_calls_on_one_frame_in_n() {
     let mut run = start(Trigger::FixedSkip { n: 3.0 });
     assert_eq!(calls(&mut run, 12), [0, 3, 6, 9]);
     assert_eq!(run.policy.name(), "fixed-skip-in-tracker");
@@ -246,7 +246,7 @@ fn a_schedule_is_back_in_step_after_a_gap() {
     assert_eq!(called, expected);
 }
 
-/// Numbers a broken detector may give, among good ones.
+/// Valid numbers, and some that a broken detector may return.
 fn numbers() -> impl Strategy<Value = f64> {
     prop_oneof![
         4 => 0.0..1.0,
@@ -268,7 +268,7 @@ fn hostile() -> impl Strategy<Value = Vec<Detection>> {
     prop::collection::vec(detection, 0..6)
 }
 
-/// A frame: lost frames before it, and what the detector would say, if it says anything.
+/// Frames: the number of lost frames before each, and its detections, if any.
 fn streams() -> impl Strategy<Value = Vec<(u32, Option<Vec<Detection>>)>> {
     let step = prop_oneof![8 => Just(1u32), 2 => 1..20u32, 1 => Just(u32::MAX)];
     prop::collection::vec((step, prop::option::weighted(0.9, hostile())), 1..60)
@@ -276,7 +276,7 @@ fn streams() -> impl Strategy<Value = Vec<(u32, Option<Vec<Detection>>)>> {
 
 proptest! {
     #[test]
-    fn whatever_the_detector_says_numbers_stay_finite_and_boxes_inside(
+    fn with_any_detections_numbers_stay_finite_and_boxes_inside(
         stream in streams(),
         lambda in 0.0..2.0f64,
     ) {

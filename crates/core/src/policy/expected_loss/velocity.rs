@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_learnt_is_no_velocity() {
+    fn without_data_there_is_no_velocity() {
         let mut regression = VelocityRegression::default();
         let phi = features(0.2, 0.3, -3.0);
         assert_eq!(regression.expect(&phi, 5.0, 0.3), [0.0; VELOCITIES]);

@@ -1,4 +1,4 @@
-//! Promises of the fixed-skip policy beyond the golden traces.
+//! The fixed-skip policy beyond the golden traces.
 
 use super::*;
 use crate::policy::BoxSource::{Detected, Predicted};
@@ -6,7 +6,7 @@ use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::tests::{Run, seen};
 
-/// Indices of the frames that ask the detector, of `frames` frames.
+/// The indices of the frames that ask the detector among the next `frames`.
 fn asked(run: &mut Run, frames: u64) -> Vec<u64> {
     let first = run.index;
     let asked = |run: &mut Run| run.see(&[seen(0.5, 0.9)]) == I;
@@ -21,10 +21,8 @@ fn the_paper_reports_the_last_boxes_and_confidences_on_skipped_frames() {
     for _ in 0..2 {
         assert_eq!(run.see(&[]), P);
         assert!(!run.outcome.degraded);
-        assert_eq!(
-            run.reported(),
-            [(Predicted, 0.5, 0.9), (Predicted, 0.2, 0.6)]
-        );
+        let expected = [(Predicted, 0.5, 0.9), (Predicted, 0.2, 0.6)];
+        assert_eq!(run.reported(), expected);
     }
     assert_eq!(run.see(&[seen(0.7, 0.8)]), I);
     assert_eq!(run.reported(), [(Detected, 0.7, 0.8)]);
@@ -50,7 +48,7 @@ fn the_published_code_predicts_decays_and_removes_at_the_first_miss() {
 }
 
 #[test]
-fn a_setting_goes_over_the_profile() {
+fn a_setting_overrides_the_profile() {
     for (profile, skipped, objects) in [
         (Profile::Paper, SkippedBoxes::Predict, 1),
         (Profile::Reference, SkippedBoxes::Reuse, 0),
@@ -80,7 +78,7 @@ fn the_detector_runs_when_the_index_passes_a_multiple() {
 }
 
 #[test]
-fn a_stream_that_does_not_begin_at_0_begins_with_the_detector() {
+fn a_stream_that_starts_after_0_starts_with_the_detector() {
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     run.index = 13;
     assert_eq!(asked(&mut run, 10), [13, 15, 20]);
@@ -90,7 +88,7 @@ fn a_stream_that_does_not_begin_at_0_begins_with_the_detector() {
 }
 
 #[test]
-fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
+fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     let found = [seen(0.5, 0.9)];
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0]);
@@ -98,12 +96,12 @@ fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
     assert_eq!(run.frame(3, FrameEvidence::detections(&found)), I);
     assert!(asked(&mut run, 3).is_empty());
     assert_eq!(run.begin(1), Need::Detections);
-    // 10 is given up.
+    // 10 is abandoned.
     assert_eq!(asked(&mut run, 5), [11, 15]);
 }
 
 #[test]
-fn without_the_detector_the_last_boxes_stand_in_and_the_next_frame_asks_again() {
+fn without_the_detector_the_last_boxes_are_repeated_and_the_next_frame_asks_again() {
     for profile in [Profile::Paper, Profile::Reference] {
         let mut run = Run::new("fixed-skip:2", profile);
         assert_eq!(run.blind(), P);
@@ -119,7 +117,7 @@ fn without_the_detector_the_last_boxes_stand_in_and_the_next_frame_asks_again() 
 }
 
 #[test]
-fn the_knob_takes_effect_with_the_next_frame() {
+fn a_new_threshold_applies_from_the_next_frame() {
     let mut run = Run::new("fixed-skip:2", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0, 2]);
     run.policy.set_knob(4.0).unwrap();

@@ -8,17 +8,17 @@ use proptest::prelude::*;
 
 const GREY: PictureSize = PictureSize::new(64, 48);
 
-/// What can be known of one frame, and when.
+/// The evidence available for a frame, and when it arrives.
 #[derive(Clone, Debug)]
 struct Event {
     step: u32,
     empty: Option<bool>,
-    /// How far the picture has moved, pixels; none without a picture.
+    /// How far the picture has moved, pixels; `None` without a picture.
     moved: Option<u8>,
     detections: Option<Vec<Detection>>,
-    /// The threshold is set to this share of its useful range before the frame.
+    /// Share of its useful range to which the threshold is set before the frame.
     threshold: Option<f64>,
-    /// What the frame asks for comes after this many further frames.
+    /// Number of further frames before the requested evidence arrives.
     delay: usize,
 }
 
@@ -98,7 +98,7 @@ fn heads(script: &[Event]) -> Vec<FrameHead> {
     script.iter().map(head).collect()
 }
 
-/// Every policy that can answer at once, by name.
+/// Names of all policies that can answer at once.
 fn late_policies() -> impl Iterator<Item = &'static str> {
     known_policies().filter(|name| build(name).can_rewind())
 }
@@ -171,9 +171,9 @@ struct Camera<'a> {
     script: &'a [Event],
     heads: Vec<FrameHead>,
     next: usize,
-    /// The frame that waits, what for, and after which frame that comes.
+    /// The pending frame, what it needs, and after which frame that arrives.
     waits: Option<(usize, Need, usize)>,
-    /// Pieces of evidence that each frame was given.
+    /// Number of pieces of evidence given to each frame.
     given: Vec<usize>,
     live: Vec<Outcome>,
     settled: Vec<(usize, Outcome)>,
@@ -193,7 +193,7 @@ impl<'a> Camera<'a> {
         }
     }
 
-    /// The next frame; false after the last.
+    /// Plays the next frame; returns false after the last.
     fn frame(&mut self) -> bool {
         let Some(event) = self.script.get(self.next) else {
             return false;
@@ -211,7 +211,7 @@ impl<'a> Camera<'a> {
         true
     }
 
-    /// Whatever has come by now.
+    /// Delivers the evidence that has arrived by now.
     fn arrivals(&mut self) -> bool {
         let mut came = false;
         while let Some((frame, need, at)) = self.waits
@@ -236,7 +236,7 @@ impl<'a> Camera<'a> {
 }
 
 #[test]
-fn the_policies_that_predict_answer_at_once_and_the_others_say_that_they_cannot() {
+fn predicting_policies_answer_at_once_and_others_are_rejected() {
     for name in known_policies() {
         let can = LatePolicy::new(build(name));
         let mut predicting = ["albireo", "expected-loss", "kill", "in-tracker"].iter();
@@ -256,7 +256,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn without_delay_every_frame_is_as_if_it_had_waited(
+    fn without_delay_every_frame_equals_that_of_a_waiting_policy(
         script in events(0),
         profile in profiles(),
     ) {
@@ -282,7 +282,7 @@ proptest! {
     }
 
     #[test]
-    fn late_evidence_gives_what_the_same_evidence_gives_from_the_start(
+    fn late_evidence_gives_the_same_result_as_early_evidence(
         script in events(6),
         profile in profiles(),
     ) {
@@ -310,7 +310,7 @@ proptest! {
     }
 
     #[test]
-    fn two_cameras_in_any_order_answer_as_each_alone(
+    fn two_cameras_in_any_order_do_not_affect_each_other(
         scripts in [events(4), events(4)],
         order in prop::collection::vec(any::<bool>(), 0..200),
     ) {
@@ -338,7 +338,7 @@ proptest! {
     }
 }
 
-/// A policy that has one object and a pending frame, and that frame.
+/// A policy with one object and a pending frame, and the index of that frame.
 fn pending(name: &str) -> (LatePolicy, u64) {
     let mut late = late(name);
     let mut outcome = Outcome::default();
@@ -354,7 +354,7 @@ fn pending(name: &str) -> (LatePolicy, u64) {
             need = late.deliver(index, evidence, &mut outcome).unwrap();
         }
     }
-    unreachable!("the detector is called at some time");
+    unreachable!("the detector is called sooner or later");
 }
 
 #[test]
@@ -385,7 +385,7 @@ fn evidence_for_another_frame_is_an_error_and_changes_nothing() {
 }
 
 #[test]
-fn a_detector_that_fails_leaves_the_frame_degraded_and_is_asked_again() {
+fn a_failed_detector_degrades_the_frame_and_is_called_again() {
     for name in ["albireo", "expected-loss"] {
         let (mut late, index) = pending(name);
         let mut outcome = Outcome::default();
@@ -401,7 +401,7 @@ fn a_detector_that_fails_leaves_the_frame_degraded_and_is_asked_again() {
 }
 
 #[test]
-fn a_threshold_that_was_set_meanwhile_stays() {
+fn a_threshold_set_in_between_is_kept() {
     let (mut late, index) = pending("albireo");
     late.set_knob(1e-2).unwrap();
     let mut outcome = Outcome::default();
@@ -415,7 +415,7 @@ fn a_threshold_that_was_set_meanwhile_stays() {
 }
 
 #[test]
-fn frames_beyond_the_list_of_steps_are_predicted_again_as_lost_ones() {
+fn frames_beyond_the_list_of_steps_are_repeated_as_lost_ones() {
     let frames = MOST_STEPS as u64 + 20;
     for name in ["albireo", "expected-loss"] {
         let (mut late, index) = pending(name);

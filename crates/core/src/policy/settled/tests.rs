@@ -77,7 +77,7 @@ fn note(given: &mut Vec<Given>, frame: SettledFrame<'_>) {
 }
 
 #[test]
-fn boxes_between_two_calls_lie_on_the_line_and_weigh_what_the_second_call_says() {
+fn boxes_between_two_calls_are_interpolated_with_the_confidence_of_the_second() {
     use BoxSource::{Detected, Predicted, Rescued};
     let mut stream = Stream::new(LONG);
     let seen = [
@@ -120,7 +120,7 @@ fn boxes_between_two_calls_lie_on_the_line_and_weigh_what_the_second_call_says()
 }
 
 #[test]
-fn a_frame_that_waited_too_long_goes_out_as_it_was_answered() {
+fn a_frame_that_waited_too_long_is_sent_as_it_was_answered() {
     let own = [reported(0, 0.5, 0.8, BoxSource::Predicted)];
     let mut stream = Stream::new(MOMENT * 3);
     stream.frame(0, &answer(FrameState::I, &own), false);
@@ -137,7 +137,7 @@ fn a_frame_that_waited_too_long_goes_out_as_it_was_answered() {
 }
 
 #[test]
-fn a_stream_without_calls_holds_back_a_bounded_number_of_frames() {
+fn a_stream_without_calls_delays_a_bounded_number_of_frames() {
     let own = at(FrameState::P, 0.5);
     let mut settler = Settler::new(LONG);
     let mut given = 0;
@@ -180,7 +180,7 @@ fn late_detections_settle_the_frames_before_them_and_after_them() {
 }
 
 #[test]
-fn an_answer_after_its_frame_went_out_is_what_later_frames_are_drawn_from() {
+fn a_late_answer_still_settles_later_frames() {
     let predicted = at(FrameState::P, 0.9);
     let detected = |x| at(FrameState::I, x);
     let mut stream = Stream::new(MOMENT);
@@ -200,7 +200,7 @@ fn an_answer_after_its_frame_went_out_is_what_later_frames_are_drawn_from() {
 }
 
 #[test]
-fn a_stream_that_begins_again_gives_the_old_frames_out_first() {
+fn a_restarted_stream_sends_the_old_frames_first() {
     let own = [reported(0, 0.5, 0.8, BoxSource::Detected)];
     let mut stream = Stream::new(LONG);
     stream.frame(5, &answer(FrameState::I, &own), false);
@@ -239,7 +239,7 @@ fn outcome((state, _, _, boxes): &Event) -> Outcome {
 
 proptest! {
     #[test]
-    fn every_frame_comes_out_once_and_in_order(script in events(), longest in 0..12u32, late in 1..5u64) {
+    fn every_frame_is_sent_once_and_in_order(script in events(), longest in 0..12u32, late in 1..5u64) {
         let mut stream = Stream::new(MOMENT * longest);
         let mut pushed = Vec::new();
         let mut waits: Option<(u64, u64, Outcome)> = None;
@@ -267,7 +267,7 @@ proptest! {
     }
 
     #[test]
-    fn with_a_call_on_every_frame_each_goes_out_at_once_and_unchanged(script in events()) {
+    fn with_a_call_on_every_frame_each_is_sent_at_once_and_unchanged(script in events()) {
         let mut stream = Stream::new(LONG);
         for (index, event) in (0u64..).zip(&script) {
             let mut own = outcome(event);

@@ -1,4 +1,4 @@
-//! A camera for the tests of the policies: frames one after the other, and evidence on request.
+//! A camera for the policies' tests: it plays frames one by one and provides evidence on request.
 
 use super::*;
 use std::convert::Infallible;
@@ -59,7 +59,7 @@ impl EvidenceAtHand for Noted<'_> {
 pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
     pub policy: Box<P>,
     pub outcome: Outcome,
-    /// What the last frame asked for.
+    /// Requests of the last frame.
     pub needs: Vec<Need>,
     pub index: u64,
 }
@@ -85,7 +85,7 @@ impl<P: Policy + ?Sized> Run<P> {
         }
     }
 
-    /// Begins a frame, for a test that answers by itself.
+    /// Begins a frame that the test answers itself.
     pub(in crate::policy) fn begin(&mut self, step: u32) -> Need {
         let head = self.head(step);
         self.policy.begin(head)
@@ -101,7 +101,7 @@ impl<P: Policy + ?Sized> Run<P> {
         head
     }
 
-    /// A whole frame, `step` after the one before.
+    /// Plays a whole frame, `step` after the previous one.
     pub(in crate::policy) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
         self.needs.clear();
         let head = self.head(step);
@@ -118,12 +118,12 @@ impl<P: Policy + ?Sized> Run<P> {
         self.outcome.state
     }
 
-    /// A frame in which the detector, if asked, finds `found`, and the screen says "not empty".
+    /// Plays a frame in which the detector, if called, finds `found`, and the screen answers "not empty".
     pub(in crate::policy) fn see(&mut self, found: &[Detection]) -> FrameState {
         self.frame(1, FrameEvidence::in_view(found))
     }
 
-    /// A frame without any evidence.
+    /// Plays a frame without any evidence.
     pub(in crate::policy) fn blind(&mut self) -> FrameState {
         self.frame(1, FrameEvidence::default())
     }
@@ -155,11 +155,11 @@ fn textured(shift: f64) -> Vec<u8> {
     (0..320 * 180).map(value).collect()
 }
 
-/// What became of a [`ride`].
+/// The result of a [`ride`].
 pub(in crate::policy) struct Ride {
-    /// Source of each box on frames without the detector, and how far it is off, pixels of the small picture.
+    /// Source of each box on frames without the detector, and its error in pixels of the small picture.
     pub skipped: Vec<(BoxSource, f64)>,
-    /// Frames with the detector.
+    /// Number of frames with the detector.
     pub calls: Vec<usize>,
 }
 

@@ -1,14 +1,14 @@
-//! Promises of the advice.
+//! The advice meets its target and can be used as it is.
 
 use super::*;
 use crate::advise::render;
 use crate::average_precision::tests::{scored, square};
 use albireo_core::geometry::PictureSize;
 
-/// Two objects that drift with a speed that changes from clip to clip, in pixels a frame, and one that comes and goes.
+/// Two objects that drift by `speed` pixels per frame, and one that comes and goes.
 fn recording(name: &str, speed: f64, frames: usize) -> Clip {
     let found = |x: f64, y: f64| scored(square(x, y, 50.0), 0.8);
-    // There and back, so that nothing leaves the picture; turning is what a filter gets wrong.
+    // Back and forth, so that nothing leaves the picture; a filter errs at the turns.
     let swing = |frame: usize, phase: f64| {
         let span = 400.0;
         let way = (speed * frame as f64 + phase).rem_euclid(2.0 * span);
@@ -39,7 +39,7 @@ fn advice(policy: &str, target: &str) -> Advice {
 }
 
 #[test]
-fn a_recall_is_met_by_its_lower_end_and_a_stricter_one_cannot_save_more() {
+fn a_recall_is_met_by_its_lower_bound_and_a_stricter_one_saves_no_more() {
     let advice = advice("expected-loss", "recall=0.8");
     let best = advice.best().expect("it can be met");
     assert!(best.recall.unwrap().low >= 0.8, "{best:?}");
@@ -51,20 +51,18 @@ fn a_recall_is_met_by_its_lower_end_and_a_stricter_one_cannot_save_more() {
 }
 
 #[test]
-fn a_skip_rate_is_met_and_no_more_is_skipped_than_it_asks_for() {
+fn a_skip_rate_is_met_and_not_exceeded() {
     for (target, asked) in [("skip_rate=0.5", 0.5), ("skip_rate=0.7", 0.7)] {
         let advice = advice("even-skip-in-tracker", target);
         let best = advice.best().expect("it can be met");
         let skipped = best.skip_rate.unwrap().value;
-        assert!(
-            (asked..asked + 0.08).contains(&skipped),
-            "{target}: {best:?}"
-        );
+        let range = asked..asked + 0.08;
+        assert!(range.contains(&skipped), "{target}: {best:?}");
     }
 }
 
 #[test]
-fn the_screen_whose_verdicts_were_recorded_is_tried_beside_none() {
+fn a_recorded_screen_is_tried_as_well_as_none() {
     let mut clips = recordings();
     assert_eq!(advice("albireo", "skip_rate=0.1").proposals.len(), 1);
     for clip in &mut clips {
@@ -79,7 +77,7 @@ fn the_screen_whose_verdicts_were_recorded_is_tried_beside_none() {
 }
 
 #[test]
-fn what_cannot_be_met_is_said_and_nothing_is_proposed() {
+fn an_unreachable_target_is_reported_without_a_proposal() {
     let advice = advice("albireo", "skip_rate=0.999");
     assert_eq!(advice.best(), None);
     let text = render(&advice);
@@ -88,12 +86,11 @@ fn what_cannot_be_met_is_said_and_nothing_is_proposed() {
 }
 
 #[test]
-fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_refused() {
+fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
     let refused = |policy: &str, settings: &Settings| {
         let target = Target::Recall(0.9);
-        advise(&recordings(), target, policy, settings)
-            .unwrap_err()
-            .to_string()
+        let error = advise(&recordings(), target, policy, settings);
+        error.unwrap_err().to_string()
     };
     let sure = Settings {
         confidence: 0.9,
@@ -105,7 +102,7 @@ fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_refused() {
 }
 
 #[test]
-fn the_lines_are_a_nodes_configuration_of_that_policy_and_value() {
+fn the_proposed_lines_are_a_valid_node_configuration() {
     #[derive(serde::Deserialize)]
     struct Node {
         policy: PolicyConfig,
@@ -138,13 +135,11 @@ fn the_text_fits() {
 }
 
 #[test]
-fn values_have_two_digits_and_rise_through_the_useful_range() {
+fn values_have_two_digits_and_increase_through_the_useful_range() {
     let knob = ExpectedLoss::KNOB;
     let values = values(&knob);
-    assert!(
-        values.is_sorted() && values.len() > VALUES / 2,
-        "{values:?}"
-    );
+    assert!(values.is_sorted(), "{values:?}");
+    assert!(values.len() > VALUES / 2, "{values:?}");
     assert_eq!(values.first(), Some(&knob.useful_minimum));
     assert_eq!(values.last(), Some(&knob.useful_maximum));
     for value in values {

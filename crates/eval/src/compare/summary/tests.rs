@@ -3,7 +3,7 @@ use super::*;
 use albireo_wire::{BoardState, FrameStates};
 use serde_json::json;
 
-/// A run of `calls` detector calls in 100 frames that took `joules`.
+/// A run of 100 frames with `calls` detector calls and this energy.
 pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>) -> Run {
     let states = FrameStates {
         i: calls,
@@ -11,7 +11,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         ..FrameStates::default()
     };
     let times = |count: u64, mean: f64| json!({"count": count, "mean": mean, "p50": 0.0, "p95": 0.0, "p99": 0.0});
-    // Of a clip of ten seconds.
+    // The clip lasts 10 s.
     let energy = json!({
         "joules": joules, "node_joules": joules, "edp": joules.map(|joules| joules * 10.0 * 1e3 / 100.0),
         "quality": if joules.is_some() { "measured" } else { "unavailable" },
@@ -35,7 +35,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
     }
 }
 
-/// Three rounds of vanilla and of a policy with so many detector calls, whose joules differ a little from round to round.
+/// Three rounds of vanilla and of a policy with `calls` detector calls; the joules differ slightly by round.
 pub(crate) fn rounds(joules: [f64; 2], calls: u64) -> impl Iterator<Item = Run> {
     let pair = move |(round, noise)| {
         [
@@ -79,7 +79,7 @@ fn a_mean_has_students_interval_over_the_rounds() {
 }
 
 #[test]
-fn changes_are_paired_by_round_so_that_a_drift_of_the_board_does_not_widen_them() {
+fn changes_are_paired_by_round_so_that_a_drift_does_not_widen_them() {
     // The board warms up from round to round; albireo saves a quarter of 100 J each time.
     let runs = (0..4)
         .flat_map(|round| {
@@ -116,14 +116,12 @@ fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
     assert_eq!(quality_of(&runs), EnergyQuality::Estimated);
     runs[0].report.energy.joules = None;
     assert_eq!(quality_of(&runs), EnergyQuality::Unavailable);
-    assert_eq!(
-        summarise(&comparison(&["a", "b"], runs)).policies[0].mean(Figure::Joules),
-        None
-    );
+    let summary = summarise(&comparison(&["a", "b"], runs));
+    assert_eq!(summary.policies[0].mean(Figure::Joules), None);
 }
 
 #[test]
-fn the_boards_mode_and_throttling_are_told() {
+fn the_boards_mode_and_throttling_are_reported() {
     let mut runs = vec![run(0, 0, 100, Some(9.0)), run(0, 1, 50, Some(5.0))];
     for (run, throttled) in runs.iter_mut().zip([false, true]) {
         run.report.board = Some(BoardState {

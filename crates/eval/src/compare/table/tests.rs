@@ -24,7 +24,7 @@ fn text(comparison: &Comparison) -> String {
 }
 
 #[test]
-fn a_measured_comparison_tells_means_changes_and_boxes() {
+fn a_measured_comparison_shows_means_changes_and_boxes() {
     let found = text(&played(EnergyQuality::Measured));
     let expected = "\
 Clip synth-1: 100 frames of 1280x720, played at its own 10 frames/s by a camera over Zenoh to a node
@@ -79,7 +79,7 @@ fn without_a_figure_for_energy_there_is_no_column_for_it() {
 }
 
 #[test]
-fn gaps_of_the_meter_are_told_with_the_share_they_leave() {
+fn gaps_of_the_meter_are_reported_with_the_covered_share() {
     let mut comparison = played(EnergyQuality::Partial);
     comparison.runs[0].report.energy.coverage = 0.815;
     let found = text(&comparison);

@@ -1,4 +1,4 @@
-//! Hostile batches by the thousand, from the payload to the rows: no network, a real database.
+//! Thousands of hostile batches from the payload to the rows, without a network, with a real database.
 
 use crate::config::{DatabaseConfig, HistoryConfig};
 use crate::ingest::{Recorder, decode};
@@ -13,15 +13,15 @@ use std::collections::BTreeSet;
 use std::io::Write as _;
 use uuid::{Builder, Uuid};
 
-/// Batches of one run. More by hand: `ALBIREO_BATCHES=100000`.
+/// The number of batches. For more by hand: `ALBIREO_BATCHES=100000`.
 fn batches() -> u64 {
     let given = std::env::var("ALBIREO_BATCHES").ok();
     given.and_then(|text| text.parse().ok()).unwrap_or(10_000)
 }
 
-/// Batches of one transaction.
+/// Batches per transaction.
 const GROUP: usize = 250;
-/// Identities of the reports: few, so that some come again.
+/// The number of report ids, small so that some repeat.
 const REPORTS: u64 = 4000;
 const NOW_MS: i64 = 1_790_000_000_000;
 
@@ -32,7 +32,7 @@ fn batch(random: &mut Pcg64Mcg) -> Value {
     json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports })
 }
 
-/// A report as a node makes it.
+/// A valid report.
 fn report(number: u64) -> Value {
     let times = json!({"count": 9, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
     let id = Builder::from_unix_timestamp_millis(NOW_MS.unsigned_abs() + number, &[3; 10]);
@@ -69,8 +69,8 @@ fn hostile(random: &mut Pcg64Mcg) -> Value {
     }
 }
 
-/// Changes one member, somewhere.
-fn spoil(value: &mut Value, random: &mut Pcg64Mcg) {
+/// Corrupts a random member.
+fn corrupt(value: &mut Value, random: &mut Pcg64Mcg) {
     let mut here = value;
     loop {
         let count = match &*here {
@@ -78,7 +78,7 @@ fn spoil(value: &mut Value, random: &mut Pcg64Mcg) {
             Value::Array(values) => values.len(),
             _ => 0,
         };
-        // The outermost is seldom met: a batch that is no object at all is soon refused.
+        // Rarely at the outermost level: a batch that is no object is rejected at once.
         if count == 0 || random.next_u64().is_multiple_of(4) {
             *here = hostile(random);
             return;
@@ -105,17 +105,14 @@ fn spoil(value: &mut Value, random: &mut Pcg64Mcg) {
 
 fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
     let mut batch = batch(random);
-    // A fault in the batch itself refuses it whole; most are to come further.
+    // A fault in the batch itself rejects it whole; most faults should get further.
     for _ in 0..random.next_u64() % 3 {
         let whole = random.next_u64().is_multiple_of(4) || batch["reports"][0].is_null();
-        spoil(
-            if whole {
-                &mut batch
-            } else {
-                &mut batch["reports"][0]
-            },
-            random,
-        );
+        let part = match whole {
+            true => &mut batch,
+            false => &mut batch["reports"][0],
+        };
+        corrupt(part, random);
     }
     let mut text = batch.to_string().into_bytes();
     if random.next_u64().is_multiple_of(8) {
@@ -135,7 +132,7 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
     packed
 }
 
-/// As a node compresses it, whatever it is.
+/// Compresses any text as a node does.
 fn zstd(text: &[u8]) -> Vec<u8> {
     let mut encoder = zstd::Encoder::new(vec![REPORT_DICTIONARY], 1).unwrap();
     encoder.write_all(text).unwrap();
@@ -143,7 +140,7 @@ fn zstd(text: &[u8]) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for() {
+async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounted_for() {
     let batches = batches();
     let folder = tempfile::tempdir().unwrap();
     let config = DatabaseConfig {
@@ -173,7 +170,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         }
         let group = std::mem::take(&mut group);
         let done = recorder.record(&group, &News::default(), false, now);
-        let done = done.expect("whatever a batch holds, the database takes what is made of it");
+        let done = done.expect("the database accepts the rows of any batch");
         clips += done.counts.clips;
         again += done.counts.again;
         aside += done.counts.set_aside;
@@ -181,11 +178,9 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         for (batch, answer) in group.iter().zip(&done.answers) {
             refused += answer.refused.len() as u64;
             let no: BTreeSet<Uuid> = answer.refused.iter().map(|report| report.id).collect();
-            let ids = batch.reports.iter().filter(|report| report.content.is_ok());
-            stored.extend(
-                ids.filter_map(|report| report.id)
-                    .filter(|id| !no.contains(id)),
-            );
+            let read = batch.reports.iter().filter(|report| report.content.is_ok());
+            let ids = read.filter_map(|report| report.id);
+            stored.extend(ids.filter(|id| !no.contains(id)));
         }
     }
     println!(
@@ -193,7 +188,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
          {refused} refused by name"
     );
     assert!(unreadable > batches / 20 && clips > 0 && again > 0 && aside > 0 && refused > 0);
-    // What is acknowledged is there, once; the counts are those of the rows.
+    // Acknowledged reports are stored once, and the counts match the rows.
     assert_eq!(stored.len() as u64, clips);
     let counts = store.report_counts("car-1").await.unwrap().unwrap();
     assert_eq!(counts.stored.unsigned_abs(), clips);
@@ -203,7 +198,7 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
 }
 
 #[test]
-fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
+fn an_empty_batch_and_an_oversized_one_are_rejected_whole() {
     let of = |reports: Value| {
         let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
         decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).map(|_| ())
@@ -217,13 +212,9 @@ fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
     let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": [other] });
     let batch = decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).unwrap();
     assert!(batch.reports[0].content.is_err(), "another node's report");
-    let all: ReportBatch = serde_json::from_value(
-        json!({ "v": 1, "node": "car-1", "t_ms": 0, "reports": [report(1)] }),
-    )
-    .unwrap();
-    let payload = all.to_payload(BatchCompression::Best).unwrap();
-    assert!(
-        decode("car-2", &payload, NOW_MS).is_err(),
-        "another node's batch"
-    );
+    let batch = json!({ "v": 1, "node": "car-1", "t_ms": 0, "reports": [report(1)] });
+    let batch: ReportBatch = serde_json::from_value(batch).unwrap();
+    let payload = batch.to_payload(BatchCompression::Best).unwrap();
+    let decoded = decode("car-2", &payload, NOW_MS);
+    assert!(decoded.is_err(), "another node's batch");
 }

@@ -1,4 +1,4 @@
-use super::super::metric::Mean;
+use super::super::metric::{Figures, Mean};
 use super::*;
 
 const RATES: ErrorRates = ErrorRates {
@@ -6,24 +6,20 @@ const RATES: ErrorRates = ErrorRates {
     pass: 0.05,
 };
 
-/// Nodes around their own levels; after is `factor` times before, give or take a percent.
+/// Five clips with that mean.
+fn clips(figure: Figure, mean: f64) -> Figures {
+    let sum = 5.0 * mean;
+    [(figure, Mean { clips: 5, sum })].into()
+}
+
+/// Nodes around their own levels; after is `factor` times before, give or take 2 %.
 fn fleet(figure: Figure, count: usize, factor: f64) -> Vec<BeforeAfter> {
     let one = |n: usize| {
         let level = 10.0 + n as f64;
         let own = factor * (1.0 + 0.01 * ((n * 7 % 5) as f64 - 2.0));
-        let clips = |mean: f64| {
-            [(
-                figure,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
-        };
         BeforeAfter {
-            before: clips(level),
-            after: clips(level * own),
+            before: clips(figure, level),
+            after: clips(figure, level * own),
         }
     };
     (0..count).map(one).collect()
@@ -35,8 +31,12 @@ fn judged(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Vec
     judge(&[gate.parse().unwrap()], &changed, &unchanged, 5, RATES)
 }
 
+fn verdict(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Verdict {
+    overall(&judged(gate, changed, unchanged))
+}
+
 #[test]
-fn a_gate_reads_as_it_is_written() {
+fn a_gate_is_read_back_as_written() {
     for (text, metric, bound, relative, where_measured) in [
         ("joules<=+5%", Metric::Joules, 0.05, true, false),
         ("joules <= 7 % ?", Metric::Joules, 0.07, true, true),
@@ -53,11 +53,8 @@ fn a_gate_reads_as_it_is_written() {
         ),
     ] {
         let gate: Gate = text.parse().unwrap();
-        assert_eq!(
-            (gate.metric, gate.relative, gate.where_measured),
-            (metric, relative, where_measured),
-            "{text}"
-        );
+        let found = (gate.metric, gate.relative, gate.where_measured);
+        assert_eq!(found, (metric, relative, where_measured), "{text}");
         assert!((gate.bound() - bound).abs() < 1e-15 * bound.abs(), "{text}");
         assert_eq!(gate.to_string().parse::<Gate>().unwrap(), gate);
     }
@@ -75,7 +72,7 @@ fn a_gate_reads_as_it_is_written() {
 }
 
 #[test]
-fn a_change_within_the_bound_passes_one_beyond_it_fails_and_between_nothing_is_decided() {
+fn a_change_within_the_bound_passes_beyond_it_fails_and_between_is_undecided() {
     let rest = fleet(Figure::JoulesMeasured, 40, 1.0);
     for (factor, expected) in [
         (0.8, Verdict::Passed),
@@ -84,56 +81,35 @@ fn a_change_within_the_bound_passes_one_beyond_it_fails_and_between_nothing_is_d
         (1.048, Verdict::Undecided),
         (1.1, Verdict::Failed),
     ] {
-        let results = judged(
-            "joules<=+5%",
-            &fleet(Figure::JoulesMeasured, 12, factor),
-            &rest,
-        );
+        let changed = fleet(Figure::JoulesMeasured, 12, factor);
+        let results = judged("joules<=+5%", &changed, &rest);
         assert_eq!(overall(&results), expected, "{factor} {results:#?}");
-        let change = results[0].change.unwrap();
-        assert!(
-            (change.estimate - (factor - 1.0)).abs() < 0.01,
-            "{change:?}"
-        );
+        let estimate = results[0].change.unwrap().estimate;
+        assert!((estimate - (factor - 1.0)).abs() < 0.01, "{estimate}");
     }
 }
 
 #[test]
-fn what_also_happened_to_the_other_nodes_is_no_effect() {
-    let rush_hour = fleet(Figure::JoulesMeasured, 40, 1.5);
+fn a_change_that_other_nodes_share_is_no_effect() {
     let changed = fleet(Figure::JoulesMeasured, 12, 1.5);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &rush_hour)),
-        Verdict::Passed
-    );
-    let quiet = fleet(Figure::JoulesMeasured, 40, 1.0);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &quiet)),
-        Verdict::Failed
-    );
+    for (others, expected) in [(1.5, Verdict::Passed), (1.0, Verdict::Failed)] {
+        let rest = fleet(Figure::JoulesMeasured, 40, others);
+        assert_eq!(verdict("joules<=+5%", &changed, &rest), expected);
+    }
 }
 
 #[test]
-fn for_the_skip_rate_less_is_worse() {
+fn a_lower_skip_rate_is_worse() {
     let share = |after: f64| -> Vec<BeforeAfter> {
-        let clips = |mean: f64| {
-            [(
-                Figure::SkipRate,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
-        };
+        let rate = |level: f64, n: i32| clips(Figure::SkipRate, level + 0.01 * f64::from(n));
         (0..10)
             .map(|n| BeforeAfter {
-                before: clips(0.6 + 0.01 * f64::from(n % 3)),
-                after: clips(after + 0.01 * f64::from(n % 4)),
+                before: rate(0.6, n % 3),
+                after: rate(after, n % 4),
             })
             .collect()
     };
-    let verdict = |after| overall(&judged("skip_rate>=-0.05", &share(after), &share(0.6)));
+    let verdict = |after| verdict("skip_rate>=-0.05", &share(after), &share(0.6));
     assert_eq!(verdict(0.8), Verdict::Passed);
     assert_eq!(verdict(0.58), Verdict::Passed);
     assert_eq!(verdict(0.4), Verdict::Failed);
@@ -141,23 +117,19 @@ fn for_the_skip_rate_less_is_worse() {
 }
 
 #[test]
-fn measured_and_estimated_energy_are_judged_apart() {
+fn measured_and_estimated_energy_are_judged_separately() {
     let mut changed = fleet(Figure::JoulesMeasured, 8, 1.2);
     let mut rest = fleet(Figure::JoulesMeasured, 8, 1.0);
     // A hundred estimates that say the opposite do not outvote eight meters.
     changed.extend(fleet(Figure::JoulesEstimated, 100, 0.7));
     rest.extend(fleet(Figure::JoulesEstimated, 100, 1.0));
     let results = judged("joules<=+5%", &changed, &rest);
-    let by_figure: Vec<_> = (results.iter())
-        .map(|r| (r.figure, r.nodes, r.verdict))
-        .collect();
-    assert_eq!(
-        by_figure,
-        [
-            (Some(Figure::JoulesMeasured), 8, Verdict::Failed),
-            (Some(Figure::JoulesEstimated), 100, Verdict::Passed),
-        ]
-    );
+    let by_figure = results.iter().map(|r| (r.figure, r.nodes, r.verdict));
+    let expected = [
+        (Some(Figure::JoulesMeasured), 8, Verdict::Failed),
+        (Some(Figure::JoulesEstimated), 100, Verdict::Passed),
+    ];
+    assert_eq!(by_figure.collect::<Vec<_>>(), expected);
     assert_eq!(overall(&results), Verdict::Failed);
     // A node whose power source changed has no pair of one kind.
     let mut replaced = fleet(Figure::JoulesMeasured, 8, 1.0);
@@ -165,20 +137,16 @@ fn measured_and_estimated_energy_are_judged_apart() {
         node.after = fleet(Figure::JoulesEstimated, 1, 1.0)[0].after.clone();
     }
     let results = judged("joules<=+5%", &replaced, &rest);
-    assert!(
-        (results.iter()).all(|r| r.nodes == 0 && r.verdict == Verdict::NotMeasured),
-        "{results:?}"
-    );
+    let mut all = results.iter().map(|r| (r.nodes, r.verdict));
+    assert!(all.all(|found| found == (0, Verdict::NotMeasured)));
 }
 
 #[test]
 fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_nothing() {
     let rest = fleet(Figure::JoulesMeasured, 40, 1.0);
     let mut changed = fleet(Figure::JoulesMeasured, 8, 2.0);
-    assert_eq!(
-        overall(&judged("joules<=+5%", &changed, &rest)),
-        Verdict::Failed
-    );
+    let gate = "joules<=+5%";
+    assert_eq!(verdict(gate, &changed, &rest), Verdict::Failed);
     let few = Mean {
         clips: 4,
         sum: 80.0,
@@ -190,7 +158,7 @@ fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_noth
 }
 
 #[test]
-fn a_metric_that_nobody_reports_leaves_its_gate_undecided_unless_it_is_where_measured() {
+fn an_unreported_metric_leaves_its_gate_undecided_unless_the_gate_applies_where_measured() {
     let nodes = fleet(Figure::SkipRate, 10, 1.0);
     for (text, expected) in [
         ("recall>=-0.02", Verdict::Undecided),

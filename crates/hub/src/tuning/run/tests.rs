@@ -16,6 +16,12 @@ pub(super) fn new() -> Threshold {
     Threshold::new("u", 5e-4)
 }
 
+/// Five clips with that mean.
+pub(super) fn clips(mean: f64) -> Mean {
+    let sum = 5.0 * mean;
+    Mean { clips: 5, sum }
+}
+
 const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
@@ -26,19 +32,19 @@ struct SimNode {
     refused: Option<u64>,
     desired: Option<(u64, Threshold)>,
     refuses: bool,
-    /// Whether the new value kills it.
+    /// True if the new value kills it.
     dies: bool,
     /// Energy of a clip under the new value, relative to the old.
     factor: f64,
 }
 
-/// A fleet that does what it is told, and a hub that carries orders out.
+/// A fleet that applies what it is asked for, and a hub that carries out orders.
 #[derive(Clone)]
 struct World {
     nodes: BTreeMap<String, SimNode>,
     revision: u64,
     now: Millis,
-    /// Nodes that had the new value at the same time, at most.
+    /// The most nodes that had the new value at the same time.
     most_new: usize,
 }
 
@@ -75,7 +81,7 @@ impl World {
         self.nodes.values().filter(|n| n.has == knob).count()
     }
 
-    /// A second passes.
+    /// Advances by 1 s.
     fn step(&mut self, rollout: &mut Run) {
         self.now += SECOND;
         for order in rollout.due() {
@@ -103,12 +109,8 @@ impl World {
         self.most_new = self.most_new.max(self.have(new()));
         rollout.observe(self.now, |name| {
             let node = self.nodes.get(name)?;
-            Some(reported(
-                node.reachable,
-                node.revision,
-                node.has,
-                node.refused,
-            ))
+            let (revision, has) = (node.revision, node.has);
+            Some(reported(node.reachable, revision, has, node.refused))
         });
         if let Some(windows) = rollout.tick(self.now) {
             let found = windows.iter().map(|both| self.measure(both)).collect();
@@ -120,10 +122,6 @@ impl World {
         assert_eq!(before.value, old().value.to_string());
         assert!(before.from_ms < before.until_ms);
         assert!(before.until_ms <= after.from_ms && after.from_ms <= after.until_ms);
-        let clips = |mean: f64| Mean {
-            clips: 5,
-            sum: 5.0 * mean,
-        };
         let figures = |factor: f64| -> Figures {
             [
                 (Figure::SkipRate, clips(0.5)),
@@ -179,13 +177,18 @@ fn plan() -> RolloutPlan {
     }
 }
 
+fn last(rollout: &Run, what: What) -> &Entry {
+    let mut record = rollout.record.iter();
+    record.rfind(|entry| entry.what == what).unwrap()
+}
+
 fn stages_entered(rollout: &Run) -> Vec<&str> {
     let entered = rollout.record.iter().filter(|e| e.what == What::Stage);
     entered.map(|e| e.text.as_str()).collect()
 }
 
 #[test]
-fn a_share_is_rounded_up_and_never_to_nobody() {
+fn a_share_is_rounded_up_to_at_least_one_node() {
     for (size, all, expected) in [
         ("10%", 30, 3),
         ("10%", 31, 4),
@@ -197,11 +200,8 @@ fn a_share_is_rounded_up_and_never_to_nobody() {
         ("all", 7, 7),
         ("33.3%", 1000, 333),
     ] {
-        assert_eq!(
-            size.parse::<StageSize>().unwrap().of(all),
-            expected,
-            "{size} of {all}"
-        );
+        let stage: StageSize = size.parse().unwrap();
+        assert_eq!(stage.of(all), expected, "{size} of {all}");
     }
     for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
         assert!(wrong.parse::<StageSize>().is_err(), "{wrong}");
@@ -212,69 +212,53 @@ fn a_share_is_rounded_up_and_never_to_nobody() {
 }
 
 #[test]
-fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
+fn a_rollout_whose_gates_pass_reaches_all_nodes_in_stages() {
     let mut world = World::new(40);
     let mut rollout = world.begin(plan());
     world.run(&mut rollout, 90);
     assert_eq!((world.have(new()), rollout.phase.name()), (1, "soaking"));
     world.run_until(&mut rollout, "done");
-    assert_eq!(
-        stages_entered(&rollout),
-        ["1 node", "3 nodes", "16 nodes", "20 nodes"]
-    );
+    let stages = ["1 node", "3 nodes", "16 nodes", "20 nodes"];
+    assert_eq!(stages_entered(&rollout), stages);
     assert_eq!(world.have(new()), 40);
     // Four stages of a hundred seconds: none was shorter than its soak.
     assert!(world.now >= 400 * SECOND, "{}", world.now);
-    let judged: Vec<_> = rollout
-        .record
-        .iter()
-        .filter(|e| e.what == What::Judged)
-        .collect();
-    assert_eq!(judged.len(), 8, "half-way and at the end of each");
-    // Of one, three and the last twenty nodes nothing can be estimated: they took the value and are alive.
-    let verdicts: Vec<_> = judged
-        .iter()
-        .skip(1)
-        .step_by(2)
-        .map(|e| e.verdict)
-        .collect();
+    let judged = rollout.record.iter().filter(|e| e.what == What::Judged);
+    let verdicts: Vec<_> = judged.map(|e| e.verdict).collect();
+    assert_eq!(verdicts.len(), 8, "half-way and at the end of each");
+    // One, three and the last twenty nodes allow no estimate: they took the value and still report.
+    let verdicts: Vec<_> = verdicts.into_iter().skip(1).step_by(2).collect();
     let alive = Some(Verdict::NotMeasured);
     assert_eq!(verdicts, [alive, alive, Some(Verdict::Passed), alive]);
 }
 
 #[test]
-fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_back() {
+fn a_stage_that_fails_its_gate_restores_the_old_value_on_all_nodes_of_the_rollout() {
     let mut world = World::new(40);
     let mut rollout = world.begin(plan());
     for node in world.nodes.values_mut() {
         node.factor = 1.33;
     }
     world.run_until(&mut rollout, "returned");
-    // The first stages have too few nodes to tell.
+    // The first stages have too few nodes for an estimate.
     assert_eq!(stages_entered(&rollout), ["1 node", "3 nodes", "16 nodes"]);
     assert_eq!(world.most_new, 20);
     assert_eq!((world.have(new()), world.have(old())), (0, 40));
-    let failed = (rollout.record.iter())
-        .find(|e| e.verdict == Some(Verdict::Failed))
-        .unwrap();
-    let gate = (failed.gates.iter())
-        .find(|g| g.verdict == Verdict::Failed)
-        .unwrap();
-    assert_eq!(
-        (gate.figure, gate.nodes, gate.compared),
-        (Some(Figure::JoulesMeasured), 16, 20)
-    );
+    let mut record = rollout.record.iter();
+    let failed = record.find(|e| e.verdict == Some(Verdict::Failed)).unwrap();
+    let mut gates = failed.gates.iter();
+    let gate = gates.find(|g| g.verdict == Verdict::Failed).unwrap();
+    let found = (gate.figure, gate.nodes, gate.compared);
+    assert_eq!(found, (Some(Figure::JoulesMeasured), 16, 20));
     let change = gate.change.unwrap();
-    assert!(
-        (change.estimate - 0.33).abs() < 0.01 && change.lower > 0.05,
-        "{change:?}"
-    );
-    // It is noticed half-way, not at the end of the soak.
+    let is_right = (change.estimate - 0.33).abs() < 0.01 && change.lower > 0.05;
+    assert!(is_right, "{change:?}");
+    // The harm is noticed half-way, not at the end of the soak.
     assert!(world.now < 300 * SECOND, "{}", world.now);
 }
 
 #[test]
-fn a_value_that_kills_nodes_is_given_back_also_where_nothing_can_be_measured() {
+fn a_value_that_kills_nodes_is_undone_even_without_measurements() {
     for (count, most) in [(6, 1), (40, 1)] {
         let mut world = World::new(count);
         world.nodes.values_mut().for_each(|n| n.dies = true);
@@ -291,17 +275,12 @@ fn a_value_that_kills_nodes_is_given_back_also_where_nothing_can_be_measured() {
     let mut rollout = rollout;
     world.run_until(&mut rollout, "returned");
     assert!(world.most_new <= 30, "{}", world.most_new);
-    let text = &rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Judged)
-        .unwrap()
-        .text;
+    let text = &last(&rollout, What::Judged).text;
     assert!(text.contains("fell silent"), "{text}");
 }
 
 #[test]
-fn a_last_stage_that_leaves_nodes_out_is_measured_against_them() {
+fn a_last_stage_that_excludes_nodes_is_measured_against_them() {
     let mut world = World::new(40);
     let mut rollout = world.begin(RolloutPlan {
         stages: ["1", "50%"].map(|s| s.parse().unwrap()).to_vec(),
@@ -309,20 +288,16 @@ fn a_last_stage_that_leaves_nodes_out_is_measured_against_them() {
     });
     world.run_until(&mut rollout, "done");
     assert_eq!(world.have(new()), 20);
-    let last = rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Judged)
-        .unwrap();
-    assert_eq!(last.verdict, Some(Verdict::Passed));
-    assert_eq!(last.gates[0].compared, 20);
+    let judged = last(&rollout, What::Judged);
+    assert_eq!(judged.verdict, Some(Verdict::Passed));
+    assert_eq!(judged.gates[0].compared, 20);
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(old()), 40);
 }
 
 #[test]
-fn a_return_after_the_end_leaves_nodes_alone_that_were_changed_since() {
+fn a_return_after_the_end_skips_nodes_that_were_changed_since() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "done");
@@ -333,7 +308,7 @@ fn a_return_after_the_end_leaves_nodes_alone_that_were_changed_since() {
 }
 
 #[test]
-fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
+fn a_rollout_that_is_resumed_repeatedly_has_the_error_rate_of_one() {
     let mut world = World::new(10);
     let gates = vec!["recall>=-0.02".parse().unwrap()];
     let mut rollout = world.begin(RolloutPlan { gates, ..plan() });
@@ -352,7 +327,7 @@ fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
 }
 
 #[test]
-fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
+fn a_failed_stage_is_held_for_a_decision_if_the_plan_says_so() {
     let mut world = World::new(40);
     world.nodes.values_mut().for_each(|n| n.factor = 2.0);
     let mut rollout = world.begin(RolloutPlan {
@@ -370,16 +345,12 @@ fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(new()), 0);
-    let by: Vec<_> = rollout
-        .record
-        .iter()
-        .filter_map(|e| e.who.as_deref())
-        .collect();
-    assert_eq!(by, ["ops", "ops"]);
+    let by = rollout.record.iter().filter_map(|e| e.who.as_deref());
+    assert_eq!(by.collect::<Vec<_>>(), ["ops", "ops"]);
 }
 
 #[test]
-fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
+fn a_stage_that_cannot_be_judged_is_held_and_undone_without_a_decision() {
     let mut world = World::new(10);
     let mut rollout = world.begin(RolloutPlan {
         gates: vec!["recall>=-0.02".parse().unwrap()],
@@ -387,11 +358,8 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
     });
     world.run_until(&mut rollout, "held");
     assert_eq!(world.have(new()), 1);
-    assert!(
-        (150 * SECOND..160 * SECOND).contains(&world.now),
-        "{}",
-        world.now
-    );
+    let seconds = world.now / SECOND;
+    assert!((150..160).contains(&seconds), "{seconds}");
     let reason = &rollout.reason;
     assert!(reason.contains("recall>=-0.02 (not measured)"), "{reason}");
     let mut resumed = rollout.clone();
@@ -404,25 +372,20 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
 }
 
 #[test]
-fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
+fn unreachable_nodes_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
     let mut world = World::new(10);
     for name in ["cam-001", "cam-004"] {
         world.nodes.get_mut(name).unwrap().reachable = false;
     }
     let mut rollout = world.begin(plan());
-    let last: Vec<_> = rollout
-        .members
-        .iter()
-        .filter(|m| m.group == 2)
-        .map(|m| m.node.as_str())
-        .collect();
-    assert!(
-        last.contains(&"cam-001") && last.contains(&"cam-004"),
-        "{last:?}"
-    );
+    let held_back = rollout.members.iter().filter(|m| m.group == 2);
+    let held_back: Vec<_> = held_back.map(|m| m.node.as_str()).collect();
+    for name in ["cam-001", "cam-004"] {
+        assert!(held_back.contains(&name), "{held_back:?}");
+    }
     world.run_until(&mut rollout, "finishing");
     assert_eq!(world.have(new()), 8);
-    // One returns in time, and applies what it finds; the other is too late, and what it finds is the old value.
+    // One returns in time and applies the new value; the other returns too late and finds the old value.
     world.nodes.get_mut("cam-001").unwrap().reachable = true;
     world.run_until(&mut rollout, "done");
     assert_eq!(world.nodes["cam-001"].has, new());
@@ -430,12 +393,8 @@ fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_the
     world.nodes.get_mut("cam-004").unwrap().reachable = true;
     world.run(&mut rollout, 2);
     assert_eq!(world.nodes["cam-004"].has, old());
-    let ended = rollout
-        .record
-        .iter()
-        .rfind(|e| e.what == What::Done)
-        .unwrap();
-    assert!(ended.text.contains("cam-004 missed"), "{}", ended.text);
+    let text = &last(&rollout, What::Done).text;
+    assert!(text.contains("cam-004 missed"), "{text}");
 }
 
 #[test]
@@ -449,7 +408,7 @@ fn a_stage_whose_nodes_refuse_fails_without_waiting_for_its_soak() {
 }
 
 #[test]
-fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
+fn a_paused_rollout_does_not_advance_and_its_soak_stops() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "soaking");
@@ -465,7 +424,7 @@ fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
 }
 
 #[test]
-fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
+fn during_a_pause_no_node_is_asked_and_no_deadline_expires() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "soaking");
@@ -480,36 +439,27 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
     let silent = |_: &str| Some(reported(true, 0, old(), None));
     let hours = 3 * 3_600_000;
     rollout.observe(world.now + hours, silent);
-    rollout
-        .command(Command::Resume, "ops", world.now + hours)
-        .unwrap();
-    rollout.observe(world.now + hours + 1_000, silent);
-    let asked = rollout
-        .members
-        .iter()
-        .filter(|m| order.nodes.contains(&m.node));
+    let later = world.now + hours;
+    rollout.command(Command::Resume, "ops", later).unwrap();
+    rollout.observe(later + 1_000, silent);
+    let members = rollout.members.iter();
+    let asked = members.filter(|m| order.nodes.contains(&m.node));
     assert!(asked.clone().count() > 0);
     assert!(asked.clone().all(|m| m.ask.outcome == Outcome::Pending));
 }
 
 #[test]
-fn commands_that_make_no_sense_are_refused() {
+fn invalid_commands_are_rejected() {
     let mut world = World::new(4);
     let mut rollout = world.begin(plan());
     assert!(rollout.command(Command::Resume, "ops", 0).is_err());
     world.run_until(&mut rollout, "done");
-    for command in [
-        Command::Pause,
-        Command::Resume,
-        Command::Next,
-        Command::Stop,
-    ] {
-        assert!(
-            rollout.command(command, "ops", world.now).is_err(),
-            "{command:?}"
-        );
+    use Command::{Next, Pause, Resume, Stop};
+    for command in [Pause, Resume, Next, Stop] {
+        let done = rollout.command(command, "ops", world.now);
+        assert!(done.is_err(), "{command:?}");
     }
-    // The old value can be had back after the end too.
+    // The old value can be restored even after the end.
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(old()), 4);
@@ -521,9 +471,9 @@ fn commands_that_make_no_sense_are_refused() {
 }
 
 #[test]
-fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
-    type Spoil = fn(&mut RolloutPlan);
-    let spoilt: [(&str, Spoil); 7] = [
+fn an_invalid_plan_is_rejected_with_its_field() {
+    type Change = fn(&mut RolloutPlan);
+    let changes: [(&str, Change); 7] = [
         ("stages", |plan| plan.stages.clear()),
         ("held_for_s", |plan| plan.held_for_s = 0.0),
         ("soak_s", |plan| plan.soak_s = f64::NAN),
@@ -532,9 +482,9 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
         ("fewest_clips", |plan| plan.basics.fewest_clips = 1),
         ("fewest_applied", |plan| plan.fewest_applied = 0.0),
     ];
-    for (field, spoil) in spoilt {
+    for (field, change) in changes {
         let mut wrong = plan();
-        spoil(&mut wrong);
+        change(&mut wrong);
         assert!(wrong.check().unwrap_err().starts_with(field), "{field}");
     }
     plan().check().unwrap();
@@ -544,7 +494,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
         plan: plan(),
     };
     let error = Run::begin(nobody, vec![], 1, "ops", 0).unwrap_err();
-    assert!(error.starts_with("select: no node"), "{error}");
+    assert!(error.starts_with("select: no selected node"), "{error}");
 }
 
 #[derive(Clone, Debug)]
@@ -582,7 +532,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn whatever_happens_no_stage_begins_unjudged_and_a_returned_rollout_leaves_nobody_behind(
+    fn no_stage_ever_begins_unjudged_and_a_returned_rollout_leaves_no_node_behind(
         chances in prop::collection::vec(chance(), 0..40), count in 1usize..12,
     ) {
         let mut world = World::new(count);
@@ -599,7 +549,7 @@ proptest! {
                 Chance::Costs(i, factor) => node(i, &|n| n.factor = factor),
                 Chance::Command(command) => drop(rollout.command(command, "ops", world.now)),
                 Chance::Restart => {
-                    // Killed and read from the database, also in the middle of a measurement.
+                    // Killed and read from the database, perhaps during a measurement.
                     let text = serde_json::to_string(&rollout).unwrap();
                     rollout = serde_json::from_str(&text).unwrap();
                 }
@@ -619,7 +569,7 @@ proptest! {
                 prop_assert!(last.what == What::Next || passed);
             }
         }
-        // Everybody comes back; whatever waits is resolved, and the old value is ordered back.
+        // All nodes return; pending work is resolved, and the old value is restored.
         for node in world.nodes.values_mut() {
             node.reachable = true;
             node.refuses = false;
@@ -631,7 +581,7 @@ proptest! {
     }
 
     #[test]
-    fn left_alone_a_rollout_comes_to_an_end_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
+    fn an_unattended_rollout_ends_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
         let mut world = World::new(count);
         let mut drawn: Vec<usize> = (0..count).collect();
         shuffle(&mut drawn, seed);

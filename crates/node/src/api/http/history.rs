@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_numbers_that_an_answer_can_show_are_taken() {
+    fn only_numbers_that_an_answer_can_show_are_accepted() {
         assert_eq!(thresholds("1e-4, 3e-4").unwrap(), [1e-4, 3e-4]);
         for text in ["", "0", "-1", "NaN", "inf", "1e999", "1,,2"] {
             assert!(thresholds(text).is_err(), "{text}");

@@ -45,7 +45,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     for _ in 0..4 {
         audit.offer(frame());
     }
-    // Two wait, and there is no room for the others.
+    // Two frames wait; there is no room for the others.
     assert_eq!(taken().sums.missed, 2);
     audit.next().await;
     audit.done(Some(compared()));
@@ -57,7 +57,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
         (2, 1, 1)
     );
 
-    // One is examined and one waits when the camera ends; their results are not counted.
+    // When the camera ends, one frame is being examined and one waits; neither result is counted.
     audit.offer(frame());
     audit.offer(frame());
     audit.next().await;
@@ -66,7 +66,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let found = taken();
     assert_eq!((found.sums.drawn(), found.sums.missed), (2, 2));
 
-    // A camera's loop that restarts goes on.
+    // Counting continues after the camera's loop restarts.
     audit.offer(frame());
     audit.next().await;
     audit.done(Some(compared()));
@@ -78,7 +78,7 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
 }
 
 #[test]
-fn a_share_of_nothing_is_no_audit_and_no_two_starts_draw_the_same_frames() {
+fn a_share_of_zero_is_no_audit_and_every_start_draws_other_frames() {
     let off = AuditConfig { share: 0.0 };
     assert!(off.draw().is_off());
     let half = AuditConfig { share: 0.5 };

@@ -1,4 +1,4 @@
-//! Promises of the clip's tracker.
+//! The clip tracker ends clips and counts frames.
 
 use super::*;
 use crate::camera::evidence::Times;
@@ -21,7 +21,7 @@ pub(super) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// The tracker of one camera with a clock of its own, in milliseconds from its start.
+/// The tracker of one camera with its own clock, in milliseconds from its start.
 pub(super) struct Camera {
     pub(super) tracker: ClipTracker,
     start: Instant,
@@ -53,8 +53,9 @@ impl Camera {
         self.tracker.shutdown(self.at(at))
     }
 
-    /// Clips that have ended, in words.
-    fn shown(&self, closed: impl IntoIterator<Item = Clip>) -> String {
+    /// Asserts the clips that have ended.
+    #[track_caller]
+    fn assert_ended(&self, closed: impl IntoIterator<Item = Clip>, expected: &str) {
         let shown = closed.into_iter().map(|closed| {
             let Clip {
                 report, start, end, ..
@@ -67,7 +68,7 @@ impl Camera {
                 report.ended_by
             )
         });
-        shown.collect::<Vec<_>>().join("; ")
+        assert_eq!(shown.collect::<Vec<_>>().join("; "), expected);
     }
 
     pub(super) fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<Clip> {
@@ -108,10 +109,7 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
         assert!(camera.frame(i * 100, Some("a")).is_none());
     }
     let closed = camera.frame(2000, Some("b"));
-    assert_eq!(
-        camera.shown(closed),
-        "a/0: 20 frames, 0 to 2000 ms, NextClip"
-    );
+    camera.assert_ended(closed, "a/0: 20 frames, 0 to 2000 ms, NextClip");
     assert_eq!(&**camera.tracker.clip().unwrap(), "b");
     assert_eq!(camera.tracker.deadline(), Some(camera.at(7000)));
 }
@@ -122,10 +120,9 @@ fn windows_tile_time_while_frames_keep_coming() {
     let closed: Vec<_> = (0..900)
         .filter_map(|i| camera.frame(i * 111, None))
         .collect();
-    assert_eq!(
-        camera.shown(closed),
-        "window-0/0: 361 frames, 0 to 40000 ms, Window; window-1/0: 360 frames, 40000 to 80000 ms, Window"
-    );
+    let expected = "window-0/0: 361 frames, 0 to 40000 ms, Window; \
+                    window-1/0: 360 frames, 40000 to 80000 ms, Window";
+    camera.assert_ended(closed, expected);
 }
 
 #[test]
@@ -137,26 +134,20 @@ fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
     assert_eq!(camera.tracker.deadline(), Some(camera.at(40_000)));
     assert!(camera.tick(39_999).is_none());
     let closed = camera.tick(40_000);
-    assert_eq!(
-        camera.shown(closed),
-        "window-0/0: 191 frames, 0 to 40000 ms, Window"
-    );
+    camera.assert_ended(closed, "window-0/0: 191 frames, 0 to 40000 ms, Window");
     assert!(camera.tracker.clip().is_none());
 }
 
 #[test]
-fn silence_ends_a_clip_and_is_not_charged_to_it() {
+fn silence_ends_a_clip_and_is_not_part_of_it() {
     let mut camera = Camera::new();
     for i in 0..10 {
         camera.frame(i * 200, Some("a"));
     }
     assert!(camera.tick(6799).is_none());
     let closed = camera.tick(6800);
-    // Ten frames at five a second.
-    assert_eq!(
-        camera.shown(closed),
-        "a/0: 10 frames, 0 to 2000 ms, Silence"
-    );
+    // Ten frames at 5 per second.
+    camera.assert_ended(closed, "a/0: 10 frames, 0 to 2000 ms, Silence");
 }
 
 #[test]
@@ -165,15 +156,9 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
     camera.frame(0, None);
     let closed = camera.frame(60_000, None);
     // One frame lasts as long as its answer took.
-    assert_eq!(
-        camera.shown(closed),
-        "window-0/0: 1 frames, 0 to 12 ms, Silence"
-    );
+    camera.assert_ended(closed, "window-0/0: 1 frames, 0 to 12 ms, Silence");
     let closed = camera.shutdown(60_050);
-    assert_eq!(
-        camera.shown(closed),
-        "window-1/0: 1 frames, 60000 to 60012 ms, Shutdown"
-    );
+    camera.assert_ended(closed, "window-1/0: 1 frames, 60000 to 60012 ms, Shutdown");
 }
 
 #[test]
@@ -186,16 +171,10 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
         assert!(camera.frame(at, None).is_none());
     }
     let closed = camera.tick(2000);
-    assert_eq!(
-        camera.shown(closed),
-        "window-0/0: 3 frames, 0 to 2000 ms, Window"
-    );
+    camera.assert_ended(closed, "window-0/0: 3 frames, 0 to 2000 ms, Window");
     assert!(camera.frame(6000, None).is_none());
     let closed = camera.shutdown(6100);
-    assert_eq!(
-        camera.shown(closed),
-        "window-1/0: 1 frames, 6000 to 6012 ms, Shutdown"
-    );
+    camera.assert_ended(closed, "window-1/0: 1 frames, 6000 to 6012 ms, Shutdown");
 }
 
 #[test]
@@ -207,15 +186,14 @@ fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
     let closed = (0..1500).filter_map(|i| camera.frame(i * 100, Some("drive")));
     let mut closed: Vec<_> = closed.collect();
     closed.extend(camera.shutdown(150_000));
-    assert_eq!(
-        camera.shown(closed),
-        "drive/0: 600 frames, 0 to 60000 ms, Length; drive/1: 600 frames, 60000 to 120000 ms, Length; \
-         drive/2: 300 frames, 120000 to 150000 ms, Shutdown"
-    );
+    let expected = "drive/0: 600 frames, 0 to 60000 ms, Length; \
+                    drive/1: 600 frames, 60000 to 120000 ms, Length; \
+                    drive/2: 300 frames, 120000 to 150000 ms, Shutdown";
+    camera.assert_ended(closed, expected);
 }
 
 #[test]
-fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
+fn a_name_that_returns_after_a_silence_is_a_new_clip() {
     let mut camera = Camera::with(ClipConfig {
         longest_s: 60.0,
         ..ClipConfig::default()
@@ -224,16 +202,10 @@ fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
         assert!(camera.frame(i * 100, Some("drive")).is_none());
     }
     let closed = camera.tick(60_000);
-    assert_eq!(
-        camera.shown(closed),
-        "drive/0: 600 frames, 0 to 60000 ms, Length"
-    );
+    camera.assert_ended(closed, "drive/0: 600 frames, 0 to 60000 ms, Length");
     assert!(camera.frame(70_000, Some("drive")).is_none());
     let closed = camera.shutdown(70_100);
-    assert_eq!(
-        camera.shown(closed),
-        "drive/0: 1 frames, 70000 to 70012 ms, Shutdown"
-    );
+    camera.assert_ended(closed, "drive/0: 1 frames, 70000 to 70012 ms, Shutdown");
 }
 
 #[test]
@@ -244,12 +216,12 @@ fn shutdown_ends_the_open_clip_and_only_that() {
     camera.frame(100, Some("a"));
     let closed = camera.shutdown(150);
     // No clip ends in the future.
-    assert_eq!(camera.shown(closed), "a/0: 2 frames, 0 to 150 ms, Shutdown");
+    camera.assert_ended(closed, "a/0: 2 frames, 0 to 150 ms, Shutdown");
     assert!(camera.shutdown(200).is_none());
 }
 
 #[test]
-fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
+fn a_clip_is_returned_when_its_pending_frame_has_its_final_answer() {
     let mut camera = Camera::new();
     camera.frame(0, Some("a"));
     camera.tracker.arrive(0, Some("a"), camera.at(100));
@@ -260,20 +232,14 @@ fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
     let late = camera.result(300, 1, Some(3e-4));
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
     assert_eq!(closed.report.threshold, u(3e-4));
-    assert_eq!(
-        camera.shown([closed]),
-        "a/0: 2 frames, 0 to 200 ms, NextClip"
-    );
+    camera.assert_ended([closed], "a/0: 2 frames, 0 to 200 ms, NextClip");
     let closed = camera.shutdown(400).unwrap();
     assert_eq!(closed.report.threshold_changes.len(), 1);
-    assert_eq!(
-        camera.shown([closed]),
-        "b/0: 1 frames, 200 to 212 ms, Shutdown"
-    );
+    camera.assert_ended([closed], "b/0: 1 frames, 200 to 212 ms, Shutdown");
 }
 
 #[test]
-fn the_threshold_at_the_start_and_each_change_are_told_once_and_never_fill_the_memory() {
+fn the_initial_threshold_and_each_change_are_reported_once_within_a_bound() {
     let changes_of = |thresholds: &mut dyn Iterator<Item = f64>| {
         let mut camera = Camera::new();
         for u in thresholds {

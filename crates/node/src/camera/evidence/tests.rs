@@ -36,18 +36,13 @@ async fn evidence() -> LiveEvidence {
 fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let slot = CameraSlot(0);
     let screen = CameraScreen::new(&ScreenConfig::default(), None);
-    LiveEvidence::new(
-        detector.clone(),
-        screen,
-        slot,
-        pixels,
-        CancellationToken::new(),
-    )
+    let never = CancellationToken::new();
+    LiveEvidence::new(detector.clone(), screen, slot, pixels, never)
 }
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_broken_picture_is_the_fault_of_its_own_frame() {
+async fn a_broken_picture_fails_only_its_own_frame() {
     let [first, ..] = pictures();
     let broken = EncodedPicture {
         bytes: Bytes::copy_from_slice(&first.bytes[..first.bytes.len() / 2]),
@@ -62,7 +57,7 @@ async fn a_broken_picture_is_the_fault_of_its_own_frame() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn decoded_pictures_of_all_cameras_take_turns_in_the_same_buffers() {
+async fn decoded_pictures_of_all_cameras_share_the_same_buffers() {
     let [first, second, third] = pictures();
     let detector = evidence().await.detector;
     let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
@@ -77,13 +72,13 @@ async fn decoded_pictures_of_all_cameras_take_turns_in_the_same_buffers() {
         }
     }
     drop(cameras);
-    // Not as many as cameras.
+    // Fewer than there are cameras.
     assert!(pixels.idle() <= 3, "{} buffers", pixels.idle());
 }
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
+async fn a_wait_for_a_place_ends_when_the_node_stops() {
     let [first, ..] = pictures();
     let mut evidence = evidence().await;
     let give_up = evidence.give_up.clone();
@@ -101,24 +96,19 @@ async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
+async fn no_picture_is_decoded_for_an_unavailable_detector() {
     let [first, ..] = pictures();
     let mut evidence = evidence().await;
     evidence.detector.stop().await;
     let detected = evidence.detect(&first).await;
     assert_eq!(detected.unwrap(), None);
-    assert_eq!(
-        (
-            evidence.times().latency.decode,
-            evidence.times().latency.detector
-        ),
-        (None, None)
-    );
+    let latency = evidence.times().latency;
+    assert_eq!((latency.decode, latency.detector), (None, None));
 }
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
+async fn a_frame_is_charged_only_its_share_of_the_detector_run() {
     let [first, ..] = pictures();
     let mut evidence = evidence().await;
     let detected = evidence.detect(&first).await;

@@ -37,9 +37,9 @@ pub(in crate::delivery) struct FaultyDisk {
 
 #[derive(Debug, Default)]
 pub(in crate::delivery) struct Faults {
-    /// The disk takes nothing.
+    /// The disk is full.
     pub(in crate::delivery) is_full: AtomicBool,
-    /// A commit is on the disk when it returns.
+    /// Commits are synced to the disk.
     pub(in crate::delivery) syncs: AtomicBool,
 }
 
@@ -101,7 +101,7 @@ impl Bench {
         self.faults.is_full.store(is_full, Ordering::Relaxed);
     }
 
-    /// Takes the disk away and puts a file in its place, so that no folder can be made there.
+    /// Removes the disk and puts a file in its place, so that no folder can be created there.
     fn take_disk(&self) {
         std::fs::rename(self.state(), self.folder.path().join("away")).unwrap();
         std::fs::write(self.state(), b"").unwrap();
@@ -149,7 +149,7 @@ fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
     outbox.answered(batch, &ReportAnswer::new(HUB), Now::system())
 }
 
-/// The clips that go out when a hub takes everything.
+/// The clips that are sent to a hub that accepts everything.
 fn drain(outbox: &Outbox) -> Vec<String> {
     let mut sent = Vec::new();
     while let Some(batch) = batch(outbox) {
@@ -160,7 +160,7 @@ fn drain(outbox: &Outbox) -> Vec<String> {
 }
 
 #[test]
-fn the_count_of_reports_goes_on_after_a_restart_even_when_all_were_acknowledged() {
+fn the_count_of_reports_continues_after_a_restart_even_if_all_were_acknowledged() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
@@ -175,7 +175,7 @@ fn the_count_of_reports_goes_on_after_a_restart_even_when_all_were_acknowledged(
 }
 
 #[test]
-fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again() {
+fn a_report_is_sent_until_acknowledged_and_a_refused_one_never_again() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
@@ -197,21 +197,18 @@ fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again
 }
 
 #[test]
-fn a_state_directory_that_had_another_name_delivers_under_the_present_one() {
+fn a_state_directory_of_a_renamed_node_delivers_under_the_new_name() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..1);
     let before = batch(&outbox).unwrap();
     let now = outbox.batch("renamed", false, Now::system()).unwrap();
-    assert_eq!(
-        (now.node.as_str(), now.reports[0].node.as_str()),
-        ("renamed", "renamed")
-    );
+    assert_eq!([&*now.node, &*now.reports[0].node], ["renamed"; 2]);
     assert_eq!(now.reports[0].id, before.reports[0].id);
 }
 
 #[test]
-fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
+fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
@@ -223,26 +220,20 @@ fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
         ..ReportAnswer::new(HUB)
     };
     outbox.answered(&sent, &answer, Now::system());
-    assert_eq!(
-        (outbox.counts().status.waiting, outbox.counts().again),
-        (0, 3)
-    );
+    let counts = outbox.counts();
+    assert_eq!((counts.status.waiting, counts.again), (0, 3));
     keep(&outbox, 7..8);
-    assert_eq!(
-        clips(&outbox.batch("n", false, Now::system()).unwrap()),
-        ["window-7"]
-    );
+    let new = outbox.batch("n", false, Now::system()).unwrap();
+    assert_eq!(clips(&new), ["window-7"]);
     let sent = batch(&outbox).unwrap();
-    assert_eq!(
-        clips(&sent),
-        ["window-7", "window-1", "window-2", "window-4"]
-    );
+    let expected = ["window-7", "window-1", "window-2", "window-4"];
+    assert_eq!(clips(&sent), expected);
     acknowledge(&outbox, &sent);
     assert!(batch(&outbox).is_none());
 }
 
 #[test]
-fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
+fn a_hub_with_another_database_gets_the_kept_reports_once() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..4);
@@ -251,14 +242,12 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     let other = ReportAnswer::new(Uuid::from_u128(2));
     let sent = batch(&outbox).unwrap();
     outbox.answered(&sent, &other, Now::system());
-    assert_eq!(
-        (outbox.counts().status.waiting, outbox.counts().again),
-        (0, 4)
-    );
+    let counts = outbox.counts();
+    assert_eq!((counts.status.waiting, counts.again), (0, 4));
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 4);
     outbox.answered(&sent, &other, Now::system());
-    // Both are known now, whichever hub answers.
+    // Both databases are known now, whichever hub answers.
     for answer in [ReportAnswer::new(HUB), other] {
         keep(&outbox, 5..6);
         if let Some(sent) = batch(&outbox) {
@@ -268,7 +257,7 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     }
 }
 
-/// That many days after a day in November 2026.
+/// A time that many days after a day in November 2026.
 fn at(days: i64) -> Now {
     Now {
         at: Instant::now(),
@@ -277,32 +266,25 @@ fn at(days: i64) -> Now {
 }
 
 #[test]
-fn no_step_of_the_clock_costs_a_report() {
+fn no_clock_step_loses_a_report() {
     let bench = Bench::new();
     for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
         let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
         let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
         waiting.open(at(0)).unwrap();
         let reports: Vec<_> = (0..20).map(report).collect();
-        for (report, day) in reports
-            .iter()
-            .zip([0, steps[0], steps[1], 0].iter().cycle())
-        {
+        let days = [0, steps[0], steps[1], 0];
+        for (report, day) in reports.iter().zip(days.iter().cycle()) {
             waiting.insert(&mut [report.clone()], at(*day));
         }
-        // What is acknowledged at one time takes nothing with it at another.
+        // An acknowledgement at one time removes nothing else at another time.
         let mut sent = waiting.batch("n", true, at(steps[0])).unwrap();
         sent.reports.truncate(4);
         for day in steps {
             waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
         }
-        assert_eq!(
-            (
-                waiting.counts().status.waiting,
-                waiting.counts().status.lost
-            ),
-            (16, 0)
-        );
+        let status = waiting.counts().status;
+        assert_eq!((status.waiting, status.lost), (16, 0));
         let left = waiting.batch("n", true, at(steps[1])).unwrap();
         assert_eq!(left.reports.len(), 16);
     }
@@ -319,7 +301,7 @@ fn acknowledged_reports_are_kept_for_a_week() {
         let sent = waiting.batch("n", true, at(day)).unwrap();
         waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
     }
-    // Another database asks for all that is there.
+    // A hub with another database asks for all stored reports.
     waiting.insert(&mut [report(20)], at(19));
     let sent = waiting.batch("n", true, at(19)).unwrap();
     waiting.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
@@ -331,16 +313,14 @@ fn a_second_node_with_the_same_state_directory_refuses_to_start() {
     let bench = Bench::new();
     let outbox = bench.open();
     let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
-    assert!(
-        error.to_string().contains("in use by another node"),
-        "{error}"
-    );
+    let error = error.to_string();
+    assert!(error.contains("in use by another node"), "{error}");
     drop(outbox);
     bench.open();
 }
 
 #[test]
-fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
+fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
     for (statements, wanted) in [
         ("CREATE TABLE other (x)", "another program's"),
         (
@@ -359,7 +339,7 @@ fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
 }
 
 #[test]
-fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
+fn a_damaged_file_and_a_garbage_file_are_set_aside() {
     for (intact, length) in [(4096, usize::MAX), (0, 9000)] {
         let bench = Bench::new();
         keep(&bench.open(), 0..400);
@@ -370,17 +350,15 @@ fn a_damaged_file_and_one_of_rubbish_are_set_aside() {
         let outbox = bench.open();
         keep(&outbox, 400..401);
         let counts = outbox.counts();
-        assert!(
-            counts.disk_failures > 0 && counts.status.durable,
-            "{counts:?}"
-        );
+        assert!(counts.disk_failures > 0, "{counts:?}");
+        assert!(counts.status.durable, "{counts:?}");
         assert!(bench.state().join("node.db.damaged-0").exists());
         assert_eq!(drain(&outbox), ["window-400"]);
     }
 }
 
 #[test]
-fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
+fn a_disk_that_vanishes_and_returns_keeps_the_reports_in_between() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
@@ -395,14 +373,12 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
     drop(outbox);
     let outbox = bench.open();
     assert_eq!(outbox.counts().status.waiting, 4);
-    assert_eq!(
-        super::tests::counts(&batch(&outbox).unwrap()),
-        [Some(1), Some(2), Some(3), Some(4)]
-    );
+    let kept = super::tests::counts(&batch(&outbox).unwrap());
+    assert_eq!(kept, [Some(1), Some(2), Some(3), Some(4)]);
 }
 
 #[test]
-fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
+fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     bench.take_disk();
@@ -422,7 +398,7 @@ fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
 }
 
 #[test]
-fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
+fn reports_acknowledged_while_the_disk_was_away_are_not_resent() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
@@ -434,7 +410,7 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
     assert_eq!(outbox.counts().status.waiting, 1);
     bench.return_disk(&outbox);
     assert_eq!(drain(&outbox), ["window-2"]);
-    // Another disk is put in, with reports of its own.
+    // Another disk with other reports replaces it.
     let other = Bench::new();
     keep(&other.open(), 10..12);
     std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
@@ -448,7 +424,7 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
 }
 
 #[test]
-fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_them() {
+fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_them() {
     let mut bench = Bench::new();
     bench.config.max_bytes = 128 << 10;
     let outbox = bench.open();
@@ -459,11 +435,9 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
     assert_eq!((counts.status.waiting, counts.status.lost), (20, 0));
     keep(&outbox, 60..400);
     let counts = outbox.counts();
-    assert!(
-        counts.status.lost > 0 && counts.status.waiting > 20,
-        "{counts:?}"
-    );
-    assert_eq!(counts.status.lost + counts.status.waiting, 360);
+    let (lost, waiting) = (counts.status.lost, counts.status.waiting);
+    assert!(lost > 0 && waiting > 20, "{counts:?}");
+    assert_eq!(lost + waiting, 360);
     assert!(counts.last_loss.is_some());
     assert_eq!(drain(&outbox).last().unwrap(), "window-399");
     let size = std::fs::metadata(bench.file()).unwrap().len();
@@ -473,7 +447,7 @@ fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_
 }
 
 #[test]
-fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
+fn without_a_state_directory_reports_wait_in_bounded_memory() {
     let outbox = in_memory();
     let most = 40 * MEMORY_BYTES / 1_000_000;
     for clip in 0..most {
@@ -488,30 +462,22 @@ fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
 }
 
 #[test]
-fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
+fn on_a_full_disk_reports_stay_in_memory_until_there_is_space() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
     bench.fill_disk(true);
     keep(&outbox, 2..60);
     assert_eq!(outbox.counts().status.waiting, 60);
-    // What is on disk is sent too, also after attempts that find the disk as full as before.
+    // Reports on the disk are sent too, even after retries that find the disk still full.
     for _ in 0..20 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
         outbox.retry_disk(Now::system());
-        let counts = outbox.counts();
-        assert!(
-            !counts.status.durable && counts.status.waiting == 60,
-            "{counts:?}"
-        );
+        let status = outbox.counts().status;
+        assert_eq!((status.durable, status.waiting), (false, 60));
     }
-    assert!(
-        outbox
-            .counts()
-            .failing
-            .unwrap()
-            .contains("no storage space")
-    );
+    let reason = outbox.counts().failing.unwrap();
+    assert!(reason.contains("no storage space"), "{reason}");
     bench.fill_disk(false);
     outbox.retry_disk(Now::system());
     let counts = outbox.counts();
@@ -520,11 +486,11 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
 }
 
 #[test]
-fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() {
+fn with_a_read_only_disk_reports_on_it_and_in_memory_are_delivered() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..3);
-    // Somebody else writes and does not end: opening the file again does not help.
+    // Another connection holds the write lock: reopening the file does not help.
     let other = rusqlite::Connection::open(bench.file()).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
     keep(&outbox, 3..5);
@@ -561,7 +527,7 @@ fn a_file_that_has_become_read_only_is_read_and_reopened() {
 }
 
 #[test]
-fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
+fn a_batch_from_memory_is_bounded_like_one_from_disk() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..60 {
@@ -578,7 +544,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
 }
 
 #[test]
-fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
+fn a_report_no_hub_would_accept_is_counted_and_the_rest_is_sent() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
         for clip in 0..3 {
@@ -592,7 +558,7 @@ fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
 }
 
 #[test]
-fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
+fn an_unreadable_stored_report_is_counted_and_the_rest_is_sent() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     let db = rusqlite::Connection::open(bench.file()).unwrap();
@@ -605,7 +571,7 @@ fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
 }
 
 #[test]
-fn a_copy_of_the_state_delivers_the_same_identities() {
+fn a_copy_of_the_state_delivers_the_same_ids() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
     let copy = Bench::new();
@@ -619,10 +585,10 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
 }
 
 #[test]
-fn counts_and_waking_the_sender_never_wait_for_a_disk() {
+fn counting_and_waking_the_sender_never_wait_for_a_disk() {
     let outbox = in_memory();
     keep(&outbox, 0..1);
-    // As while a disk is written.
+    // The lock is held while the disk is written.
     let writing = outbox.0.waiting.lock();
     assert_eq!(outbox.counts().status.waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());

@@ -1,4 +1,4 @@
-//! Simulates a hub: the real decoder and the real writer, over one database that two hubs may share.
+//! Simulates a hub: the real decoder and writer on one database, which two processes may share.
 
 use super::node::{frames, image, put};
 use albireo_hub::config::{DatabaseConfig, HistoryConfig};
@@ -13,22 +13,22 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use uuid::Uuid;
 
-/// Who asked what: the place of the node, and the number of its question.
+/// The node's index and the number of its request.
 pub(super) type Asker = (usize, u64);
 
-/// An answer, or a refusal.
+/// An answer or a refusal.
 pub(super) type Reply = Result<Vec<u8>, Vec<u8>>;
 
-/// One process.
+/// A process of the hub.
 #[derive(Default)]
 pub(super) struct Process {
     recorder: Option<Recorder>,
-    /// How far its wall clock is ahead.
+    /// How far its wall clock is ahead, ms.
     pub(super) clock_ms: i64,
     waiting: Vec<(Asker, Batch)>,
 }
 
-/// The file of a hub's database, and another program on it; while the disk is full that keeps everybody out.
+/// The hub's database file, and a connection of another program, which locks everybody out while the disk is "full".
 pub(super) struct HubFile {
     file: PathBuf,
     pub(super) other: Connection,
@@ -36,7 +36,7 @@ pub(super) struct HubFile {
 }
 
 impl HubFile {
-    /// An empty one.
+    /// Creates an empty database.
     pub(super) fn new(folder: &Path) -> Self {
         let file = folder.join("hub.db");
         put(&file, &empty(folder));
@@ -51,7 +51,7 @@ impl HubFile {
         database(&self.file)
     }
 
-    /// From now on nothing can be written, or again.
+    /// Makes the disk full, so that nothing can be written, or frees it.
     pub(super) fn fill(&mut self, is_full: bool) {
         if self.is_full != is_full {
             let text = if is_full {
@@ -64,12 +64,12 @@ impl HubFile {
         }
     }
 
-    /// A backup; none can be made while the disk is full.
+    /// Makes a backup, which is impossible while the disk is full.
     pub(super) fn backup(&self) -> Option<Vec<u8>> {
         (!self.is_full).then(|| image(&self.file))
     }
 
-    /// Puts a database, and what its log holds beyond it, in its place; the hub is off.
+    /// Replaces the database and its write-ahead log while the hub is off.
     pub(super) fn restore(&mut self, database: &[u8], log: &[u8]) {
         let was_full = self.is_full;
         self.fill(false);
@@ -86,7 +86,12 @@ impl HubFile {
         self.file.with_extension("db-wal")
     }
 
-    /// What is in the file, and in its log.
+    /// The number that a query returns.
+    pub(super) fn number(&self, query: &str) -> i64 {
+        self.other.query_row(query, [], |row| row.get(0)).unwrap()
+    }
+
+    /// Contents of the file and of its write-ahead log.
     pub(super) fn read(&self) -> (Vec<u8>, Vec<u8>) {
         let log = std::fs::read(self.log_file()).unwrap_or_default();
         (std::fs::read(&self.file).unwrap(), log)
@@ -134,7 +139,7 @@ impl Hub {
         Self {
             store: open(&file.config()),
             file,
-            // Clips stay, to be counted in the end; of ids only those that are too old go.
+            // Clips stay, so that they can be counted at the end; only ids that are too old are deleted.
             history: HistoryConfig {
                 clips_days: years,
                 five_minutes_days: years,
@@ -154,13 +159,13 @@ impl Hub {
         self.processes[process].recorder.is_some()
     }
 
-    /// The process ends: what it was asked is not answered.
+    /// Kills the process; its pending requests are never answered.
     pub(super) fn crash(&mut self, process: usize) {
         self.processes[process].recorder = None;
         self.processes[process].waiting.clear();
     }
 
-    /// Takes a batch over, to be committed; `false` when nothing runs.
+    /// Accepts a batch for the next commit; returns `false` if the process is off.
     pub(super) fn take(
         &mut self,
         process: usize,
@@ -177,7 +182,7 @@ impl Hub {
         process.recorder.is_some()
     }
 
-    /// Commits what waits; the replies.
+    /// Commits the waiting batches; returns the replies.
     pub(super) fn commit(&mut self, process: usize, now: Now) -> Vec<(Asker, Reply)> {
         let process = &mut self.processes[process];
         let Some(recorder) = &mut process.recorder else {
@@ -209,7 +214,7 @@ impl Hub {
         }
     }
 
-    /// How often each report is stored.
+    /// How many times each report is stored.
     pub(super) fn stored(&self) -> BTreeMap<usize, u32> {
         let mut stored = BTreeMap::new();
         let text = "SELECT clip, frames FROM clips";
@@ -223,7 +228,7 @@ impl Hub {
         stored
     }
 
-    /// What does not agree in the database.
+    /// Checks that the tables of the database agree.
     pub(super) fn check(&self) -> Result<(), String> {
         let sums = |what: &str, table: &str| -> (i64, i64, i64) {
             let text = format!(
@@ -233,7 +238,7 @@ impl Hub {
             self.file.other.query_row(&text, [], read).unwrap()
         };
         let clips = sums("part = 0", "clips");
-        // Under camera 0 are the sums of the fleet.
+        // Camera 0 holds the fleet's sums.
         for table in [
             "sums_5m WHERE camera_id > 0",
             "sums_5m WHERE camera_id = 0",
@@ -247,11 +252,7 @@ impl Hub {
                 ));
             }
         }
-        let number = |text: &str| {
-            (self.file.other)
-                .query_row(text, [], |row| row.get::<_, i64>(0))
-                .unwrap()
-        };
+        let number = |query| self.file.number(query);
         let (counted, stored) = (
             number("SELECT COALESCE(sum(stored), 0) FROM report_counts"),
             number("SELECT count(*) FROM clips"),

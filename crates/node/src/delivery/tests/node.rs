@@ -1,4 +1,4 @@
-//! Simulates a node: the real outbox on its real file, and the schedule of the uplink.
+//! Simulates a node: the real outbox on a real file, and the uplink's schedule.
 
 use crate::NodeError;
 use crate::delivery::outbox::tests::{Faults, FaultyDisk, report};
@@ -15,13 +15,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 use uuid::{Builder, Uuid};
 
-/// The longest that a node waits before it looks again.
+/// Longest pause before a node checks its outbox again.
 const LONGEST_PAUSE: Duration = Duration::from_secs(900);
 
-/// The longest that a lock of this process is held by a program that another test starts.
+/// Longest time for which a program started by another test holds a lock of this process.
 const LOCK_LIMIT: Duration = Duration::from_secs(20);
 
-/// Opens what locks its folder: between fork and exec, a program that another test starts shares the lock.
+/// Opens something that locks its folder. A program started by another test shares the lock between fork and exec.
 pub(super) fn until_unlocked<T>(open: impl Fn() -> Result<T, NodeError>) -> T {
     let began = Instant::now();
     loop {
@@ -41,23 +41,23 @@ pub(super) struct Node {
     pub(super) faults: Arc<Faults>,
     outbox: Option<Outbox>,
     schedule: Schedule,
-    /// How far its wall clock is ahead.
+    /// How far its wall clock is ahead, ms.
     pub(super) clock_ms: i64,
-    /// The question under way.
+    /// The request in flight.
     reply: Option<(u64, ReportBatch)>,
-    /// Reports that it said are in memory only.
+    /// Reports that exist only in memory.
     pub(super) in_memory: Vec<usize>,
-    /// What a power cut leaves where commits are not synced.
+    /// What a power cut leaves if commits are not synced.
     unsynced: Option<Vec<u8>>,
     pub(super) looks_at_ms: i64,
 }
 
-/// The serial number in the id that [`Node::make`] gives.
+/// The serial number in an id made by [`Node::make`].
 pub(super) fn serial(id: Uuid) -> usize {
     (id.as_u128() & 0xffff_ffff) as usize
 }
 
-/// The content of a database file, as one file.
+/// The content of a database, including its log, as one file.
 pub(super) fn image(file: &Path) -> Vec<u8> {
     let copy = file.with_extension("image");
     let db = Connection::open(file).unwrap();
@@ -67,7 +67,7 @@ pub(super) fn image(file: &Path) -> Vec<u8> {
     bytes
 }
 
-/// Replaces a database file by another.
+/// Replaces a database file.
 pub(super) fn put(file: &Path, image: &[u8]) {
     for ending in ["-wal", "-shm"] {
         let mut beside = file.as_os_str().to_owned();
@@ -78,7 +78,7 @@ pub(super) fn put(file: &Path, image: &[u8]) {
 }
 
 impl Node {
-    /// One whose state directory holds `state`, switched off.
+    /// Creates a node that is off, with `state` in its state directory.
     pub(super) fn new(name: String, folder: PathBuf, state: Option<&[u8]>) -> Self {
         std::fs::create_dir(&folder).unwrap();
         let node = Self {
@@ -123,7 +123,7 @@ impl Node {
         self.unsynced = unsynced.then(|| image(&self.file()));
     }
 
-    /// The power goes; what was in memory only is lost, and returned.
+    /// Cuts the power; returns the reports lost because they existed only in memory.
     pub(super) fn crash(&mut self) -> Vec<usize> {
         (self.outbox, self.reply) = (None, None);
         if let Some(unsynced) = self.unsynced.take() {
@@ -132,12 +132,12 @@ impl Node {
         std::mem::take(&mut self.in_memory)
     }
 
-    /// A copy of the state as it is on the disk.
+    /// A copy of the state on the disk.
     pub(super) fn state(&self) -> Option<Vec<u8>> {
         self.file().exists().then(|| image(&self.file()))
     }
 
-    /// The reports on its disk.
+    /// Reports on the disk.
     pub(super) fn kept(&self) -> BTreeSet<usize> {
         if !self.file().exists() {
             return BTreeSet::new();
@@ -148,7 +148,7 @@ impl Node {
         ids.unwrap().map(|id| serial(id.unwrap())).collect()
     }
 
-    /// Makes a report, and keeps it.
+    /// Makes a report and stores it in the outbox.
     pub(super) fn make(&mut self, number: usize, random: u16, now: Now) {
         let Some(outbox) = &self.outbox else { return };
         let mut bytes = [0; 10];
@@ -207,14 +207,14 @@ impl Node {
         (payload, next)
     }
 
-    /// Whether a reply to that question is waited for.
+    /// True while the node waits for the reply to this request.
     pub(super) fn awaits(&self, question: u64) -> bool {
         self.reply
             .as_ref()
             .is_some_and(|(reply, _)| *reply == question)
     }
 
-    /// Takes a reply, or that none came in time; the reports that the hub refuses for good.
+    /// Receives a reply, or `None` after the timeout; returns the reports that the hub refuses permanently.
     pub(super) fn take(&mut self, reply: Option<Result<&[u8], &[u8]>>, now: Now) -> Vec<usize> {
         let (Some(outbox), Some((_, batch))) = (&self.outbox, self.reply.take()) else {
             return Vec::new();
@@ -223,7 +223,7 @@ impl Node {
         let refused = (reply.as_ref()).map_or_else(|_| Vec::new(), |answer| answer.refused.clone());
         let outcome = conclude(outbox, &batch, reply, now);
         if outcome.is_ok() {
-            // What is acknowledged does not wait in memory any more.
+            // Acknowledged reports no longer wait in memory.
             let sent: BTreeSet<usize> = batch.reports.iter().map(|one| serial(one.id)).collect();
             self.in_memory.retain(|number| !sent.contains(number));
         }
@@ -232,12 +232,12 @@ impl Node {
         refused.iter().map(|refused| serial(refused.id)).collect()
     }
 
-    /// How it is; nothing while it is off.
+    /// Counts of the outbox; `None` while the node is off.
     pub(super) fn counts(&self) -> Option<OutboxCounts> {
         self.outbox.as_ref().map(Outbox::counts)
     }
 
-    /// Whether everything was delivered.
+    /// True if everything has been delivered.
     pub(super) fn is_settled(&self) -> bool {
         let is_empty = |counts: OutboxCounts| {
             counts.status.waiting + counts.again == 0 && counts.status.durable
@@ -246,7 +246,7 @@ impl Node {
     }
 }
 
-/// The frames of a report.
+/// Number of frames of a report.
 pub(super) fn frames(number: usize) -> u64 {
     1 + (number % 97) as u64
 }

@@ -1,5 +1,5 @@
-//! Settings from the database of a hub to nodes: real orders and rollouts, their real database, what nodes keep in their real
-//! files; joined by a network that loses, delays, doubles and reorders.
+//! Simulates settings sent from a hub to nodes: real orders and rollouts on a real database, and the real files of nodes,
+//! connected by a network that loses, delays, duplicates and reorders messages.
 
 mod hub;
 mod node;
@@ -13,11 +13,11 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 use tempfile::TempDir;
 
-/// By then every order is answered and every rollout has ended, once nothing fails any more.
+/// Once nothing fails any more, every order is answered and every rollout has ended within this time.
 const SETTLED_WITHIN: i64 = 4 * HOUR;
 const TICK: i64 = 5 * SECOND;
 
-/// What fails, or is done to a node or a hub.
+/// Faults of a node, a hub or the network.
 const FAULTS: [&str; 9] = [
     "node loses power",
     "node's state is restored",
@@ -40,7 +40,7 @@ const COMMANDS: [Command; 5] = [
 
 #[derive(Clone, Debug)]
 enum Event {
-    /// A node looks what it has to send.
+    /// A node checks what it has to send.
     Look(usize),
     Status(usize, Payload<Vec<u8>>),
     Notice(usize),
@@ -50,7 +50,7 @@ enum Event {
     NodeOn(usize),
     HubOn,
     HubDiskFree,
-    /// The hub looks at what nodes reported.
+    /// The hub processes what nodes reported.
     Tick,
     Order,
     Rollout,
@@ -66,13 +66,13 @@ pub(super) struct Settings {
     end_ms: i64,
     nodes: Vec<Node>,
     hub: Hub,
-    /// Values that were ordered so far.
+    /// Number of values ordered so far.
     values: u64,
-    /// What each node took, by revision.
+    /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
     states: BTreeMap<usize, Vec<u8>>,
     backup: Option<Vec<u8>>,
-    /// When the hub was put back last.
+    /// When the hub was last restored.
     restored_ms: i64,
     _folder: TempDir,
 }
@@ -122,13 +122,13 @@ impl Settings {
         world
     }
 
-    /// Runs it; what is wrong in the end.
+    /// Runs to the end; returns an error if the final state is wrong.
     pub(super) fn run(mut self) -> Result<Run, String> {
         while let Some(event) = self.time.next() {
             let on = self.nodes.iter().filter(|node| node.is_on()).count();
             self.time.count_nodes(on);
             let is_tick = matches!(event, Event::Tick);
-            self.happen(event)?;
+            self.handle(event)?;
             if !self.time.is_calm || !is_tick {
                 continue;
             }
@@ -140,10 +140,10 @@ impl Settings {
                 return Err(wrong.join("; "));
             }
         }
-        Err("nothing happens any more".to_owned())
+        Err("no events are left".to_owned())
     }
 
-    fn happen(&mut self, event: Event) -> Result<(), String> {
+    fn handle(&mut self, event: Event) -> Result<(), String> {
         match event {
             Event::Look(at) => self.look(at),
             Event::Status(at, payload) => {
@@ -236,7 +236,7 @@ impl Settings {
             ));
         }
         if self.time.unlucky(30) {
-            // What was in force is on the disk before what is known of the hub, or nothing is.
+            // The thresholds reach the disk before what is known of the hub, or neither does.
             let after = self.nodes[at].state();
             self.node_crash(at);
             match self.time.below(3) {
@@ -257,7 +257,7 @@ impl Settings {
         }
     }
 
-    /// A value that was not ordered before; some cannot be taken.
+    /// A value not ordered before; some are out of range.
     fn value(&mut self) -> f64 {
         self.values += 1;
         if self.time.chance(100) {
@@ -266,7 +266,7 @@ impl Settings {
         1e-3 + self.values as f64 * 1e-4
     }
 
-    /// Some of the nodes, by name.
+    /// Names of some of the nodes.
     fn some(&mut self) -> Vec<String> {
         let mut names = Vec::new();
         for at in 0..self.nodes.len() {
@@ -307,7 +307,7 @@ impl Settings {
         }
     }
 
-    /// The hub ends, and is back after `least_ms` or later.
+    /// Kills the hub, which returns after at least `least_ms`.
     fn hub_crash(&mut self, least_ms: i64) {
         if self.hub.is_on() {
             self.hub.crash();
@@ -331,7 +331,7 @@ impl Settings {
                 }
             }
             2 => {
-                // It returns after the longest deadline of a rollout.
+                // The node returns after the longest deadline of a rollout.
                 if self.nodes[at].is_on() {
                     self.nodes[at].crash();
                     self.time.after(HOUR / 2, Event::NodeOn(at));
@@ -361,7 +361,7 @@ impl Settings {
                 if let Some(backup) = self.backup.clone()
                     && self.hub.is_on()
                 {
-                    // Nobody puts a backup in place within the seconds by which revisions may run ahead of the time.
+                    // No backup is restored within the few seconds by which revisions may be ahead of the clock.
                     self.hub_crash(60 * SECOND);
                     self.hub.file.fill(false);
                     self.hub.put(Some((backup, Vec::new())));
@@ -377,7 +377,7 @@ impl Settings {
         self.time.count(FAULTS[kind]);
     }
 
-    /// Nothing fails any more, and nobody is waited for.
+    /// Ends all faults and switches everything on.
     fn heal(&mut self) {
         (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
         self.hub.file.fill(false);
@@ -392,7 +392,7 @@ impl Settings {
         }
     }
 
-    /// What is not as it should be, or not yet.
+    /// Everything that is wrong, or not done yet.
     fn wrong(&self) -> Vec<String> {
         let mut wrong = self.hub.unfinished();
         for (at, node) in self.nodes.iter().enumerate() {
@@ -401,14 +401,14 @@ impl Settings {
             };
             let is_forgotten = desired.at_ms <= self.restored_ms;
             let has = node.has();
-            // What a hub forgot with its database may be in force; what was ordered since may not be passed over.
+            // A value that the hub forgot with its database may be in force; one ordered since must not be skipped.
             if has.revision > desired.revision && is_forgotten {
                 continue;
             }
             let is_taken = has.revision == desired.revision && (has.refused || has.by_hand);
             let is_taken = is_taken || has.settings == [desired.value; 2];
             if !is_taken {
-                wrong.push(format!("node {at} has {has:?}, desired is {desired:?}"));
+                wrong.push(format!("node {at} has {has:?}, but {desired:?} is desired"));
             }
         }
         wrong

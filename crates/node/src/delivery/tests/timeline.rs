@@ -1,4 +1,4 @@
-//! Runs virtual time: a seed decides what happens when, what is lost on the way, and what fails.
+//! Virtual time: a seed decides what happens when, which messages are lost, and what fails.
 
 use albireo_service::clock::Now;
 use rand_core::{RngCore, SeedableRng};
@@ -12,21 +12,21 @@ use tempfile::TempDir;
 pub(super) const SECOND: i64 = 1000;
 pub(super) const HOUR: i64 = 3600 * SECOND;
 pub(super) const DAY: i64 = 24 * HOUR;
-/// The wall clock at the beginning: November 2026.
+/// Wall clock at the start: November 2026.
 pub(super) const BEGIN: i64 = 1_795_000_000_000;
 
-/// What came of a run.
+/// Result of a run.
 pub(super) struct Run {
     pub(super) node_hours: f64,
-    /// Reports, or orders.
+    /// Number of reports or orders made.
     pub(super) made: u64,
-    /// How often what failed.
+    /// How often each fault occurred.
     pub(super) faults: BTreeMap<&'static str, u64>,
-    /// A hash of everything that happened, in order.
+    /// Hash of all events in order.
     pub(super) trace: u64,
 }
 
-/// Bytes that travel.
+/// Bytes in flight.
 #[derive(Clone)]
 pub(super) struct Payload<T>(pub(super) Rc<T>);
 
@@ -38,7 +38,7 @@ impl<T: Hash> std::fmt::Debug for Payload<T> {
     }
 }
 
-/// A folder in memory, where the machine has one.
+/// A temporary folder, in memory where the machine has such a folder.
 pub(super) fn folder() -> TempDir {
     let memory = std::path::Path::new("/dev/shm");
     let folder = if memory.is_dir() {
@@ -53,12 +53,12 @@ pub(super) struct Timeline<E> {
     random: Pcg64Mcg,
     began: Instant,
     pub(super) now_ms: i64,
-    /// Since when the nodes that are on were not counted.
+    /// Time up to which running nodes have been counted.
     counted_ms: i64,
     node_ms: i64,
     events: BTreeMap<(i64, u64), E>,
     made: u64,
-    /// Whether nothing may fail any more.
+    /// True once nothing may fail any more.
     pub(super) is_calm: bool,
     pub(super) cut_until_ms: i64,
     faults: BTreeMap<&'static str, u64>,
@@ -100,12 +100,12 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.below(1000) < of_thousand
     }
 
-    /// Whether something rare goes wrong just now.
+    /// Draws whether something rare goes wrong now.
     pub(super) fn unlucky(&mut self, of_thousand: u64) -> bool {
         !self.is_calm && self.chance(of_thousand)
     }
 
-    /// A number that was not given before.
+    /// A number not returned before.
     pub(super) fn number(&mut self) -> u64 {
         self.made += 1;
         self.made
@@ -116,7 +116,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.events.insert((self.now_ms + ms, number), event);
     }
 
-    /// What happens next; the time is then that.
+    /// Removes the next event and advances the time to it.
     pub(super) fn next(&mut self) -> Option<E> {
         let ((at_ms, _), event) = self.events.pop_first()?;
         self.now_ms = at_ms;
@@ -124,7 +124,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         Some(event)
     }
 
-    /// What is to come.
+    /// Events still to come.
     pub(super) fn events(&self) -> impl Iterator<Item = &E> {
         self.events.values()
     }
@@ -148,13 +148,13 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         *self.faults.entry(fault).or_default() += 1;
     }
 
-    /// So many nodes were on since the event before.
+    /// Counts the hours of the nodes that have been on since the previous event.
     pub(super) fn count_nodes(&mut self, on: usize) {
         self.node_ms += (self.now_ms - self.counted_ms) * on as i64;
         self.counted_ms = self.now_ms;
     }
 
-    /// What came of the run, in which that many reports or orders were made.
+    /// Returns the result of a run that made this many reports or orders.
     pub(super) fn run(self, made: usize) -> Run {
         Run {
             node_hours: self.node_ms as f64 / HOUR as f64,
@@ -164,7 +164,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         }
     }
 
-    /// Sends over the network, which may lose it, double it or take its time.
+    /// Sends over the network, which may lose, duplicate or delay the message.
     pub(super) fn send(&mut self, event: &E) {
         if self.now_ms < self.cut_until_ms || self.unlucky(60) {
             return;

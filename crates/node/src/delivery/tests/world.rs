@@ -1,4 +1,4 @@
-//! Plays what happens to nodes and a hub, in the order of virtual time.
+//! Plays the events of nodes and a hub in order of virtual time.
 
 use super::hub::{Asker, Hub, Reply};
 use super::node::{Node, put};
@@ -8,11 +8,11 @@ use std::rc::Rc;
 use std::sync::atomic::Ordering;
 use tempfile::TempDir;
 
-/// By then everything is delivered once nothing fails any more.
+/// Once nothing fails any more, everything is delivered within this time.
 const SETTLED_WITHIN: i64 = 48 * HOUR;
 const MOST_NODES: usize = 5;
 
-/// What fails, or is done to a node or a hub.
+/// Faults of a node, a hub or the network.
 const FAULTS: [&str; 11] = [
     "node loses power",
     "node's disk is full",
@@ -45,7 +45,7 @@ enum Event {
     End,
 }
 
-/// Whose clock may be off by months or years; of both at once nobody can tell what is old.
+/// Whose clock may be off by months or years. With both off at once, nobody could tell what is old.
 #[derive(Clone, Copy, PartialEq)]
 enum Far {
     Nobody,
@@ -61,15 +61,15 @@ pub(super) struct World {
     hub: Hub,
     /// The node of each report.
     reports: Vec<usize>,
-    /// Reports that were lost with what held them, or that the hub refused by name: stored once at most.
+    /// Reports lost with whatever held them, or refused by the hub by name: stored at most once.
     excused: BTreeSet<usize>,
-    /// Older states of nodes.
+    /// Earlier states of nodes.
     states: BTreeMap<usize, Vec<u8>>,
     backup: Option<Vec<u8>>,
     far: Far,
-    /// Reports that the hub lost when it was put back.
+    /// Reports that the hub lost when its backup was restored.
     forgotten: BTreeSet<usize>,
-    /// Whether the state of a node went back or was copied, or its counts were not on its disk.
+    /// True if a node's state was restored or copied, or its counts were not on the disk.
     is_rewound: bool,
 }
 
@@ -107,7 +107,7 @@ impl World {
             world.time.after(when, Event::KeepNode(at));
         }
         world.far = [Far::Nobody, Far::Node, Far::Hub][world.time.below(3) as usize];
-        // What a hub forgot is asked for within the week that nodes keep it, by their own clocks.
+        // The hub asks for what it forgot within the week for which nodes keep it, by their own clocks.
         if world.far != Far::Node {
             let when = world.time.between(0, world.end_ms);
             world.time.after(when, Event::BackUp);
@@ -120,19 +120,19 @@ impl World {
         while let Some(event) = self.time.next() {
             let on = self.nodes.iter().filter(|node| node.is_on()).count();
             self.time.count_nodes(on);
-            self.happen(event);
+            self.handle(event);
             if self.time.is_calm && self.is_settled() {
                 return self.check();
             }
             if self.time.now_ms > self.end_ms + SETTLED_WITHIN {
                 let counts: Vec<_> = self.nodes.iter().map(Node::counts).collect();
-                return Err(format!("it does not settle: {counts:?}"));
+                return Err(format!("not settled: {counts:?}"));
             }
         }
-        Err("nothing happens any more".to_owned())
+        Err("no events are left".to_owned())
     }
 
-    fn happen(&mut self, event: Event) {
+    fn handle(&mut self, event: Event) {
         match event {
             Event::Clip(at) => {
                 if self.time.unlucky(5) {
@@ -219,7 +219,7 @@ impl World {
         }
     }
 
-    /// Running counts that are not on the disk are missing, or given once more after the power went.
+    /// After a power cut, running counts that were not on the disk are missing or given again.
     fn note_counts(&mut self, at: usize) {
         if !self.nodes[at]
             .counts()
@@ -331,7 +331,7 @@ impl World {
         self.time.count(FAULTS[kind]);
     }
 
-    /// How far a clock is ahead from now on.
+    /// Draws how far a clock is ahead from now on, ms.
     fn clock(&mut self, far: bool) -> i64 {
         let days = match self.time.below(if far { 5 } else { 3 }) {
             0 => return 0,
@@ -343,7 +343,7 @@ impl World {
         self.time.between(-days * DAY, days * DAY)
     }
 
-    /// An older copy of its state replaces that of a node.
+    /// Restores an earlier state of a node.
     fn restore_node(&mut self, at: usize) {
         let Some(state) = self.states.get(&at) else {
             return;
@@ -356,7 +356,7 @@ impl World {
         self.node_on(at);
     }
 
-    /// Another node begins with a copy of a node's state.
+    /// Starts another node with a copy of a node's state.
     fn copy_node(&mut self, at: usize, under_its_name: bool) {
         if let Some(state) = self.nodes[at]
             .state()
@@ -389,8 +389,8 @@ impl World {
         self.excuse(BTreeSet::new());
     }
 
-    /// Excuses those of the lost reports that nobody has any more, and of those that the hub forgot. Where the state of a node
-    /// was rewound too, the running counts do not tell what the hub forgot.
+    /// Excuses those of the `lost` and forgotten reports that no longer exist anywhere. If a node's state was rewound too, the
+    /// running counts do not reveal what the hub forgot.
     fn excuse(&mut self, mut lost: BTreeSet<usize>) {
         lost.extend(&self.forgotten);
         let stored = self.hub.stored();
@@ -408,7 +408,7 @@ impl World {
         }
     }
 
-    /// Nothing fails any more, and each node makes one report.
+    /// Ends all faults; each node makes one more report.
     fn heal(&mut self) {
         (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
         self.hub.file.fill(false);
@@ -427,7 +427,7 @@ impl World {
         }
     }
 
-    /// Whether everything is delivered, and nothing under way.
+    /// True if everything is delivered and nothing is in flight.
     fn is_settled(&self) -> bool {
         let travels = |event: &Event| {
             matches!(
@@ -450,11 +450,11 @@ impl World {
             }
         }
         if stored.keys().any(|number| *number >= self.reports.len()) {
-            wrong.push("a report is stored that nobody made".to_owned());
+            wrong.push("a report that nobody made is stored".to_owned());
         }
         wrong.extend(self.hub.check().err());
         if (self.nodes.iter().filter_map(Node::counts)).any(|counts| counts.status.lost > 0) {
-            wrong.push("a report was lost for want of room".to_owned());
+            wrong.push("a report was lost because the outbox was full".to_owned());
         }
         if !wrong.is_empty() {
             return Err(wrong.join("; "));

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_are_spread_and_begin_anew() {
+    fn backoffs_grow_are_jittered_and_reset() {
         let mut backoff = Backoff::new(100, 1000, 7);
         let within = |pause: Duration, from, to| {
             let ms = pause.as_millis();

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_and_a_value_take_each_others_place_by_one_revision() {
+    fn a_target_and_a_value_replace_each_other_by_one_revision() {
         let folder = tempfile::tempdir().unwrap();
         let board = opened(folder.path());
         let keeper = DesiredKeeper::open(&board.settings);
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_that_cannot_be_held_is_refused_in_words_and_changes_nothing() {
+    fn a_target_that_cannot_be_held_is_refused_with_a_reason_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let board = opened(folder.path());
         let keeper = DesiredKeeper::open(&board.settings);
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_of_the_hub_survives_a_restart_and_ends_when_the_knob_is_turned_by_hand() {
+    fn a_target_of_the_hub_survives_a_restart_and_ends_with_a_manual_change() {
         let folder = tempfile::tempdir().unwrap();
         let half = Some(Target::SkipRate(0.5));
         let before = opened(folder.path());

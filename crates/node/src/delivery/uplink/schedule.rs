@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn reports_are_gathered_until_there_are_some_or_one_has_waited_for_long() {
+    fn reports_are_gathered_up_to_a_number_or_a_time() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(0, 0), None);
         assert_eq!(bench.batch(1, 1000), Some(false), "the first goes at once");
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_batch_waits_as_long_as_the_hub_says_but_not_when_the_node_stops() {
+    fn a_refused_batch_waits_for_the_hubs_retry_time_unless_the_node_stops() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
         bench.ended(Err(Failure::Refused(Some(Duration::from_secs(3600)))), 100);
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_that_is_over_is_no_reason_to_look_at_once() {
+    fn an_elapsed_backoff_is_no_reason_to_poll_at_once() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
         bench.ended(UNANSWERED, 0);
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_question_that_is_not_answered_is_asked_again_after_pauses_that_grow() {
+    fn an_unanswered_query_is_retried_with_growing_backoff() {
         let mut bench = Bench::new();
         let (mut now, mut requests) = (0, Vec::new());
         while now < 300_000 {
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_hub_has_lost_is_sent_again_at_a_pace() {
+    fn reports_that_a_hub_lost_are_resent_at_a_limited_rate() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));
         bench.ended(DONE, 0);
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_is_stale_when_what_is_sent_is_never_answered() {
+    fn a_session_that_never_answers_is_stale() {
         let mut bench = Bench::new();
         let minute = Duration::from_secs(60);
         assert_eq!(bench.batch(0, 500_000), None);

@@ -1,4 +1,4 @@
-//! What a receiver promises of the order and the numbering of frames.
+//! Tests of the order and numbering of received frames.
 
 use super::*;
 use crate::config::NodeConfig;
@@ -54,7 +54,7 @@ impl FrameReceiver {
     }
 }
 
-/// Index and stream of what waits in the ring.
+/// Index and stream of each frame waiting in the ring.
 fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
     let mut found = Vec::new();
     while let Some(frame) = ring.next().now_or_never() {
@@ -64,7 +64,7 @@ fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
 }
 
 #[tokio::test]
-async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
+async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() {
     let receiver = receiver(8);
     receiver.give(frame(number(1000, 1)));
     receiver.publisher_changed(1, true);
@@ -84,7 +84,7 @@ async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out
 }
 
 #[tokio::test]
-async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
+async fn a_frame_with_an_unreadable_number_is_counted_once() {
     let receiver = receiver(8);
     receiver.give(frame(number(5, None)));
     receiver.give(rejected(None));

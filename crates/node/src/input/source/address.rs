@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_source_s_kind_is_told_by_its_name() {
+    fn the_kind_of_a_source_follows_from_its_name() {
         let kind = |text: &str| SourceAddress::new(text).kind();
         assert_eq!(kind("rtsp://a/b"), SourceKind::Network("rtsp".to_owned()));
         assert_eq!(kind("HTTP://a/b"), SourceKind::Network("http".to_owned()));
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shown_has_no_credentials() {
+    fn shown_addresses_have_no_credentials() {
         for (text, shown) in [
             ("rtsp://u:pw@cam:554/s", "rtsp://cam:554/s"),
             ("rtsp://u:p/w@cam/s", "rtsp://cam/s"),
@@ -437,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn variables_are_filled_in_and_what_programs_say_is_cleaned_of_them() {
+    fn variables_are_filled_in_and_removed_from_program_output() {
         let resolved = resolve("rtsp://${USER}:${PASSWORD}@cam/s").unwrap();
         assert_eq!(resolved.text(), "rtsp://viewer:p%40ss%2Fw%3Ard@cam/s");
         let message = format!("{}: 401, password p@ss/w:rd of viewer", resolved.text());
@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_cannot_be_used_says_why_without_telling_it() {
+    fn an_unusable_address_is_explained_without_showing_it() {
         for (text, error) in [
             ("", "is empty"),
             ("rtsp://a\nfile x", CONTROL),
@@ -485,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn options_are_shown_without_what_is_secret() {
+    fn options_are_shown_without_secrets() {
         let words = [
             "-headers",
             "Authorization: Bearer abc",

@@ -393,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn a_codec_and_complaints_are_told_apart_from_chatter() {
+    fn codecs_and_errors_are_distinguished_from_other_output() {
         let line = "[info]   Stream #0:0[0x1](und): Video: mjpeg (Baseline), yuvj420p, 25 fps";
         assert_eq!(
             (codec(line).as_deref(), complaint(line)),
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_camera_answered_is_the_reason() {
+    fn the_answer_of_the_camera_is_the_reason() {
         for (complaint, answer) in [
             (
                 "method DESCRIBE failed: 401 Unauthorized",
@@ -449,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_dropped_is_killed_with_what_it_started() {
+    fn a_dropped_program_is_killed_with_its_children() {
         let mut running = start("sleep 1000 & echo $!; exec tail -f /dev/null");
         let mut child = String::new();
         while !child.ends_with('\n') {
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_whose_output_ended_and_that_does_not_end_is_killed() {
+    fn a_program_that_outlives_its_output_is_killed() {
         let begun = Instant::now();
         let mut running = start("echo last; exec >&-; sleep 1000");
         assert_eq!(output(&mut running), "last\n");
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_ends_a_reading_when_it_is_to_and_a_stop_at_once() {
+    fn silence_ends_a_read_after_the_timeout_and_a_stop_at_once() {
         let silence = Duration::from_millis(300);
         let mut running = started(shell("echo one; sleep 1000"), silence);
         let begun = Instant::now();
@@ -501,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_sees_no_variables_but_what_it_needs() {
+    fn a_program_gets_only_the_variables_it_needs() {
         for (name, passed) in [
             ("PATH", true),
             ("GST_PLUGIN_PATH", true),
@@ -519,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_s_memory_is_limited() {
+    fn the_memory_of_a_program_is_limited() {
         if !Path::new("/proc/self/limits").exists() {
             return;
         }

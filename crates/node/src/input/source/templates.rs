@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn rtsp_comes_by_tcp_and_frames_of_one_time_are_no_error() {
+    fn rtsp_uses_tcp_and_equal_timestamps_are_no_error() {
         let mut settings = settings("rtsp://cam/s");
         settings.hardware = Some("cuda".to_owned());
         let (line, script) = line(&settings, false, (5, 1));
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn options_reach_the_camera_also_where_its_address_has_a_password() {
+    fn options_reach_the_camera_even_if_its_address_has_a_password() {
         let options = [
             "-rtsp_flags",
             "prefer_tcp",
@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn an_option_that_is_secret_is_not_in_the_command_line() {
+    fn a_secret_option_is_not_in_the_command_line() {
         let options = ["-headers", "Authorization: Bearer abc"];
         let program = ffmpeg(&with_options("http://cam/v", &options), true, (5, 1)).unwrap();
         assert!(!program.arguments.join(" ").contains("Bearer"));
@@ -474,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipeline_gets_an_end_that_tells_lengths() {
+    fn a_pipeline_gets_an_end_that_sends_lengths() {
         assert_eq!(
             pipeline("videotestsrc ! jpegenc").unwrap(),
             "-q videotestsrc ! jpegenc ! multipartmux ! fdsink fd=1"
@@ -492,7 +492,7 @@ mod tests {
     }
 
     #[test]
-    fn no_password_is_put_into_a_command_line_that_was_not_written_so() {
+    fn a_password_is_in_a_command_line_only_if_written_there() {
         let refused = pipeline("rtsp://u:hidden@cam/s").unwrap_err().to_string();
         assert!(
             refused.contains("install ffmpeg") && !refused.contains("hidden"),

@@ -7,7 +7,7 @@ use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Threshold};
 use std::path::Path;
 use std::time::Duration;
 
-/// The cameras `front` and `rear` under a policy.
+/// A configuration with the cameras `front` and `rear` under a policy.
 pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
     let mut config = NodeConfig {
         cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),
@@ -37,7 +37,7 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
 }
 
 impl CameraBoard {
-    /// A frame gets its only answer.
+    /// Counts a frame with its final answer.
     fn answered(&self, detections: Arc<DetectionsMessage>) {
         let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
         self.show(Arc::clone(&detections));
@@ -46,7 +46,7 @@ impl CameraBoard {
 }
 
 #[test]
-fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
+fn every_frame_is_counted_by_state_and_sent_to_subscribers() {
     let board = board(None, "albireo");
     let mut events = board.subscribe();
     let camera = board.camera("front").unwrap();
@@ -100,15 +100,15 @@ fn a_changed_threshold_survives_a_restart() {
     assert!(first.outbox.counts().status.durable);
     drop(first);
     assert_eq!(thresholds(&restarted("albireo")), [5e-4, 3e-4]);
-    // Once the configuration is edited it is the newer word.
+    // An edited configuration is newer, so it wins.
     assert_eq!(thresholds(&restarted("albireo:1e-3")), [1e-3; 2]);
-    // A value kept for another knob is no value of this one.
+    // A value stored for another knob does not apply.
     let lambda = ExpectedLoss::KNOB.default;
     assert_eq!(thresholds(&restarted("expected-loss")), [lambda; 2]);
 }
 
 #[test]
-fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
+fn a_threshold_that_cannot_be_stored_still_applies_and_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
@@ -166,7 +166,7 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
     let events: Vec<_> = (readers.iter_mut())
         .map(|reader| reader.try_recv().unwrap())
         .collect();
-    // The very same text, not only an equal one.
+    // The same allocation, not just equal text.
     let first = events[0].json().unwrap();
     assert!(
         events
@@ -176,10 +176,10 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
 }
 
 #[test]
-fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
+fn lost_and_unsaved_reports_degrade_the_node_with_the_outbox_as_reason() {
     let reason = |board: &Board| board.readiness.health().status().reasons.remove("outbox");
     let folder = tempfile::tempdir().unwrap();
-    // Without a directory nothing is promised, so nothing is reported.
+    // Without a state directory nothing is promised, so nothing is reported.
     assert_eq!(reason(&board(None, "albireo")), None);
     let sound = board(Some(&folder.path().join("state")), "albireo");
     assert_eq!(reason(&sound), None);

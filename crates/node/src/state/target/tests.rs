@@ -1,4 +1,4 @@
-//! The target of a board: who switches it on and off, and what of it survives.
+//! The target of a board: who switches it on and off, and what survives a restart.
 
 use super::*;
 use crate::state::board::set_by_hand;
@@ -25,7 +25,7 @@ fn too_few_skipped() -> Measured {
     }
 }
 
-/// Lets seconds pass; the knob's value then.
+/// Lets `seconds` pass; returns the knob's value.
 fn pass(board: &Board, seconds: u32) -> f64 {
     for _ in 0..seconds {
         board.target.step(&too_few_skipped(), |value| {
@@ -38,7 +38,7 @@ fn pass(board: &Board, seconds: u32) -> f64 {
 }
 
 #[test]
-fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
+fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
     assert_eq!(board.target.report().target, None);
     board
@@ -53,7 +53,7 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
     let state = report.state.unwrap();
     assert_eq!((state.status, state.knob), (TargetStatus::Moving, after));
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
-    // At the end of the range it is said and counted.
+    // At the end of the range the status reports it, and it is counted.
     pass(&board, 120);
     let state = board.target.report().state.unwrap();
     assert_eq!((state.status, state.unmet), (TargetStatus::CannotBeMet, 1));
@@ -61,7 +61,7 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
 }
 
 #[test]
-fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
+fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     let board = board(None, "albireo:3e-4", TargetConfig::default());
     board
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
@@ -73,7 +73,7 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&board, 10);
     assert_eq!(board.cameras[1].threshold(), Some(7e-4));
-    // Another one begins at the knob's value, and leaves it there at its end.
+    // Another target begins at the knob's value and leaves the knob there when it ends.
     board
         .set_target(Some(Target::SkipRate(0.6)), SettingSource::Local)
         .unwrap();
@@ -86,7 +86,7 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
 }
 
 #[test]
-fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited() {
+fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     let configured = |skip_rate: Option<f64>| TargetConfig {
@@ -106,10 +106,10 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let report = again.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.5)));
     assert!((report.threshold.unwrap().value - there).abs() < 1e-12);
-    // The first step puts it into force, whatever the cameras began with.
+    // The first step applies the value, whatever the cameras began with.
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
-    // Off by hand stays off.
+    // A target switched off by hand stays off.
     set_by_hand(&again.cameras[..1], 0.25).unwrap();
     drop(again);
     let off = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
@@ -122,8 +122,8 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     assert_eq!(report.source, SettingSource::Configuration);
 }
 
-/// Lets `worker` end although `change` waits for a disk that stalls; `change` ends once that is over, not before.
-fn goes_on_while_the_disk_stalls(
+/// Asserts that `worker` ends while `change` waits for a stalled disk, and that `change` ends only when the disk recovers.
+fn assert_runs_while_the_disk_stalls(
     board: &Arc<Board>,
     change: impl FnOnce(&Board) + Send,
     worker: impl FnOnce(&Board) + Send,
@@ -140,16 +140,16 @@ fn goes_on_while_the_disk_stalls(
             worker(board);
             worked.send(()).unwrap();
         });
-        let went_on = worker_ended.recv_timeout(LIMIT);
+        let worker_result = worker_ended.recv_timeout(LIMIT);
         let early = change_ended.try_recv();
         drop(stalled);
-        assert_eq!(went_on, Ok(()), "a worker waits for the disk");
+        assert_eq!(worker_result, Ok(()), "a worker waits for the disk");
         assert_eq!(early, Err(TryRecvError::Empty), "acknowledged, not kept");
         assert_eq!(change_ended.recv_timeout(LIMIT), Ok(()));
     });
 }
 
-/// What workers ask of a board each second, and for a request.
+/// The board calls that workers make each second and per request.
 fn serve(board: &Board) {
     pass(board, 1);
     board.publish_counters(0);
@@ -163,13 +163,13 @@ fn serve(board: &Board) {
 }
 
 #[test]
-fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_is_kept() {
+fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_stored() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     let open = || board(Some(&state), "expected-loss:0.3", TargetConfig::default());
     let first = open();
     let half = Some(Target::SkipRate(0.5));
-    goes_on_while_the_disk_stalls(
+    assert_runs_while_the_disk_stalls(
         &first,
         |board| board.set_target(half, SettingSource::Local).unwrap(),
         |board| {
@@ -180,14 +180,14 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
         },
     );
     let there = pass(&first, 20);
-    goes_on_while_the_disk_stalls(&first, |board| board.target.keep_place(), serve);
+    assert_runs_while_the_disk_stalls(&first, |board| board.target.keep_place(), serve);
     drop(first);
     let second = open();
     let report = second.target.report();
     assert_eq!(report.target, half);
     assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
-    // The target is switched off first, which is kept too.
-    goes_on_while_the_disk_stalls(
+    // Switching off comes first, and is stored too.
+    assert_runs_while_the_disk_stalls(
         &second,
         |board| set_by_hand(&board.cameras[..1], 0.25).unwrap(),
         |board| {
@@ -197,7 +197,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
             serve(board);
         },
     );
-    goes_on_while_the_disk_stalls(
+    assert_runs_while_the_disk_stalls(
         &second,
         |board| set_by_hand(&board.cameras[..1], 0.26).unwrap(),
         |board| {
@@ -215,7 +215,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
 }
 
 #[test]
-fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
+fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     for policy in ["vanilla", "ctd"] {
         let board = board(None, policy, TargetConfig::default());
         let refused = board.set_target(Some(Target::SkipRate(0.5)), SettingSource::Local);
@@ -223,7 +223,7 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
         assert!(reason.contains(policy), "{reason}");
         assert_eq!(board.target.report().target, None);
     }
-    // A policy that was changed since: what was kept is not held, and the reason is given.
+    // After a change of the policy, the stored target is not held, and the reason is given.
     let configured = TargetConfig {
         hold: Some(Target::SkipRate(0.5)),
         ..TargetConfig::default()
@@ -234,12 +234,12 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
 }
 
 #[test]
-fn an_outage_of_the_detector_moves_no_knob() {
+fn a_detector_outage_moves_no_threshold() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
     board
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
-    // Seconds of ten frames: how many of them skipped the detector, and how many could not have it.
+    // Seconds of ten frames: how many skipped the detector, and how many could not get it.
     let pass = |seconds, skipped, degraded| {
         let second = Totals {
             frames: 10,

@@ -140,7 +140,7 @@ mod tests {
         }
 
         #[test]
-        fn what_is_kept_does_not_overlap_and_what_is_dropped_does(
+        fn kept_boxes_do_not_overlap_and_dropped_ones_do(
             all in candidates(), overlap in 0.0..1.0
         ) {
             let mut kept = all.clone();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn of_too_many_candidates_the_best_are_used_and_the_rest_counted() {
+    fn of_too_many_candidates_the_best_are_kept_and_the_rest_counted() {
         // Apart from each other, so that only the limit drops any; the best come last.
         let mut many: Vec<_> = (0..30_000_u32)
             .map(|index| {

@@ -1,5 +1,4 @@
-//! The heads on tensors made by hand. What the models' own code makes of whole outputs is compared in
-//! `tests/head_fixtures.rs`.
+//! The heads on handmade tensors. `tests/head_fixtures.rs` compares whole outputs with the results of the vendors' code.
 
 use super::*;
 use crate::detector::{ElementType, Metadata, TensorSpec};
@@ -47,8 +46,8 @@ pub(in crate::detector) fn bound(
 /// Shapes of a model's outputs.
 type Shapes = Vec<Vec<i64>>;
 
-/// The smallest head of each kind, with the outputs' shapes. All have two classes but the end-to-end head,
-/// which does not know, and an input of 64x32.
+/// The smallest head of each kind and the shapes of its outputs, for an input of 64x32. All have two classes except the
+/// end-to-end head, which does not know its classes.
 fn heads() -> Vec<(Head, Shapes)> {
     let input = [1, 3, 32, 64];
     let detr: [(&str, &[i64]); 2] = [("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])];
@@ -78,7 +77,7 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     (rejected, candidates)
 }
 
-/// What a head finds in its only output, of that shape, of a picture of 64x32.
+/// Detections of a head with one output of this shape, for a picture of 64x32.
 fn read_one(name: HeadName, shape: &[i64], values: &[f32]) -> (u64, Vec<Candidate>) {
     let head = bound(name, &[1, 3, 32, 64], &[("output", shape)]);
     read(&head, &[(shape, values)])
@@ -100,7 +99,7 @@ fn assert_candidates(found: &[Candidate], expected: &[([f64; 4], u16, f32)]) {
     }
 }
 
-/// A tensor that is 0 but for these rows.
+/// A tensor that is 0 except in these rows.
 fn rows<const ROW: usize>(count: usize, rows: &[(usize, [f32; ROW])]) -> Vec<f32> {
     let mut values = vec![0.0; count * ROW];
     for (place, row) in rows {
@@ -109,7 +108,7 @@ fn rows<const ROW: usize>(count: usize, rows: &[(usize, [f32; ROW])]) -> Vec<f32
     values
 }
 
-/// The same with rows and columns exchanged.
+/// Like [`rows`], transposed.
 fn columns<const ROW: usize>(count: usize, given: &[(usize, [f32; ROW])]) -> Vec<f32> {
     let values = rows(count, given);
     (0..ROW)
@@ -124,10 +123,10 @@ fn yolo_reads_columns_of_centre_size_and_scores() {
         8400,
         &[
             (0, [10.0, 20.0, 4.0, 8.0, 0.1, 0.9]),
-            // Above and below the confidence, in the last block, which is not full.
+            // Above and below the confidence threshold, in the last block, which is not full.
             (8398, [320.0, 320.0, 640.0, 640.0, 0.5, 0.2]),
             (8399, [320.0, 320.0, 640.0, 640.0, 0.49, 0.2]),
-            // Inside out, not a number, not a score.
+            // A box inside out, a NaN, and an invalid score.
             (70, [10.0, 20.0, -4.0, 8.0, 0.9, 0.1]),
             (71, [f32::NAN, 20.0, 4.0, 8.0, 0.9, 0.1]),
             (72, [10.0, 20.0, 4.0, 8.0, 0.9, f32::NAN]),
@@ -171,7 +170,7 @@ fn end_to_end_reads_corners_score_and_class() {
 }
 
 #[test]
-fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
+fn a_dynamic_number_of_boxes_may_change_from_frame_to_frame() {
     let outputs: [(&str, &[i64]); 1] = [("output0", &[-1, -1, 6])];
     let head = bound(HeadName::EndToEnd, &[1, 3, 32, 64], &outputs);
     assert!(!head.overlaps);
@@ -183,11 +182,11 @@ fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
 }
 
 #[test]
-fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
+fn detr_selects_pairs_of_query_and_class_by_sigmoid() {
     let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
     let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
     let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
-    // The first query has both classes, the last is too unsure.
+    // The first query has both classes; the last is below the threshold.
     let logits = [2.0, 0.5, -3.0, 1.0, -0.1, -5.0];
     let (rejected, found) = read(&head, &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)]);
     assert_eq!(rejected, 0);
@@ -228,7 +227,7 @@ fn fastestdet_decodes_its_cells_by_channel() {
     let output = columns(
         8,
         &[
-            // Column 2, row 1: the centre in its corner, a quarter and half of the picture large.
+            // Column 2, row 1: the centre in the cell's corner; a quarter of the picture wide and half of it high.
             (6, [0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
             (1, [0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
             (2, [0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
@@ -254,7 +253,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
             (38, [0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
             // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
             (41, [half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
-            // Objectness times score is too low; then objectness alone.
+            // Objectness times score is too low; then objectness alone is.
             (0, [0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
             (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
         ],
@@ -272,7 +271,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
 }
 
 #[test]
-fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
+fn yolox_rejects_and_counts_impossible_boxes_and_non_numbers() {
     let good = [0.0, 0.0, 0.0, 0.0, 0.9, 0.9, 0.0];
     let with = |index: usize, value: f32| {
         let mut row = good;
@@ -323,7 +322,7 @@ fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
             longer[0] = length;
             let error = attempt(&other, &longer).unwrap_err();
             assert!(error.contains("instead of ["), "{head:?}: {error}");
-            // Elements and shape that contradict each other, and shapes that cannot be.
+            // Shapes that contradict the number of elements, and impossible shapes.
             assert!(attempt(&other, &lengths).is_err(), "{head:?}");
             other[0][place] = -1;
             assert!(attempt(&other, &lengths).is_err(), "{head:?}");
@@ -333,7 +332,7 @@ fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
     }
 }
 
-/// Outputs of these shapes, each with the first of these numbers.
+/// Outputs of these shapes, each filled from the start of `numbers`.
 fn views<'a>(shapes: &'a [Vec<i64>], numbers: &'a [f32]) -> Vec<TensorView<'a>> {
     let view = |shape: &'a Vec<i64>| TensorView {
         shape,
@@ -353,7 +352,7 @@ fn any_number() -> impl Strategy<Value = f32> {
 
 proptest! {
     #[test]
-    fn whatever_a_model_gives_candidates_are_possible_and_nothing_ends_the_program(
+    fn any_output_gives_valid_candidates_and_no_panic(
         numbers in prop::collection::vec(any_number(), 42 * 7),
         confidence in 0.0_f64..=1.0,
     ) {
@@ -376,7 +375,7 @@ proptest! {
     }
 
     #[test]
-    fn a_higher_confidence_gives_a_part_of_what_a_lower_one_gives(
+    fn a_higher_confidence_gives_a_subset_of_a_lower_one(
         numbers in prop::collection::vec(0.0_f32..1.0, 42 * 7),
         low in 0.0_f64..=1.0,
         high in 0.0_f64..=1.0,

@@ -24,7 +24,7 @@ fn decoded(
 }
 
 #[test]
-fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
+fn scaled_pictures_are_never_smaller_than_required() {
     let source = PictureSize::new(1280, 720);
     for (target, expected) in [
         ([640, 360], Some([640, 360])),
@@ -46,7 +46,7 @@ fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
 }
 
 #[test]
-fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
+fn scaled_decoding_gives_the_mean_of_the_covered_pixels() {
     let picture = scene(PictureSize::new(642, 358));
     for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
         let full = decoded(&picture, layout, None).unwrap();
@@ -70,13 +70,13 @@ fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
             sum += (f64::from(value) - mean).abs();
             count += 1.0;
         }
-        // Less where no chroma has to be scaled.
+        // Less if there is no chroma to scale.
         assert!(sum / count < 2.0, "{layout:?}: {} grey levels", sum / count);
     }
 }
 
 #[test]
-fn scaled_decoding_refuses_a_file_that_is_cut_short_or_damaged() {
+fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
     let picture = scene(PictureSize::new(640, 360));
     let target = Some(PictureSize::new(320, 180));
     assert!(decoded(&picture, PixelLayout::Rgb8, target).is_ok());
@@ -85,7 +85,7 @@ fn scaled_decoding_refuses_a_file_that_is_cut_short_or_damaged() {
         ..picture.clone()
     };
     assert!(decoded(&half, PixelLayout::Rgb8, target).is_err());
-    // The end is there, and pixels before it are not.
+    // The end marker is present, but pixels before it are missing.
     let mut without_middle = picture.bytes[..picture.bytes.len() / 2].to_vec();
     without_middle.extend([0xFF, 0xD9]);
     let damaged = EncodedPicture {

@@ -1,9 +1,9 @@
-//! The letterbox against a slow reference, and the way back against the way there.
+//! Compares the letterbox with a slow reference, and its inverse with the letterbox.
 
 use super::*;
 use proptest::prelude::*;
 
-/// A picture whose pixels differ from their neighbours by little, with edges.
+/// A picture of smooth gradients with a few edges.
 fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
     let size = PictureSize::new(width, height);
     let mut pixels = Vec::new();
@@ -24,7 +24,7 @@ fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
     }
 }
 
-/// Bilinear interpolation with the pixel centres at half numbers, as OpenCV's `INTER_LINEAR` defines it.
+/// Bilinear interpolation with pixel centres at half-integers, like OpenCV's `INTER_LINEAR`.
 fn reference(picture: &Picture, channel: usize, column: u32, row: u32, to: PictureSize) -> f64 {
     let channels = picture.layout.channels();
     let at = |x: f64, y: f64| {
@@ -55,8 +55,8 @@ fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
     }
 }
 
-/// Compares the tensor with the reference where the picture is, and with `fill` elsewhere; `left`, `top`
-/// and `used` say where that is.
+/// Compares the tensor with the reference inside the picture, whose place is `left`, `top` and `used`, and with `fill`
+/// elsewhere.
 fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: PictureSize) {
     let mut letterbox = Letterbox::new(format);
     letterbox.fill(picture).unwrap();
@@ -89,7 +89,7 @@ fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: Pi
                         (found * deviation + mean) * 255.0
                     }
                 };
-                // Two passes with a rounding each.
+                // Two passes, each with its own rounding.
                 let allowed = if inside { 1.01 } else { 1e-4 };
                 assert!(
                     (found - expected).abs() <= allowed,
@@ -101,7 +101,7 @@ fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: Pi
 }
 
 #[test]
-fn shrinking_and_growing_agree_with_bilinear_interpolation() {
+fn scaling_agrees_with_bilinear_interpolation() {
     for (source, input, used) in [
         ((72, 58), (42, 42), (42, 33)),
         ((30, 90), (64, 64), (21, 64)),
@@ -116,7 +116,7 @@ fn shrinking_and_growing_agree_with_bilinear_interpolation() {
 }
 
 #[test]
-fn colour_order_range_and_layout_are_as_asked_and_grey_fills_all_three_planes() {
+fn colour_order_range_and_layout_are_as_configured_and_grey_fills_all_planes() {
     let pictures = [PixelLayout::Rgb8, PixelLayout::Gray8].map(|pixels| picture(40, 20, pixels));
     for color_order in [ColorOrder::Rgb, ColorOrder::Bgr] {
         for value_range in [ValueRange::To255, ValueRange::ToOne, ValueRange::ImageNet] {
@@ -136,7 +136,7 @@ fn colour_order_range_and_layout_are_as_asked_and_grey_fills_all_three_planes() 
 }
 
 #[test]
-fn a_picture_scaled_by_the_decoder_lies_where_the_whole_one_would() {
+fn a_picture_scaled_by_the_decoder_has_the_place_of_the_whole_one() {
     let whole = picture(41, 21, PixelLayout::Rgb8);
     let half = Picture {
         size: PictureSize::new(21, 11),
@@ -158,7 +158,7 @@ fn a_picture_scaled_by_the_decoder_lies_where_the_whole_one_would() {
 }
 
 #[test]
-fn the_middle_and_the_stretched_fit_lie_where_they_should() {
+fn the_centred_and_stretched_fits_are_placed_correctly() {
     let picture = picture(40, 21, PixelLayout::Rgb8);
     let used = PictureSize::new(32, 17);
     compare(&picture, format(32, 32, Fit::Centre(114)), 0, 7, used);
@@ -179,7 +179,7 @@ fn the_margin_is_refilled_when_the_picture_changes_its_shape() {
 }
 
 #[test]
-fn the_fraction_is_cut_off_as_yolox_does_it() {
+fn the_fraction_is_truncated_as_in_yolox() {
     // In double precision 720 * (416 / 720) is just below 416.
     let format = format(416, 416, Fit::TopLeft(114));
     let (placement, mapping) = place(PictureSize::new(720, 576), format);
@@ -199,7 +199,7 @@ fn a_picture_that_is_empty_or_too_short_is_an_error() {
 }
 
 #[test]
-fn a_picture_of_one_row_or_of_extreme_shape_is_no_trouble() {
+fn a_picture_of_one_row_or_of_extreme_shape_works() {
     for fit in [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch] {
         let mut letterbox = Letterbox::new(format(32, 32, fit));
         for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
@@ -211,7 +211,7 @@ fn a_picture_of_one_row_or_of_extreme_shape_is_no_trouble() {
 
 proptest! {
     #[test]
-    fn the_way_back_undoes_the_way_there(
+    fn the_inverse_mapping_undoes_the_mapping(
         width in 1_u32..3000, height in 1_u32..3000,
         columns in 1_u32..700, rows in 1_u32..700,
         which in 0_u8..3,
@@ -221,7 +221,7 @@ proptest! {
         let (placement, mapping) = place(PictureSize::new(width, height), format(columns, rows, fit));
         prop_assert!(placement.left + placement.width <= columns);
         prop_assert!(placement.top + placement.height <= rows);
-        // Where the picture's edges are in the input: within a pixel of where its pixels were put.
+        // The picture's edges in the input are within a pixel of where its pixels were placed.
         let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
         let (scale_x, scale_y) = match fit {
             Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),

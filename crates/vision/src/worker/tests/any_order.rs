@@ -1,4 +1,4 @@
-//! The worker in any order of asking, giving up, failing and waiting.
+//! The worker under requests, abandoned requests, failures and pauses in any order.
 
 use super::*;
 use proptest::prelude::*;
@@ -6,12 +6,12 @@ use proptest::prelude::*;
 /// The camera slot that stands for a picture of no camera.
 const SPARE: usize = 7;
 
-/// What happens next.
+/// An event.
 #[derive(Clone, Debug)]
 enum Happens {
     Ask(usize),
     AskSpare,
-    /// The caller of one of the pictures asked so far gives up.
+    /// The caller of one of the pictures so far gives up.
     GiveUp(prop::sample::Index),
     /// The run in progress, or the next one, ends.
     End(Ends),
@@ -45,7 +45,7 @@ fn happens() -> impl Strategy<Value = Happens> {
     ]
 }
 
-/// What the callers were answered.
+/// The callers' answers.
 #[derive(Debug, Default)]
 struct Answered {
     well: u64,
@@ -83,9 +83,9 @@ async fn play(script: Vec<Happens>) {
         }
         settle().await;
     }
-    // From now on every run ends well.
+    // From now on every run succeeds.
     asked.iter().for_each(|_| end(Step::Answer));
-    // The worker still counts a picture that was given up, until it looks at its queue again.
+    // The worker counts an abandoned picture until it checks its queue again.
     let is_over = |asked: &[(usize, Asked)]| asked.iter().all(|(_, answer)| answer.is_finished());
     while !is_over(&asked) || stage.counts().waiting > 0 {
         pass(Duration::from_millis(100)).await;
@@ -103,7 +103,7 @@ async fn play(script: Vec<Happens>) {
             Ok(Err(InferenceError::Unavailable(_))) => {
                 answered.refused += u64::from(camera != SPARE);
             }
-            // Refused, and counted only as long as the worker's task runs.
+            // Refused; counted only while the worker's task runs.
             Ok(Err(InferenceError::Stopped)) => answered.stopped += 1,
             Ok(Err(_)) => {}
             Err(aborted) => {
@@ -118,7 +118,7 @@ async fn play(script: Vec<Happens>) {
         let is_shared = run.len() > 1;
         assert!(!is_shared || !run.contains(&CameraSlot(SPARE)), "{run:?}");
     }
-    // A picture that was given up may have been answered or refused before.
+    // An abandoned picture may already have been answered or refused.
     let counts = stage.counts();
     let gave_up = answered.given_up;
     for (counted, least, most) in [

@@ -1,10 +1,10 @@
-//! A model that takes long to build, or forever.
+//! Tests of a model whose build takes long or never ends.
 
 use super::*;
 use std::io;
 use tracing_subscriber::fmt::MakeWriter;
 
-/// Keeps what is logged.
+/// A log layer that stores its events.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<u8>>>);
 
@@ -28,8 +28,8 @@ impl MakeWriter<'_> for Log {
 }
 
 impl Log {
-    /// The seconds after which the log said that the model is still being built.
-    fn said_after(&self) -> Vec<u64> {
+    /// The seconds at which the log reported that the model is still being loaded.
+    fn logged_seconds(&self) -> Vec<u64> {
         let log = String::from_utf8(self.0.lock().clone()).unwrap();
         log.lines()
             .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
@@ -49,7 +49,7 @@ impl Log {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_for() {
+async fn a_slow_build_is_logged_periodically_and_waited_for() {
     let _held = hold_time();
     let log = Log::default();
     let subscriber = tracing_subscriber::fmt()
@@ -81,7 +81,7 @@ async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_f
         (1, &[10, 20, 40, 80]),
     ] {
         pass(Duration::from_secs(seconds)).await;
-        assert_eq!(log.said_after(), expected);
+        assert_eq!(log.logged_seconds(), expected);
     }
     assert!(!starting.is_finished());
     go_on.send(()).unwrap();

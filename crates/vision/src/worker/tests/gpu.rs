@@ -1,9 +1,9 @@
-//! A GPU whose memory runs out or that is lost, in the words of ONNX Runtime's CUDA provider.
+//! A GPU that runs out of memory or is lost, with the errors of ONNX Runtime's CUDA provider.
 
 use super::*;
 use crate::detector::fault;
 
-/// As ONNX Runtime's CUDA provider composes it.
+/// An error text of ONNX Runtime's CUDA provider.
 const OUT_OF_MEMORY: &str =
     "CUDA failure 2: out of memory ; GPU=0 ; hostname=board ; expr=cudaMalloc((void**)&p, size); ";
 const LOST: &str = "Status Message: CUDA failure 719: unspecified launch failure ; GPU=0 ; hostname=board ; \
@@ -25,7 +25,7 @@ impl Stage {
 }
 
 #[tokio::test(start_paused = true)]
-async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_growing_pauses() {
+async fn exhausted_gpu_memory_is_explained_and_retried_with_growing_backoff() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(OUT_OF_MEMORY).leak();
     for (rebuilds, pause) in [(1, 100), (2, 200), (3, 400)] {
@@ -44,21 +44,17 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried() {
+async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(LOST).leak();
     *stage.build_failure.lock() = words;
     stage.failing_builds.store(2, Ordering::SeqCst);
     let reason = stage.fail_with(words).await;
-    assert!(
-        reason.contains("the GPU is lost to this process"),
-        "{reason}"
-    );
-    // One failed run is no proof: a new session may work.
-    assert!(matches!(
-        *stage.worker.status.borrow(),
-        DetectorStatus::Degraded { .. }
-    ));
+    let expected = "the GPU is lost to this process";
+    assert!(reason.contains(expected), "{reason}");
+    // One failed run proves nothing: a new session may work.
+    let status = stage.worker.status.borrow().clone();
+    assert!(matches!(status, DetectorStatus::Degraded { .. }));
     for (pause, failed) in [(100, 1), (200, 2)] {
         pass(Duration::from_millis(pause)).await;
         stage.until_rebuilds_failed(failed).await;
@@ -70,19 +66,16 @@ async fn a_gpu_that_no_new_session_brings_back_is_reported_lost_and_still_tried(
         ];
         assert!(parts.iter().all(|part| reason.contains(part)), "{reason}");
         let refused = stage.ask(1).await.unwrap().unwrap_err();
-        assert!(
-            matches!(refused, InferenceError::Unavailable(_)),
-            "{refused}"
-        );
+        assert!(matches!(refused, InferenceError::Unavailable(_)));
     }
-    // It came back after all.
+    // The GPU comes back after all.
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 3);
 }
 
 #[tokio::test(start_paused = true)]
-async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
+async fn another_build_failure_is_not_mistaken_for_a_lost_gpu() {
     let mut stage = stage(settings()).await;
     *stage.build_failure.lock() = fault::in_words(OUT_OF_MEMORY).leak();
     stage.failing_builds.store(1, Ordering::SeqCst);
@@ -112,7 +105,7 @@ async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_failed_session_that_hangs_in_its_end_is_stuck() {
+async fn a_failed_session_that_hangs_on_close_is_stuck() {
     let mut stage = stage(settings()).await;
     let (_go_on, until) = blocking::channel();
     *stage.end.lock() = Some(until);

@@ -1,11 +1,11 @@
-//! The picture that runs when no camera waits.
+//! Spare runs, which begin only when no camera waits.
 
 use super::*;
 
 type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<CameraSlot>, InferenceError>>>;
 
 impl Stage {
-    /// Asks for a spare run of `camera`'s picture that begins within `wait`.
+    /// Requests a spare run of `camera`'s picture that begins within `wait`.
     fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
         let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
         tokio::spawn(async move {
@@ -34,11 +34,11 @@ async fn a_spare_picture_runs_when_no_camera_waits_and_counts_separately() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_the_time() {
+async fn frames_precede_a_spare_picture_which_is_dropped_if_they_take_all_the_time() {
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let spare = stage.ask_spare(7, Duration::from_millis(1500));
-    // It waits for the run in progress, and for the frame that comes meanwhile.
+    // The spare run waits for the run in progress and for the frame that arrives meanwhile.
     let second = stage.ask(1);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);
@@ -50,10 +50,10 @@ async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_
     stage.end(Step::Answer);
     second.await.unwrap().unwrap();
 
-    // The next one gets its turn.
+    // The next spare run gets its turn.
     let spare = stage.ask_spare(8, TIMEOUT);
     assert_eq!(stage.next_run().await, [8]);
-    // A frame that comes while it runs is next.
+    // A frame that arrives during the spare run is next.
     let third = stage.ask(2);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);
@@ -66,7 +66,7 @@ async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_spare_picture_that_fails_is_answered_and_its_successor_looked_at_by_the_new_session() {
+async fn a_failed_spare_picture_is_answered_and_the_next_one_uses_the_new_session() {
     let mut stage = stage(settings()).await;
     let spare = stage.ask_spare(7, TIMEOUT);
     assert_eq!(stage.next_run().await, [7]);
@@ -80,7 +80,7 @@ async fn a_spare_picture_that_fails_is_answered_and_its_successor_looked_at_by_t
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stopped_task_looks_at_no_spare_picture() {
+async fn a_stopped_task_runs_no_spare_picture() {
     let mut stage = stage(settings()).await;
     let running = stage.begin(0).await;
     let spare = stage.ask_spare(7, TIMEOUT);

@@ -1,4 +1,4 @@
-//! The search against a slow one, and the shapes that a search by rows could get wrong.
+//! Compares the search with a slow one, also on shapes that are difficult for a search by rows.
 
 use super::*;
 use proptest::prelude::*;
@@ -32,17 +32,12 @@ fn slow(width: usize, before: &[u8], after: &[u8], difference: u8) -> u64 {
 fn pictures() -> impl Strategy<Value = (usize, Vec<u8>, Vec<u8>)> {
     (1..24usize, 0..24usize, 0.0..1.0f64).prop_flat_map(|(width, height, density)| {
         let pixel = (any::<u8>(), prop::bool::weighted(density)).prop_map(|(before, changed)| {
-            let away = if before < 128 {
-                before + 30
-            } else {
-                before - 30
+            let distance = if changed { 30 } else { 29 };
+            let after = match before < 128 {
+                true => before + distance,
+                false => before - distance,
             };
-            let near = if before < 128 {
-                before + 29
-            } else {
-                before - 29
-            };
-            (before, if changed { away } else { near })
+            (before, after)
         });
         prop::collection::vec(pixel, width * height).prop_map(move |pixels| {
             let (before, after) = pixels.into_iter().unzip();
@@ -55,7 +50,7 @@ proptest! {
     #[test]
     fn the_largest_region_is_that_of_a_flood_fill((width, before, after) in pictures()) {
         let mut region = ChangedRegion::default();
-        // A used search must answer as a fresh one.
+        // A reused search must answer like a new one.
         region.search(3, &[0; 9], &[0, 99, 0, 99, 99, 99, 0, 99, 0], 30, u64::MAX);
         let expected = slow(width, &before, &after, 30);
         prop_assert_eq!(region.search(width, &before, &after, 30, u64::MAX), expected);
@@ -76,7 +71,7 @@ fn largest(drawing: &str) -> u64 {
 }
 
 #[test]
-fn arms_that_meet_further_down_are_one_region() {
+fn arms_that_join_further_down_are_one_region() {
     assert_eq!(largest("#.#.# #.#.# #####"), 11);
     assert_eq!(largest("##### #.... #.### #.#.# ###.#"), 17);
     // Two regions that are merged, and then merged with a third that is older than either.

@@ -1,4 +1,4 @@
-//! Promises of confidence-triggered detection beyond the golden traces.
+//! Confidence-triggered detection beyond the golden traces.
 
 use super::*;
 use crate::policy::BoxSource;
@@ -29,7 +29,7 @@ fn standing(threshold: &str, profile: Profile) -> Run {
 }
 
 #[test]
-fn the_distance_is_the_tabled_quantile_of_chi_squared() {
+fn the_distance_is_the_tabulated_quantile_of_chi_squared() {
     // Upper tail of chi-squared with four degrees of freedom, from tables.
     for (confidence, quantile) in [
         (0.99, 0.297_109_480_506_53),
@@ -56,7 +56,7 @@ proptest! {
 }
 
 #[test]
-fn an_object_that_stands_still_is_left_alone_for_eight_frames() {
+fn a_stationary_object_is_predicted_for_eight_frames() {
     for profile in [Profile::Paper, Profile::Reference] {
         let mut run = standing("0.5", profile);
         assert_eq!(frames_until_detector(&mut run, 0.5), 9);
@@ -75,7 +75,7 @@ fn lost_frames_count_towards_the_longest_skip() {
 }
 
 #[test]
-fn a_prediction_that_strays_calls_the_detector_the_sooner_the_higher_the_threshold() {
+fn a_straying_prediction_calls_the_detector_sooner_at_a_higher_threshold() {
     let frames: Vec<_> = ["0.5", "0.9"]
         .iter()
         .map(|threshold| {
@@ -95,7 +95,7 @@ fn a_prediction_that_strays_calls_the_detector_the_sooner_the_higher_the_thresho
 }
 
 #[test]
-fn a_missed_object_lives_on_until_its_count_runs_out() {
+fn a_missed_object_is_kept_until_its_count_runs_out() {
     for profile in [Profile::Paper, Profile::Reference] {
         let mut run = standing("0.5", profile);
         let counted = |run: &Run| run.records().first().map(|record| record.since_update);
@@ -130,7 +130,7 @@ fn without_objects_every_frame_asks_the_detector() {
 }
 
 #[test]
-fn without_the_detector_predictions_answer_and_the_next_frame_asks_again() {
+fn without_the_detector_frames_are_predicted_and_the_next_frame_asks_again() {
     let mut run = standing("0.5", Profile::Paper);
     for _ in 0..8 {
         assert_eq!(run.blind(), P);

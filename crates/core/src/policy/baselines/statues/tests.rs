@@ -1,4 +1,4 @@
-//! Promises of the Statues policy.
+//! The Statues policy skips unchanged pictures.
 
 use super::*;
 use crate::detection::Detection;
@@ -46,7 +46,7 @@ fn watching(asked: &str) -> Run {
 }
 
 #[test]
-fn an_unchanged_picture_has_the_last_boxes_again() {
+fn an_unchanged_picture_repeats_the_last_boxes() {
     let mut run = watching("statues");
     assert_eq!(run.reported(), [(Detected, 0.5, 0.9)]);
     for _ in 0..3 {
@@ -82,19 +82,19 @@ fn a_pixel_has_changed_from_a_difference_of_30_on_up_or_down() {
 }
 
 #[test]
-fn pictures_are_compared_with_the_frame_before() {
+fn pictures_are_compared_with_the_previous_frame() {
     let mut run = watching("statues");
-    // A slow change is never seen, however far it goes.
+    // A slow change is never noticed, however far it goes.
     for value in [120, 140, 160, 180] {
         assert_eq!(see(&mut run, &picture(20, 20, value), 0.7), P);
     }
-    // Neither is one to and fro missed: both times it is a change.
+    // A fast change is noticed in both directions.
     assert_eq!(see(&mut run, &picture(20, 20, 100), 0.7), I);
     assert_eq!(see(&mut run, &picture(20, 20, 180), 0.7), I);
 }
 
 #[test]
-fn after_lost_frames_the_last_picture_there_was_is_compared_with() {
+fn after_lost_frames_the_last_received_picture_is_compared() {
     let mut run = watching("statues");
     let pixels = picture(20, 20, 200);
     let available = FrameEvidence {
@@ -105,7 +105,7 @@ fn after_lost_frames_the_last_picture_there_was_is_compared_with() {
         ..FrameEvidence::detections(&[])
     };
     assert_eq!(run.begin(1), Need::GreyPicture);
-    // That frame is given up, and two are lost.
+    // That frame is abandoned, and two are lost.
     assert_eq!(run.frame(3, available), I);
     assert_eq!(run.frame(9, available), P);
 }
@@ -125,12 +125,12 @@ fn without_the_picture_or_with_a_broken_one_the_detector_runs() {
     assert_eq!(run.needs, [Need::GreyPicture, Need::Detections]);
     let short = vec![100; 10];
     assert_eq!(see(&mut run, &short, 0.7), I);
-    // The last whole picture is still the one before.
+    // The last complete picture is still the previous one.
     assert_eq!(see(&mut run, &picture(0, 0, 0), 0.7), P);
 }
 
 #[test]
-fn a_detector_that_failed_is_called_again_though_nothing_changes() {
+fn a_failed_detector_call_is_repeated_without_a_change() {
     let mut run = watching("statues");
     let changed = picture(20, 20, 200);
     assert_eq!(show(&mut run, SIZE, &changed, None), P);

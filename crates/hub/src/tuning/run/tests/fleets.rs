@@ -1,7 +1,7 @@
 //! Whole rollouts on simulated fleets: nodes vary from hour to hour, park, lie and die.
 //!
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
-//! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
+//! docs/fleet.md; the default number of rollouts is just enough to detect a broken promise.
 
 use super::super::super::metric::{Figure, Figures, Mean};
 use super::super::*;
@@ -17,7 +17,7 @@ const SIGMA: f64 = 0.4;
 const WITHIN: f64 = SIGMA / 3.0 / 3.162_277_66;
 /// Share of the hours in which a node is parked.
 const PARKED: f64 = 0.2;
-/// Share of the nodes that make their figures up.
+/// Share of the nodes that report invented figures.
 const LIARS: f64 = 0.05;
 
 /// Evenly spread numbers from 0 to 1 that depend on their arguments alone.
@@ -34,19 +34,17 @@ fn chance(seed: u64, of: [u64; 3]) -> f64 {
 }
 
 fn normal(seed: u64, of: [u64; 2]) -> f64 {
-    let (a, b) = (
-        1.0 - chance(seed, [of[0], of[1], 1]),
-        chance(seed, [of[0], of[1], 2]),
-    );
+    let [a, b] = [1, 2].map(|part| chance(seed, [of[0], of[1], part]));
+    let a = 1.0 - a;
     (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
 
-/// A fleet whose nodes take what they are asked for at once.
+/// A fleet whose nodes apply requested values at once.
 struct Fleet {
     seed: u64,
-    /// How much more energy a clip takes with the new value.
+    /// The relative increase of a clip's energy with the new value.
     change: f64,
-    /// What each node has, and since when.
+    /// Each node's value, and the time since it has it.
     has: Vec<(Threshold, Millis)>,
     now: Millis,
 }
@@ -97,22 +95,15 @@ impl Fleet {
                 mean.sum += 10.0 * value;
             }
         }
+        let (clips, sum) = (skip.clips, 0.0);
         let figures = [
             (Figure::JoulesMeasured, energy),
             (Figure::LatencyP99, latency),
             (Figure::SkipRate, skip),
-            (
-                Figure::Degraded,
-                Mean {
-                    clips: skip.clips,
-                    sum: 0.0,
-                },
-            ),
+            (Figure::Degraded, Mean { clips, sum }),
         ];
-        figures
-            .into_iter()
-            .filter(|(_, mean)| mean.clips > 0)
-            .collect()
+        let figures = figures.into_iter();
+        figures.filter(|(_, mean)| mean.clips > 0).collect()
     }
 
     fn measure(&self, windows: &[[Window; 2]]) -> Measured {
@@ -145,7 +136,7 @@ impl Fleet {
     }
 }
 
-/// How rollouts ended.
+/// The number of rollouts by outcome.
 #[derive(Debug, Default, PartialEq)]
 struct Ends {
     rollouts: u32,
@@ -210,7 +201,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
     ends
 }
 
-/// How many rollouts to play: `usual`, or what the environment asks for.
+/// The number of rollouts to simulate: from the environment, or `usual`.
 fn count(usual: u64) -> u64 {
     let asked = std::env::var("ALBIREO_ROLLOUTS").ok();
     asked.and_then(|text| text.parse().ok()).unwrap_or(usual)
@@ -232,7 +223,7 @@ fn whole_rollouts_without_any_effect_are_judged_failed_at_most_one_time_in_twent
 }
 
 #[test]
-fn whole_rollouts_of_a_value_that_costs_a_quarter_do_not_leave_it_in_force() {
+fn whole_rollouts_of_a_value_that_costs_a_quarter_more_undo_it() {
     let rollouts = count(40);
     let ends = run(100, &["1", "10%", "50%"], 8.0, 0.25, rollouts);
     assert!(

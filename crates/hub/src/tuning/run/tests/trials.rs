@@ -1,8 +1,8 @@
-//! Trials: the draw, the result, and the way back.
+//! Trials: the draw, the result, and the return to the old value.
 
 use super::super::super::metric::{Figure, Mean};
 use super::super::*;
-use super::reported;
+use super::{clips, reported};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ fn candidates(count: usize) -> Vec<Member> {
     (0..count).map(one).collect()
 }
 
-/// Nodes report at once what they are asked for.
+/// Nodes apply and report at once what they are asked for.
 fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     let mut have = BTreeMap::new();
     for order in trial.due() {
@@ -43,33 +43,24 @@ fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     });
 }
 
-/// Each node has a level of its own; the energy falls with the value.
+/// Each node has its own level, and the energy falls with the value.
 fn measure(windows: &[[Window; 2]]) -> Measured {
     let of = |(i, [before, after]): (usize, &[Window; 2])| {
         let level = 100.0 + (i % 7) as f64;
         let value = |window: &Window| window.value.parse::<f64>().unwrap();
         let factor = |window| 1.0 - 0.3 * (value(window) / 1e-4).log10();
-        let clips = |mean: f64| {
-            [(
-                Figure::JoulesMeasured,
-                Mean {
-                    clips: 5,
-                    sum: 5.0 * mean,
-                },
-            )]
-            .into()
+        let figures = |mean: f64| [(Figure::JoulesMeasured, clips(mean))].into();
+        let figures = BeforeAfter {
+            before: figures(level * factor(before)),
+            after: figures(level * factor(after)),
         };
-        let clips = BeforeAfter {
-            before: clips(level * factor(before)),
-            after: clips(level * factor(after)),
-        };
-        (after.node.clone(), clips)
+        (after.node.clone(), figures)
     };
     windows.iter().enumerate().map(of).collect()
 }
 
 #[test]
-fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back() {
+fn a_trial_gives_each_group_its_value_measures_it_and_restores_the_old_value() {
     let (mut now, mut revision) = (0, 0);
     let mut trial = begin(candidates(60), 3).unwrap();
     for (arm, value) in plan().values.iter().enumerate() {
@@ -84,21 +75,18 @@ fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back()
     now += 1;
     let windows = trial.tick(now).unwrap();
     assert_eq!(windows.len(), 60);
-    assert!(windows.iter().all(
-        |[before, after]| (after.from_ms, after.until_ms) == (0, 100_000)
-            && before.value == "0.0002"
-    ));
+    for [before, after] in &windows {
+        assert_eq!((after.from_ms, after.until_ms), (0, 100_000));
+        assert_eq!(before.value, "0.0002");
+    }
     trial.measured(&measure(&windows), now);
     let result = trial.result.clone().unwrap();
     let means: Vec<f64> = result.values.iter().map(|v| v.figures[0].mean).collect();
     assert!(means[0] > means[1] && means[1] > means[2], "{means:?}");
     assert_eq!(result.values[0].figures[0].difference, None);
     // From the first value to the last the energy falls to 0.7 of it.
-    let against_first = result.values[2].figures[0].difference.unwrap();
-    assert!(
-        (against_first.estimate + 0.3).abs() < 1e-9,
-        "{against_first:?}"
-    );
+    let estimate = result.values[2].figures[0].difference.unwrap().estimate;
+    assert!((estimate + 0.3).abs() < 1e-9, "{estimate}");
     assert_eq!(trial.due().len(), 1);
     assert_eq!(trial.due()[0].knob, u(2e-4));
     obey(&mut trial, &mut revision, now);
@@ -107,7 +95,7 @@ fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back()
 }
 
 #[test]
-fn nodes_out_of_reach_are_in_no_group_and_too_few_are_refused() {
+fn unreachable_nodes_are_in_no_group_and_too_few_nodes_are_rejected() {
     let mut fleet = candidates(25);
     fleet[3].reachable = false;
     let trial = begin(fleet.clone(), 3).unwrap();
@@ -118,7 +106,7 @@ fn nodes_out_of_reach_are_in_no_group_and_too_few_are_refused() {
 }
 
 #[test]
-fn a_plan_that_compares_nothing_is_refused() {
+fn a_plan_that_compares_nothing_is_rejected() {
     for values in [
         vec![],
         vec![u(1e-4)],
@@ -131,7 +119,7 @@ fn a_plan_that_compares_nothing_is_refused() {
 }
 
 #[test]
-fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted() {
+fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
     let mut revision = 0;
     let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
@@ -149,7 +137,7 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_one_that_fell_silent_is_counted
 }
 
 #[test]
-fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
+fn a_trial_that_cannot_be_measured_ends_without_a_result_and_restores_the_old_value() {
     let mut revision = 0;
     let mut trial = begin(candidates(30), 3).unwrap();
     obey(&mut trial, &mut revision, 0);
@@ -165,7 +153,7 @@ fn a_trial_that_cannot_be_measured_ends_without_a_result_and_gives_back() {
 
 proptest! {
     #[test]
-    fn the_draw_is_even_and_the_same_for_the_same_seed(count in 24usize..200, seed in any::<u64>()) {
+    fn the_draw_is_even_and_reproducible(count in 24usize..200, seed in any::<u64>()) {
         let mut trial = begin(candidates(count), seed).unwrap();
         let mut reversed = candidates(count);
         reversed.reverse();
@@ -174,7 +162,7 @@ proptest! {
         let sizes = [size(0), size(1), size(2)];
         prop_assert_eq!(sizes.iter().sum::<usize>(), count);
         prop_assert!(sizes.iter().max().unwrap() - sizes.iter().min().unwrap() <= 1);
-        // What is read from the database goes on as it was.
+        // A trial read from the database continues unchanged.
         trial.unsaved = false;
         let text = serde_json::to_string(&trial).unwrap();
         prop_assert_eq!(serde_json::from_str::<Run>(&text).unwrap(), trial);

@@ -1,4 +1,4 @@
-//! Promises of the clip report and its energy.
+//! Tests of the clip report and its energy.
 
 use super::*;
 use crate::camera::clip::tests::{Camera, ms, report};
@@ -31,11 +31,11 @@ async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up
     let report = report(closed).await;
     assert_eq!(report.frames, 200);
     assert_eq!(report.states.frames(), report.frames);
-    // Of 80 frames without the detector 6 should have had it.
+    // 80 frames ran without the detector; 6 of them needed it.
     assert_eq!((report.degraded_frames, report.states.p), (6, 40));
     assert!((report.skip_rate - 74.0 / 200.0).abs() < 1e-12);
     assert_eq!(report.duration_s, 40.0);
-    // 811.5 J over 40 s and 200 frames: 200 ms a frame.
+    // 811.5 J over 40 s and 200 frames, which is 200 ms per frame.
     assert!((product.unwrap() - 811.5 * 200.0).abs() < 1e-6);
     assert_eq!(report.total_latency_ms.count, 200);
     assert_eq!(report.detector_latency_ms.count, 120);
@@ -52,7 +52,7 @@ fn without_frames_or_without_a_meter_there_is_no_product_and_no_nan() {
 }
 
 #[test]
-fn energy_of_a_part_of_the_time_makes_no_product() {
+fn partially_covered_energy_gives_no_product() {
     for (coverage, has_product) in [(1.0, true), (0.9991, true), (0.998, false), (0.47, false)] {
         let energy = measured(10.0, coverage);
         let product = energy_delay_product(&energy, ms(1000), 10);
@@ -61,7 +61,7 @@ fn energy_of_a_part_of_the_time_makes_no_product() {
     }
 }
 
-/// A board that draws these watts (without any the meter answers with nothing new), until the meter fails.
+/// A meter that reads constant watts (`None`: no new readings) and fails after `until`.
 struct Steady {
     watts: Option<f64>,
     until: Option<Instant>,
@@ -99,7 +99,7 @@ fn tracker(power: &PowerHandle) -> ClipTracker {
 }
 
 impl ClipTracker {
-    /// A frame of that clip arrives now.
+    /// Counts a frame of `clip` that arrives now.
     fn frame(&mut self, clip: &str) -> Option<Clip> {
         self.arrive(0, Some(clip), Instant::now())
     }
@@ -114,8 +114,8 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     for second in 0..60_u32 {
         for (i, tracker) in cameras.iter_mut().enumerate() {
             tracker.frame("drive");
-            // The rear camera needs the detector in every third second only. It waits meanwhile for the front
-            // camera's run, which costs it nothing.
+            // The rear camera needs the detector only every third second. Waiting for the front camera's run costs it
+            // nothing.
             if i == 0 || second.is_multiple_of(3) {
                 let end = Instant::now() + ms(50);
                 tracker.count(&FrameRecord {
@@ -140,7 +140,7 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
     }
     assert_eq!(start.elapsed().as_secs(), 60);
     assert!((joules[0] + joules[1] - 600.0).abs() < 1e-6, "{joules:?}");
-    // A quarter of the detector time, weighted to when it was used.
+    // A quarter of the detector time, weighted by when it was used.
     assert!((joules[1] - 136.0).abs() < 5.0, "{joules:?}");
     stop.cancel();
 }
@@ -152,7 +152,7 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
         let watts = Some(10.0);
         let (power, stop) = Steady { watts, until }.start(interval);
         let mut tracker = tracker(&power);
-        // Past an interval, so that the next is far away.
+        // Just past a sample, so that the next one is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
             tracker.frame(&clip.to_string());
@@ -191,7 +191,7 @@ async fn without_a_meter_no_report_waits() {
 
 #[tokio::test(start_paused = true)]
 async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
-    // As tegrastats does between its lines.
+    // Like tegrastats between two lines.
     let (watts, until) = (None, None);
     let (power, stop) = Steady { watts, until }.start(10_000);
     let mut tracker = tracker(&power);

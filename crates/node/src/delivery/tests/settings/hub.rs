@@ -1,4 +1,4 @@
-//! Simulates a hub: its real orders, rollouts and database.
+//! Simulates a hub with its real orders, rollouts and database.
 
 use super::super::hub::HubFile;
 use super::super::timeline::BEGIN;
@@ -36,25 +36,25 @@ pub(super) struct Hub {
     running: Option<Running>,
 }
 
-/// What is desired of a node.
+/// What the hub desires of a node.
 #[derive(Debug)]
 pub(super) struct Wanted {
     pub(super) revision: u64,
     pub(super) value: f64,
-    /// When it was ordered.
+    /// Time of the order.
     pub(super) at_ms: i64,
-    /// By whom: `hand`, `rollout 3`.
+    /// Who ordered it: `hand`, `rollout 3`.
     origin: String,
 }
 
-/// A database file, and what its log holds beyond it.
+/// A database file and its write-ahead log.
 pub(super) type Image = (Vec<u8>, Vec<u8>);
 
 impl Hub {
     pub(super) fn new(folder: &Path) -> Self {
         Self {
             file: HubFile::new(folder),
-            // No limit of real time passes on a busy machine.
+            // Long enough that a busy machine never reaches it in real time.
             runtime: Builder::new_current_thread()
                 .enable_time()
                 .start_paused(true)
@@ -68,7 +68,7 @@ impl Hub {
         self.running.is_some()
     }
 
-    /// Starts the hub; `false` while its database cannot be opened.
+    /// Starts the hub; returns `false` if its database cannot be opened.
     pub(super) fn switch_on(&mut self, now: Now) -> bool {
         if self.is_on() {
             return true;
@@ -108,7 +108,7 @@ impl Hub {
         self.running = None;
     }
 
-    /// Takes a status; whether the node is to be asked for a full one.
+    /// Receives a status; returns true if the node must be asked for a full one.
     pub(super) fn hear(&self, node: &str, payload: &[u8], now: Now) -> bool {
         let Some(hub) = &self.running else {
             return false;
@@ -121,7 +121,7 @@ impl Hub {
         hub.fleet.apply_status(node, &message, now.at, now.unix_ms)
     }
 
-    /// Answers what is desired of a node.
+    /// Answers a node that asks for its settings.
     pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
         let hub = self.running.as_ref()?;
         let mut desired = hub.desires.of(node);
@@ -129,7 +129,7 @@ impl Hub {
         Some(serde_json::to_vec(&desired).unwrap())
     }
 
-    /// The nodes that were notified, in an order that no hash map decides.
+    /// The notified nodes, in an order independent of hash maps.
     pub(super) fn notices(&self) -> Vec<String> {
         let hub = self.running.iter();
         let notices = hub.flat_map(|hub| hub.notices.try_iter());
@@ -139,13 +139,13 @@ impl Hub {
     }
 
     fn work<T, E: std::fmt::Display>(&self, work: impl Future<Output = Result<T, E>>) {
-        // What cannot be done now is refused, or done later.
+        // An order that cannot be carried out now is refused or carried out later.
         if let Err(error) = self.runtime.block_on(work) {
             tracing::debug!(%error, "not done");
         }
     }
 
-    /// Goes on with everything.
+    /// Advances orders and rollouts.
     pub(super) fn tick(&mut self, now: Now) {
         let Some(mut hub) = self.running.take() else {
             return;
@@ -195,7 +195,7 @@ impl Hub {
             patience_s,
             held_for_s,
             offline_deadline_s: 600.0,
-            // Nothing is measured: those that do not need it pass.
+            // Nothing is measured, so only rollouts that need no measurement pass.
             gates: Gate::defaults()
                 .into_iter()
                 .filter(|gate| !passes || gate.where_measured)
@@ -212,7 +212,7 @@ impl Hub {
         self.work(hub.tuner.begin(kind, "ops", now.unix_ms));
     }
 
-    /// Gives a command to one of the rollouts.
+    /// Sends a command to one of the rollouts.
     pub(super) fn command(&self, which: u64, command: Command, now: Now) {
         let many = self.rollouts();
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
@@ -221,32 +221,28 @@ impl Hub {
         }
     }
 
-    /// How many rollouts there were.
+    /// Number of rollouts so far.
     pub(super) fn rollouts(&self) -> u64 {
-        let text = "SELECT COALESCE(max(id), 0) FROM runs";
-        let many = self
-            .file
-            .other
-            .query_row(text, [], |row| row.get::<_, i64>(0));
-        many.unwrap().unsigned_abs()
+        let query = "SELECT COALESCE(max(id), 0) FROM runs";
+        self.file.number(query).unsigned_abs()
     }
 
-    /// The file, and the length of its log.
+    /// The file and the length of its log.
     pub(super) fn commits(&self) -> (Vec<u8>, usize) {
         let (file, log) = self.file.read();
         (file, log.len())
     }
 
-    /// The database after one of the commits since `before`, or as it was then: where a power cut may leave it. Nothing if the log
-    /// was moved into the file meanwhile.
+    /// The database as a power cut may leave it: as it was at `before`, or after one of the commits since. `None` if the log was
+    /// checkpointed meanwhile.
     pub(super) fn image_at_a_commit(&self, before: (Vec<u8>, usize), cut: u64) -> Option<Image> {
         let (file, begin) = before;
         let (now, mut log) = self.file.read();
         if file != now || begin < 32 || log.len() < begin {
             return None;
         }
-        // https://www.sqlite.org/fileformat2.html#walformat: a header of 32 bytes, then frames of 24 and a page; the frame of a
-        // commit has the size of the database in its second word.
+        // https://www.sqlite.org/fileformat2.html#walformat: a header of 32 bytes, then frames of 24 bytes and a page. The second
+        // word of a commit frame is the size of the database.
         let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
         let frame = 24 + word(8) as usize;
         let commits = (32..log.len())
@@ -258,14 +254,14 @@ impl Hub {
         Some((file, log))
     }
 
-    /// Puts a database in its place; the hub is off.
+    /// Replaces the database while the hub is off.
     pub(super) fn put(&mut self, image: Option<Image>) {
         if let Some((file, log)) = image {
             self.file.restore(&file, &log);
         }
     }
 
-    /// What is desired of a node.
+    /// What the hub desires of a node.
     pub(super) fn desired(&self, node: &str) -> Option<Wanted> {
         let text = "SELECT d.revision, d.setting, o.at_ms, o.origin FROM desired d \
                     JOIN orders o ON o.revision = d.revision WHERE node = ?";
@@ -284,15 +280,11 @@ impl Hub {
         self.file.other.query_row(text, [node], read).ok()
     }
 
-    /// Orders without an answer, rollouts that go on, and those whose nodes have not what became of them.
+    /// Unanswered orders, running rollouts, and rollouts whose nodes do not have the resulting value.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
-        let text = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
-        let open: i64 = self
-            .file
-            .other
-            .query_row(text, [], |row| row.get(0))
-            .unwrap();
+        let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
+        let open = self.file.number(query);
         if open > 0 {
             wrong.push(format!("{open} orders are open"));
         }
@@ -310,8 +302,7 @@ impl Hub {
         wrong
     }
 
-    /// The nodes of a rollout for which nobody ordered anything since, and of which something else is desired than what became of
-    /// it.
+    /// The nodes of a rollout for which nothing was ordered since, but whose desired value is not the rollout's result.
     fn not_as_it_ended(&self, id: i64, rollout: &Run) -> Vec<String> {
         let is_old = |member: &Member| match rollout.phase {
             Phase::Returned => Some(true),
@@ -328,7 +319,7 @@ impl Hub {
             let is_wrong = wanted.origin == format!("rollout {id}") && wanted.value != value;
             is_wrong.then(|| {
                 format!(
-                    "rollout {id} is {}, and of {} {wanted:?} is desired",
+                    "rollout {id} is {}, but for {} {wanted:?} is desired",
                     rollout.phase.name(),
                     member.node
                 )

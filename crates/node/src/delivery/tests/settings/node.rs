@@ -1,4 +1,4 @@
-//! Simulates a node: what is desired of it, on its real file.
+//! Simulates a node that keeps its desired settings in a real file.
 
 use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;
@@ -17,7 +17,7 @@ struct Started {
     keeper: DesiredKeeper,
     statuses: StatusSender,
     schedule: Schedule,
-    /// The question under way.
+    /// The request in flight.
     asked: Option<u64>,
 }
 
@@ -27,17 +27,17 @@ pub(super) struct Node {
     started: Option<Started>,
 }
 
-/// What a node has.
+/// The settings of a node.
 #[derive(Debug)]
 pub(super) struct Has {
     pub(super) revision: u64,
     pub(super) refused: bool,
-    /// Somebody changed it since.
+    /// True if somebody changed it at the node since.
     pub(super) by_hand: bool,
     pub(super) settings: Vec<f64>,
 }
 
-/// What is on the disk when the thresholds are written, and what the node knows of the hub is not yet.
+/// The disk after the thresholds are written, but before what the node knows of the hub.
 pub(super) fn between(before: Option<Vec<u8>>, after: Option<Vec<u8>>) -> Option<Vec<u8>> {
     let read = |file: &[u8]| serde_json::from_slice::<Map<String, Value>>(file).unwrap();
     let mut mixed = read(&after?);
@@ -77,7 +77,7 @@ impl Node {
         });
     }
 
-    /// The power goes.
+    /// Cuts the power.
     pub(super) fn crash(&mut self) {
         self.started = None;
     }
@@ -86,12 +86,12 @@ impl Node {
         self.folder.join("settings.json")
     }
 
-    /// The file of its settings.
+    /// Content of the settings file.
     pub(super) fn state(&self) -> Option<Vec<u8>> {
         std::fs::read(self.file()).ok()
     }
 
-    /// Puts another in its place, or removes it; the node is off.
+    /// Replaces or removes the settings file while the node is off.
     pub(super) fn put_state(&mut self, state: Option<Vec<u8>>) {
         match state {
             Some(state) => std::fs::write(self.file(), state).unwrap(),
@@ -99,7 +99,7 @@ impl Node {
         }
     }
 
-    /// What is to be sent: the status, and whether to ask what is desired, as the question of that number.
+    /// What to send: the status if due, and whether to ask for the settings with request number `question`.
     pub(super) fn look(&mut self, question: u64, now: Now) -> (Option<Vec<u8>>, bool) {
         let Some(node) = &mut self.started else {
             return (None, false);
@@ -112,14 +112,14 @@ impl Node {
         (status, pulls)
     }
 
-    /// The hub has something for it.
+    /// The hub announces new settings.
     pub(super) fn notice(&mut self) {
         if let Some(node) = &mut self.started {
             node.schedule.want_pull();
         }
     }
 
-    /// Takes the answer to a question, or that none came in time; what was taken, and its revision.
+    /// Receives the answer to a request, or `None` after the timeout; returns the accepted setting and its revision.
     pub(super) fn conclude(
         &mut self,
         question: u64,
@@ -142,7 +142,7 @@ impl Node {
         Some((desired.revision, desired.setting?))
     }
 
-    /// Somebody changes its thresholds.
+    /// Changes the thresholds at the node.
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.

@@ -19,7 +19,7 @@ fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
     message
 }
 
-/// Three objects that cross the picture, each at its own pace and size, and are gone for a while in between.
+/// Three objects of different speeds and sizes that cross the picture, with pauses in between.
 fn scene(index: u64) -> Vec<Detection> {
     let object = |pace: f64, size: f64, y: f64| {
         let x = (index as f64 * pace) % 1.4 - 0.2;
@@ -38,7 +38,7 @@ fn scene(index: u64) -> Vec<Detection> {
     objects.into_iter().flatten().collect()
 }
 
-/// The recorded past of that many frames under `u`, and the share of frames that were skipped.
+/// The history of `frames` frames under `u`, and the share of frames that were skipped.
 fn played(u: f64, frames: u64) -> (History, f64) {
     let mut policy = Albireo::new(AlbireoSettings::paper(), u).unwrap();
     let mut history = History::default();
@@ -65,7 +65,7 @@ fn played(u: f64, frames: u64) -> (History, f64) {
     (history, skipped as f64 / frames as f64)
 }
 
-/// The age of a node that began with the Unix epoch.
+/// The age of a node that started at the Unix epoch.
 fn at(seconds: u64) -> Clock {
     Clock {
         now_ms: 1000 * seconds as i64,
@@ -74,7 +74,7 @@ fn at(seconds: u64) -> Clock {
 }
 
 #[test]
-fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
+fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     let mut history = History::default();
     let capacities = |history: &History| {
         let (frames, slots) = (history.frames.capacity(), history.hour.ended.capacity());
@@ -86,7 +86,7 @@ fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
         cause: Some(CallCause::Start),
         ..Outcome::default()
     };
-    // Two hours at two frames a second, and one burst that overflows a piece's times.
+    // Two hours at two frames per second, and a burst with more latencies than a piece can hold.
     for seq in 0..14_400 {
         history.add(
             &message(seq, &outcome, 1.0),
@@ -107,16 +107,16 @@ fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
         (20, 20, 0)
     );
     assert_eq!(shown.last().unwrap().frames, 4000);
-    // The times of a piece are percentiles of it alone.
+    // The percentiles of a piece cover that piece alone.
     let (first, last) = (&shown[0], shown.last().unwrap());
     assert!(first.detector_p50_ms < first.detector_p99_ms);
     assert!(last.detector_p99_ms >= Some(97.0), "{last:?}");
-    // An hour of silence later there is nothing left to show.
+    // After an hour without frames nothing is left to show.
     assert_eq!(history.slots(&at(10_900)), []);
 }
 
 #[test]
-fn a_piece_without_frames_is_not_there() {
+fn a_slot_without_frames_is_absent() {
     let mut history = History::default();
     let outcome = Outcome::default();
     for at in [0, 5, 25, 26, 65] {
@@ -128,13 +128,13 @@ fn a_piece_without_frames_is_not_there() {
 }
 
 #[test]
-fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
+fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
     let longest = Albireo::new(AlbireoSettings::paper(), 3e-4)
         .unwrap()
         .longest_pause();
     let values = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
     let truths: Vec<f64> = values.iter().map(|u| played(*u, 6000).1).collect();
-    // They differ, or there would be nothing to estimate.
+    // The shares must differ, or there is nothing to estimate.
     assert!(truths[4] - truths[0] > 0.2, "{truths:?}");
     let (mut worst, mut naive_worst, mut near) = (0.0_f64, 0.0_f64, 0.0_f64);
     for (place, recorded) in values.into_iter().enumerate() {
@@ -146,7 +146,7 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
             if other.abs_diff(place) <= 1 {
                 near = near.max(apart);
             }
-            // The recorded uncertainty against the value, frame by frame.
+            // Compares the recorded uncertainty with the value, frame by frame.
             let naive = past
                 .iter()
                 .filter(|frame| match (frame.cause, frame.tau_max) {
@@ -165,7 +165,7 @@ fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
 }
 
 #[test]
-fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
+fn the_power_of_a_slot_is_its_joules_over_the_sampled_time() {
     let mut past = PowerPast::default();
     for second in 0..100 {
         past.add(PowerSnapshot::default(), Duration::from_secs(second));
@@ -181,7 +181,7 @@ fn the_power_of_a_piece_is_its_joules_over_the_time_that_was_sampled() {
             ..PowerSnapshot::default()
         };
         past.add(snapshot, Duration::from_secs(second));
-        // 5 W in even pieces and 9 W in odd ones, sampled half of the time.
+        // 5 W in even pieces and 9 W in odd ones, sampled half the time.
         joules += [2.5, 4.5][(second / SLOT_S % 2) as usize];
     }
     let slots = past.slots(&at(7200));

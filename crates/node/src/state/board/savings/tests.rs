@@ -1,5 +1,5 @@
-//! The estimate of what was saved, on a machine whose watts are given, beside the truth: what the same clip costs there
-//! with a detector call on every frame. The clock is paused; the detector is a lock that is held for 40 ms.
+//! Compares the estimated saving, on a machine of known watts, with the true one: the extra cost of the same clip with a detector
+//! call on every frame. The clock is paused; the detector is a lock held for 40 ms.
 
 use crate::camera::clip::tests::report;
 use crate::camera::clip::{ClipConfig, ClipTracker};
@@ -23,16 +23,16 @@ const BUSY_WATTS: f64 = 70.0;
 const CALL: Duration = Duration::from_millis(40);
 const CLIP: Duration = Duration::from_secs(150);
 
-/// One detector for all cameras: who comes first is first served.
+/// One detector for all cameras, first come first served.
 #[derive(Default)]
 struct Detector {
     turn: tokio::sync::Mutex<()>,
-    /// Time of the runs that are over, and the start of the one that is not.
+    /// Total time of finished runs, and the start of the current one.
     busy: Mutex<(Duration, Option<Instant>)>,
 }
 
 impl Detector {
-    /// Waits for its turn and runs; when the run ended.
+    /// Waits for its turn and runs; returns the end of the run.
     async fn run(&self) -> Instant {
         let _turn = self.turn.lock().await;
         self.busy.lock().1 = Some(Instant::now());
@@ -50,7 +50,7 @@ impl Detector {
     }
 }
 
-/// Counts the joules of the whole machine.
+/// A meter of the whole machine's energy.
 struct Plug {
     start: Instant,
     detector: Arc<Detector>,
@@ -78,7 +78,7 @@ impl Meter for Plug {
     }
 }
 
-/// What the detector finds at a time: objects that pass, one after another and sometimes two, with quiet times between.
+/// Detections at a time: objects that pass one by one, sometimes two at once, with pauses in between.
 fn scene(camera: usize, seconds: f64) -> Vec<Detection> {
     let passing = (0..40).filter_map(|object| {
         let since = seconds - f64::from(object) * 4.5 - camera as f64 * 1.7;
@@ -95,7 +95,7 @@ fn scene(camera: usize, seconds: f64) -> Vec<Detection> {
     passing.collect()
 }
 
-/// A camera's loop over the clip: the newest frame, its answer, the next.
+/// A camera's loop over the clip: it answers the newest frame, then takes the next.
 async fn play(
     camera: usize,
     rate: f64,
@@ -153,7 +153,7 @@ struct Played {
     reports: Vec<ClipReport>,
 }
 
-/// The clip under a policy on a machine of its own.
+/// Runs the clip under a policy on a separate machine.
 async fn run(policy: &str, cameras: usize, rate: f64) -> Played {
     let mut config = PolicyConfig::default();
     config.select(policy).unwrap();
@@ -193,8 +193,8 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> Played {
     }
 }
 
-/// The node's own figure, as its page has it.
-fn told(power: &PowerHandle) -> Option<f64> {
+/// The node's own estimate, as its page shows it.
+fn estimated_saving(power: &PowerHandle) -> Option<f64> {
     let board = board_of(&config(None, "albireo"));
     board.set_power(power.snapshot());
     let energy = board.savings().0.energy.unwrap();
@@ -203,8 +203,8 @@ fn told(power: &PowerHandle) -> Option<f64> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_estimate_is_within_a_tenth_of_what_a_run_under_vanilla_costs_more() {
-    // Calls that fit, calls that wait for each other, and more than one detector can run: 0.4, 1.2, 0.8 and 1.6.
+async fn the_estimate_is_within_a_tenth_of_the_extra_cost_of_vanilla() {
+    // Loads of 0.4, 1.2, 0.8 and 1.6: calls that fit, calls that wait for each other, and more than one detector can run.
     for (cameras, rate) in [(1, 10.0), (1, 30.0), (4, 5.0), (4, 10.0)] {
         let vanilla = run("vanilla", cameras, rate).await;
         let albireo = run("albireo", cameras, rate).await;
@@ -219,7 +219,7 @@ async fn the_estimate_is_within_a_tenth_of_what_a_run_under_vanilla_costs_more()
             .map(|report| report.skip_rate)
             .collect();
         assert!(truth > 50.0, "{case}, {skipped:?}");
-        for estimate in [of_clips, told(&albireo.power).unwrap()] {
+        for estimate in [of_clips, estimated_saving(&albireo.power).unwrap()] {
             let off = (estimate / truth - 1.0).abs();
             assert!(off < 0.1, "{case}, not {estimate:.1} ({skipped:?})");
         }
@@ -227,17 +227,17 @@ async fn the_estimate_is_within_a_tenth_of_what_a_run_under_vanilla_costs_more()
             let calls = report.detector_latency_ms.count as f64;
             assert_eq!(report.detector_used_ms, 40.0 * calls, "without any waiting");
         }
-        // A node that calls on every frame saves nothing.
+        // A node that calls the detector on every frame saves nothing.
         let nothing = |report: &ClipReport| report.energy.saved_joules_estimated.unwrap_or(0.0);
         assert_eq!(vanilla.reports.iter().map(nothing).sum::<f64>(), 0.0);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn where_the_detectors_watts_are_not_learnt_no_saving_is_told() {
-    // The same share of calls all the time.
+async fn without_known_detector_watts_no_saving_is_reported() {
+    // The share of calls is constant.
     let played = run("fixed-skip", 1, 10.0).await;
-    assert_eq!(told(&played.power), None);
+    assert_eq!(estimated_saving(&played.power), None);
     let report = &played.reports[0];
     assert!(report.skip_rate > 0.4);
     assert_eq!(report.energy.saved_joules_estimated, None);

@@ -5,7 +5,7 @@ use crate::picture::{ColorOrder, TensorLayout};
 use albireo_core::geometry::PictureSize;
 
 #[test]
-fn bytes_and_colours_last_are_asked_for_as_the_model_takes_them() {
+fn the_input_format_follows_byte_and_channels_last_models() {
     let mut model = signature(&[1, 320, 640, 3], &[("output0", &[1, 84, 4200])]);
     model.inputs[0].element = ElementType::Uint8;
     let input = model.picture_input(None).unwrap();
@@ -18,7 +18,7 @@ fn bytes_and_colours_last_are_asked_for_as_the_model_takes_them() {
 }
 
 #[test]
-fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
+fn a_dynamic_input_takes_its_size_from_the_configuration_or_the_metadata() {
     let open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
     let size = PictureSize::new(320, 256);
     let wanted = Some(size);
@@ -37,7 +37,7 @@ fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
 }
 
 #[test]
-fn an_input_that_is_no_picture_is_refused_with_what_is_wrong() {
+fn an_input_that_is_no_picture_is_rejected_with_the_reason() {
     for (shape, reason) in [
         (&[4, 3, 64, 64][..], "4 pictures"),
         (&[1, 416], "neither"),
@@ -57,7 +57,7 @@ fn an_input_that_is_no_picture_is_refused_with_what_is_wrong() {
 }
 
 #[test]
-fn a_model_that_does_not_fit_is_refused_with_the_first_difference() {
+fn a_model_that_does_not_fit_is_rejected_with_the_first_difference() {
     use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
     let input = [1, 3, 416, 416];
     for (name, output, reason) in [
@@ -78,7 +78,7 @@ fn a_model_that_does_not_fit_is_refused_with_the_first_difference() {
 }
 
 #[test]
-fn more_outputs_or_another_element_type_are_refused() {
+fn more_outputs_or_another_element_type_are_rejected() {
     let mut two = signature(&[1, 3, 64, 64], &[("a", &[1, 6, 84]), ("b", &[1])]);
     let input = two.picture_input(None).unwrap();
     let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
@@ -96,7 +96,7 @@ fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
 }
 
 #[test]
-fn models_are_recognised_by_what_their_exporters_write() {
+fn models_are_recognised_by_their_exporters_conventions() {
     let names = ("names", "{0: 'car'}");
     let ultralytics = [
         ("author", "Ultralytics"),
@@ -138,7 +138,7 @@ fn models_are_recognised_by_what_their_exporters_write() {
 }
 
 #[test]
-fn an_unknown_or_ambiguous_model_is_refused_with_every_head_that_was_tried() {
+fn an_unknown_or_ambiguous_model_is_rejected_with_every_head_that_was_tried() {
     let square = [1, 3, 64, 64];
     let model = |outputs: &[(&str, &[i64])]| signature(&square, outputs);
     let ultralytics = |entry: (&str, &str)| {
@@ -149,17 +149,17 @@ fn an_unknown_or_ambiguous_model_is_refused_with_every_head_that_was_tried() {
     let boxes: (&str, &[i64]) = ("pred_boxes", &[1, 300, 4]);
     for (signature, reason) in [
         (model(&[("logits", &[1, 1000])]), "none of them"),
-        // YOLOv5: three boxes a cell.
+        // YOLOv5: three boxes per cell.
         (large, "none of them"),
-        // A transformer of unknown scores and colours.
+        // A transformer with unknown scores and colours.
         (model(&[("logits", &[1, 300, 80]), boxes]), "none of them"),
-        // One class of YOLOX, or 84 finished boxes.
+        // Either YOLOX with one class, or 84 finished boxes.
         (
             model(&[("output", &[1, 84, 6])]),
             "each of end-to-end, yolox",
         ),
         (ultralytics(("task", "segment")), "`segment`"),
-        // Metadata and shape contradict each other.
+        // Metadata that contradicts the shape.
         (ultralytics(("end2end", "True")), "`end-to-end`"),
     ] {
         let refusal = recognised(&signature).unwrap_err();

@@ -1,5 +1,5 @@
 use super::served::{Frames, Served, clip, frame, problem};
-use crate::support::{assert_has, assert_says};
+use crate::support::{assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 #[tokio::test]
-async fn the_frame_states_add_up_for_each_camera_and_for_all() {
+async fn frame_states_add_up_per_camera_and_in_total() {
     let node = Served::start().await;
     node.front().answered_all(&FrameState::ALL);
     node.front().record_dropped(&DroppedFrames {
@@ -32,7 +32,7 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
 }
 
 #[tokio::test]
-async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
+async fn a_degraded_frame_is_counted_separately_and_never_as_skipped() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..4 {
@@ -49,11 +49,11 @@ async fn a_degraded_frame_is_counted_apart_and_never_as_skipped() {
     let metrics = node.metrics().await;
     let skipped = r#"albireo_frames_skipped_total{camera="front"} 1"#;
     let degraded = r#"albireo_frames_degraded_total{camera="front"} 2"#;
-    assert_says(&metrics, &[skipped, degraded]);
+    assert_contains(&metrics, &[skipped, degraded]);
 }
 
 #[tokio::test]
-async fn cameras_are_listed_in_the_order_of_the_configuration() {
+async fn cameras_are_listed_in_configuration_order() {
     let node = Served::start().await;
     let rear = node.board.camera("rear").unwrap();
     rear.answered(frame(0, FrameState::I));
@@ -64,7 +64,7 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 }
 
 #[tokio::test]
-async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
+async fn readiness_names_the_provider_in_use_and_why_the_node_is_not_ready() {
     let node = Served::start().await;
     let zenoh = node.board.readiness.part("zenoh");
     zenoh.not_ready("the session is not open yet");
@@ -82,14 +82,14 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
         provider: ExecutionProvider::Cpu,
     });
     let degraded = node.refused("/readyz", 503).await;
-    assert_says(degraded["detail"].as_str().unwrap(), &["2000 ms"]);
+    assert_contains(degraded["detail"].as_str().unwrap(), &["2000 ms"]);
     node.ready();
     let power = node.board.readiness.part("power");
     power.degraded("the meter cannot be read");
     let reasons = json!([{"part": "power", "effect": "degraded"}]);
     let expected = json!({"ready": true, "state": "degraded", "reasons": reasons});
     assert_has(&node.json("/readyz").await, &expected);
-    // The process still lives.
+    // The process is still healthy.
     assert_eq!(node.json("/healthz").await["status"], "ok");
 }
 
@@ -98,7 +98,7 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/front/frame.jpg";
     let none = node.refused(path, 404).await;
-    assert_says(none["detail"].as_str().unwrap(), &["no picture"]);
+    assert_contains(none["detail"].as_str().unwrap(), &["no picture"]);
     let show = |seq, format, bytes| node.front().sent(seq, format, bytes, [4, 2]);
     show(7, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
     let response = node.get(path).await;
@@ -114,7 +114,7 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_picture_is_decoded_once_however_many_ask_for_it() {
+async fn a_picture_is_decoded_once_for_all_requests() {
     let node = Served::start().await;
     for (number, seq) in [(1, 7), (2, 8)] {
         let bytes = vec![number; 640 * 480 * 3];
@@ -126,11 +126,11 @@ async fn a_picture_is_decoded_once_however_many_ask_for_it() {
             assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
         }
         let decoded = format!("albireo_shown_pictures_decoded_total {number}\n");
-        assert_says(&node.metrics().await, &[&decoded]);
+        assert_contains(&node.metrics().await, &[&decoded]);
     }
 }
 
-/// Camera and number of the clips that a path answers with.
+/// The camera and number of each clip at a path.
 async fn clips(node: &Served, path: &str) -> Vec<(String, u64)> {
     let answer = node.json(path).await;
     let clips = answer["clips"].as_array().unwrap().iter();
@@ -141,7 +141,7 @@ async fn clips(node: &Served, path: &str) -> Vec<(String, u64)> {
 }
 
 #[tokio::test]
-async fn clips_come_newest_first_by_camera_and_number() {
+async fn clips_come_newest_first_filtered_by_camera_and_limited() {
     let node = Served::start().await;
     for report in 0..300 {
         node.board.record_clip(clip("front", report));
@@ -149,7 +149,7 @@ async fn clips_come_newest_first_by_camera_and_number() {
     node.board.record_clip(clip("rear", 0));
     let two = clips(&node, "/api/v1/clips?limit=2").await;
     assert_eq!(two, [("rear".to_owned(), 0), ("front".to_owned(), 299)]);
-    // 256 are kept, one of them the other camera's.
+    // 256 clips are kept, one of them of the other camera.
     let front = clips(&node, "/api/v1/clips?camera=front&limit=256").await;
     assert_eq!(front.len(), 255);
     assert_eq!(clips(&node, "/api/v1/clips").await.len(), 50);
@@ -160,7 +160,7 @@ async fn clips_come_newest_first_by_camera_and_number() {
 }
 
 #[tokio::test]
-async fn clips_are_read_page_by_page_and_only_the_new_ones() {
+async fn clips_can_be_paged_and_polled_for_new_ones() {
     let node = Served::start().await;
     for report in 1..=5 {
         node.board.record_clip(clip("front", report));
@@ -181,7 +181,7 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
 }
 
 #[tokio::test]
-async fn errors_of_the_framework_are_problem_documents_too() {
+async fn framework_errors_are_problem_documents_too() {
     let node = Served::start().await;
     let unknown = "/nothing /api/v2 /api/v2/threshold /api/v1/cameras/front/nothing";
     for path in unknown.split(' ') {
@@ -198,7 +198,7 @@ async fn errors_of_the_framework_are_problem_documents_too() {
 #[case(Method::OPTIONS, "/api/v1/clips", &["GET"])]
 #[case(Method::POST, "/", &["GET"])]
 #[tokio::test]
-async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
+async fn a_wrong_method_is_rejected_with_the_allowed_ones(
     #[case] method: Method,
     #[case] path: &str,
     #[case] allowed: &[&str],
@@ -207,13 +207,13 @@ async fn a_method_that_is_not_allowed_is_refused_with_those_that_are(
     let request = node.request(method, path);
     let request = request.header("content-type", "application/json");
     let response = request.send().await.unwrap();
-    assert_says(response.headers()["allow"].to_str().unwrap(), allowed);
+    assert_contains(response.headers()["allow"].to_str().unwrap(), allowed);
     let answer = problem(response, 405).await["allowed"].to_string();
-    assert_says(&answer, allowed);
+    assert_contains(&answer, allowed);
 }
 
 #[tokio::test]
-async fn a_request_that_does_not_end_is_answered_and_dropped() {
+async fn an_unfinished_request_times_out_with_an_answer() {
     let config = HttpConfig {
         timeout_ms: 50,
         ..HttpConfig::default()
@@ -226,15 +226,15 @@ async fn a_request_that_does_not_end_is_answered_and_dropped() {
     let mut answer = String::new();
     connection.read_to_string(&mut answer).await.unwrap();
     let said = ["HTTP/1.1 408 ", "application/problem+json", "within 50ms"];
-    assert_says(&answer, &said);
+    assert_contains(&answer, &said);
 }
 
 #[tokio::test]
-async fn the_page_needs_nothing_from_elsewhere() {
+async fn the_page_loads_nothing_from_other_hosts() {
     let node = Served::start().await;
     let response = node.get("/").await;
     let policy = response.headers()["content-security-policy"].to_str();
-    assert_says(policy.unwrap(), &["default-src 'none'"]);
+    assert_contains(policy.unwrap(), &["default-src 'none'"]);
     let page = response.text().await.unwrap();
     assert!(page.contains("<html lang=\"en\">"));
     for outside in ["http://", "https://", "src=\"//", "href=\"//"] {
@@ -243,11 +243,11 @@ async fn the_page_needs_nothing_from_elsewhere() {
 }
 
 #[tokio::test]
-async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
+async fn a_camera_shows_its_policy_threshold_and_latest_detections() {
     let node = Served::start().await;
     let missing = node.refused("/api/v1/cameras/front/detections", 404).await;
     let detail = missing["detail"].as_str().unwrap();
-    assert_says(detail, &["albireo/car-7/front/frame"]);
+    assert_contains(detail, &["albireo/car-7/front/frame"]);
     node.front().answered_all(&[FrameState::P, FrameState::I]);
     let answer = node.json("/api/v1/cameras/front").await;
     let expected = json!({
@@ -255,7 +255,7 @@ async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
         "skip_rate": 0.5, "set_by": "configuration",
     });
     assert_has(&answer, &expected);
-    // Pictures of 320x240: the published code counts its noise in pixels.
+    // The published code measures noise in pixels, here of 320x240 pictures.
     let published = answer["u_as_published"].as_f64().unwrap();
     assert!(published > 8e-4, "{published}");
     let detections = node.json("/api/v1/cameras/front/detections").await;
@@ -264,7 +264,7 @@ async fn one_camera_shows_policy_threshold_and_its_newest_detections() {
 }
 
 #[tokio::test]
-async fn a_camera_that_skips_nothing_is_told_what_to_try() {
+async fn a_camera_that_skips_nothing_gets_advice() {
     let node = Served::start().await;
     let front = node.front();
     for seq in 0..300 {
@@ -278,7 +278,7 @@ async fn a_camera_that_skips_nothing_is_told_what_to_try() {
 }
 
 #[tokio::test]
-async fn the_index_names_every_route_of_the_description() {
+async fn the_index_lists_every_documented_route() {
     let node = Served::start().await;
     let index = node.json("/api/v1").await;
     assert_eq!(index["cameras"], json!(["front", "rear"]));

@@ -1,9 +1,9 @@
-//! A node's history: for a page that is opened later, and for diagnosis.
+//! The history of a node, for pages opened later and for diagnosis.
 
 use super::served::{Frames, Served, clip, frame};
 #[cfg(feature = "hub")]
 use crate::support::{Ended, albireo};
-use crate::support::{assert_has, assert_says};
+use crate::support::{assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
 use albireo_service::config::{HttpConfig, Token};
@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 #[tokio::test]
-async fn the_last_frames_are_listed_with_state_and_cause_the_newest_last() {
+async fn the_last_frames_are_listed_oldest_first_with_state_and_cause() {
     let node = Served::start().await;
     let front = node.front();
     front.answered_all(&[FrameState::EI, FrameState::I, FrameState::P, FrameState::E]);
@@ -42,7 +42,7 @@ async fn the_last_frames_are_listed_with_state_and_cause_the_newest_last() {
 }
 
 #[tokio::test]
-async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
+async fn calls_are_counted_by_cause_wherever_frames_are_counted() {
     let node = Served::start().await;
     let front = node.front();
     front.answered_all(&FrameState::ALL);
@@ -59,17 +59,17 @@ async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
         assert_has(&answer, &calls);
     }
     let line = r#"albireo_detector_calls_total{camera="front",cause="periodic_cap"} 1"#;
-    assert_says(&node.metrics().await, &[line]);
+    assert_contains(&node.metrics().await, &[line]);
 }
 
 #[tokio::test]
-async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
+async fn the_skip_rate_of_another_threshold_is_marked_as_estimated() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/front/skip-estimate";
     let nothing = node.refused(path, 409).await;
-    assert_says(nothing["detail"].as_str().unwrap(), &["no frame"]);
+    assert_contains(nothing["detail"].as_str().unwrap(), &["no frame"]);
     let front = node.front();
-    // A call on every third frame, and uncertainty that grows with the time since.
+    // A call on every third frame, and uncertainty that grows with the time since the last call.
     for seq in 0..300 {
         let age = seq % 3;
         let state = [FrameState::P, FrameState::I][usize::from(age == 2)];
@@ -96,7 +96,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
 }
 
 #[tokio::test]
-async fn the_hour_of_power_is_reported_by_domain() {
+async fn the_last_hour_of_power_is_reported_by_domain() {
     let node = Served::start().await;
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     node.board.set_power(PowerSnapshot {
@@ -106,7 +106,7 @@ async fn the_hour_of_power_is_reported_by_domain() {
         covered_s: BTreeMap::from([("total".to_owned(), 3.0), ("cpu".to_owned(), 3.0)]),
         ..PowerSnapshot::default()
     });
-    // A piece is reported when it is over.
+    // A slot is reported once it is over.
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     tokio::time::pause();
     tokio::time::advance(Duration::from_secs(11)).await;
@@ -130,7 +130,7 @@ async fn savings_are_reported_since_the_start_and_today() {
         saved_detector_s: 30.0,
         ..PowerSnapshot::default()
     };
-    // What a call costs is not known: calls avoided and nothing else.
+    // While the cost of a call is unknown, only avoided calls are reported.
     node.board.set_power(power.clone());
     let energy = node.json("/api/v1/node").await["since_start"]["energy"].clone();
     assert_eq!(energy["saved_joules_estimated"], Value::Null, "{energy}");
@@ -151,7 +151,6 @@ async fn savings_are_reported_since_the_start_and_today() {
     }
 }
 
-/// The files of a tar archive.
 fn untar(archive: &[u8]) -> BTreeMap<String, String> {
     let mut files = BTreeMap::new();
     let mut rest = archive;
@@ -171,7 +170,7 @@ fn untar(archive: &[u8]) -> BTreeMap<String, String> {
 }
 
 #[tokio::test]
-async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
+async fn the_diagnostic_archive_is_complete_and_contains_no_secret() {
     let secret = "the-token-of-this-very-node";
     let config = HttpConfig {
         token: Some(Token::new(secret)),
@@ -194,14 +193,14 @@ async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
         let is_json = serde_json::from_str::<Value>(text).is_ok();
         assert!(is_json || !name.ends_with(".json"), "{name}");
     }
-    assert_says(&files["configuration.json"], &["(secret)"]);
-    assert_says(&files["metrics.txt"], &["albireo_frames_total"]);
-    assert_says(&files["clips.json"], &["window-0"]);
+    assert_contains(&files["configuration.json"], &["(secret)"]);
+    assert_contains(&files["metrics.txt"], &["albireo_frames_total"]);
+    assert_contains(&files["clips.json"], &["window-0"]);
     #[cfg(feature = "hub")]
     the_command_fetches_it(&format!("http://{}", node.address), secret).await;
 }
 
-/// `albireo diag` writes the same archive, and says why it cannot.
+/// `albireo diag` writes the same archive, or reports why it cannot.
 #[cfg(feature = "hub")]
 async fn the_command_fetches_it(node: &str, secret: &str) {
     let folder = tempfile::tempdir().unwrap();
@@ -212,16 +211,16 @@ async fn the_command_fetches_it(node: &str, secret: &str) {
         command.env("ALBIREO_HTTP__TOKEN", token);
         command.output().await.unwrap().into()
     };
-    assert_says(&fetch("not-the-token-of-it").await.fails(), &["token"]);
+    assert_contains(&fetch("not-the-token-of-it").await.fails(), &["token"]);
     fetch(secret).await.succeeds();
     let files = untar(&std::fs::read(&archive).unwrap());
     assert!(files.contains_key("log.txt") && files.len() == 8);
-    // What is there is left alone.
+    // An existing file is not overwritten.
     fetch(secret).await.fails();
 }
 
 #[tokio::test]
-async fn the_last_lines_of_the_log_can_be_had_from_a_number_on() {
+async fn recent_log_lines_can_be_read_from_a_given_number() {
     let node = Served::start().await;
     let log = node.json("/api/v1/log?limit=5").await;
     assert!(log["lines"].as_array().unwrap().len() <= 5, "{log}");

@@ -1,0 +1,19 @@
+//! Assertions about JSON values.
+
+use serde_json::Value;
+
+/// Asserts that `found` contains `expected`: its objects may have more members.
+#[track_caller]
+pub(crate) fn assert_has(found: &Value, expected: &Value) {
+    fn has(found: &Value, expected: &Value) -> bool {
+        match (found, expected) {
+            (_, Value::Object(members)) => members.iter().all(|(name, one)| has(&found[name], one)),
+            (Value::Array(found), Value::Array(expected)) => {
+                let mut pairs = found.iter().zip(expected);
+                found.len() == expected.len() && pairs.all(|(one, wanted)| has(one, wanted))
+            }
+            _ => found == expected,
+        }
+    }
+    assert!(has(found, expected), "no {expected} in {found}");
+}
