@@ -32,7 +32,7 @@ token = "a-token-that-may-look"
   });
   const page = await open(browser, address);
   const unlock = async (page, token) => {
-    await page.getByLabel(/Token/).fill(token);
+    await page.getByLabel(/The token/).fill(token);
     await page.keyboard.press("Enter");
   };
   const firstName = () => page.locator(".fleet-body .c-name a").first().textContent();

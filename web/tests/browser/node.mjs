@@ -166,10 +166,10 @@ async function cameraTests(browser) {
   const page = await open(browser, address);
 
   await test("a node with a token asks for it, without an error in the console", async () => {
-    await page.getByLabel(/Token/).fill("not-the-token-of-this");
+    await page.getByLabel(/The token/).fill("not-the-token-of-this");
     await page.keyboard.press("Enter");
     await page.getByText("This token is not the node's").waitFor();
-    await page.getByLabel(/Token/).fill("a-token-for-the-tests");
+    await page.getByLabel(/The token/).fill("a-token-for-the-tests");
     await page.keyboard.press("Enter");
     await page.getByRole("heading", { name: "Threshold u" }).waitFor();
     quiet(page);
@@ -240,7 +240,7 @@ async function cameraTests(browser) {
     await until("the node answers", async () => (await fetch(`${address}/healthz`)).ok);
     const camera = start(["replay", "demo", "--loop", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
     const broken = await open(browser, address);
-    await broken.getByLabel(/Token/).fill("a-token-for-the-tests");
+    await broken.getByLabel(/The token/).fill("a-token-for-the-tests");
     await broken.keyboard.press("Enter");
     const state = broken.getByRole("status").first().locator(".pill.bad");
     await state.waitFor();
