@@ -6,10 +6,10 @@ use anyhow::Context;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-Zenoh's rules know no templates: each node gets its own, by the common name of
-its certificate. What they do not allow is denied. Generate them again after
-each `albireo cert node` and `albireo cert revoke`, and restart the router: its
-sessions come back by themselves.
+Zenoh's rules have no templates, so each node gets rules of its own, selected by
+the common name of its certificate. Everything else is denied. Generate the
+rules again after each `albireo cert node` and `albireo cert revoke`, and
+restart the router: its sessions reconnect by themselves.
 
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json

@@ -7,9 +7,9 @@ use clap::Subcommand;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-The folder has the authority's key: who can read it can let any node in. Keep it
-on a separate machine, and bring each member only authority.pem, its certificate
-and its key.
+The folder holds the authority's private key. Anyone who can read it can admit
+any node, so keep it on a separate machine, and give each member only
+authority.pem, its own certificate and its own key.
 
 Examples:
   albireo cert authority --name 'fleet north'
@@ -17,7 +17,7 @@ Examples:
   albireo cert hub hub-1
   albireo cert node car-7 car-8 car-9
   albireo cert list
-  albireo cert renew --within 30                  all that end within 30 days
+  albireo cert renew --within 30                  all that expire within 30 days
   albireo cert revoke node car-7 && albireo acl --output access.json";
 
 /// Arguments of `albireo cert`.

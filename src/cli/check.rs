@@ -15,17 +15,17 @@ use {
 };
 
 const EXAMPLES: &str = "\
-The file is a node's or a hub's; its sections say which ([hub] or [database]: a
-hub). Checked are every key and value, also those from environment variables
-(ALBIREO_SECTION__KEY), and for a node what it needs on this machine: models,
-class names, token, certificates, ONNX Runtime and its providers, the state
-directory. A port that is in use is a note, not an error: the node may be
-running. --file-only skips this machine. --online also tries what the file
-names: it runs the model on its provider, opens each source until a picture
-comes, calls the router and looks for a hub behind it.
+A file with the section [hub] or [database] configures a hub, any other a node.
+The command checks every key and value, including those from environment
+variables (ALBIREO_SECTION__KEY). For a node it also checks what the node needs
+on this machine: models, class names, token, certificates, ONNX Runtime and its
+providers, the state directory. A port in use is a note, not an error, because
+the node may be running. --file-only skips the checks of this machine. --online
+also runs the model on its provider, opens each source until a picture arrives,
+connects to the router and looks for a hub behind it.
 
-Exit code 0 when the configuration can be used (and everything tried works), 1
-when not.
+The exit code is 0 if the configuration can be used (and everything tried
+works), else 1.
 
 Examples:
   albireo check config/node.toml

@@ -24,22 +24,21 @@ use tokio_util::sync::CancellationToken;
 
 const EXAMPLES: &str = "\
 Each run starts a node as `albireo node` does (same code, same configuration),
-with a camera that plays the clip to it over a Zenoh session of its own. The
-clip's pictures are read and encoded once, before the first run. Each round
-plays every policy once, every second round in the opposite order, so that what
-changes slowly falls on all alike. A run is: rest (--cool-down), the node
-starts, the clip's beginning as a warm-up that is not counted, then the clip. A
-round is one sample; intervals are Student's t over the rounds. Ctrl-C ends it
-with the rounds that are complete.
+and a camera that plays the clip to it over a separate Zenoh session. The clip's
+pictures are read and encoded once, before the first run. Each round plays every
+policy once, every second round in reverse order, so that slow changes of the
+machine affect all policies alike. A run is a rest (--cool-down), the start of
+the node, the beginning of the clip as an uncounted warm-up, then the clip. A
+round is one sample; intervals are Student's t over the rounds. Ctrl-C ends the
+comparison with the rounds that are complete.
 
-Frames come at the clip's own rate, as on a board: energy is then what a camera
-costs in that time, and EDP differs as energy does. With --unpaced the next
-frame comes when the last was taken: energy is then what the clip costs when
-nothing is waited for.
+Frames arrive at the clip's own rate, as on a board: energy is then the cost of
+a camera over that time, and EDP differs as energy does. With --unpaced each
+frame arrives as soon as the node has taken the last one: energy is then the
+cost of the clip without waiting.
 
-Without a power meter it says so and compares CPU time and detector calls;
-energy is then estimated, and marked so. `albireo power` says which meter works
-here.
+Without a power meter the command compares CPU time and detector calls, and
+marks energy as estimated. `albireo power` lists the meters that work here.
 
 Examples:
   albireo compare
@@ -47,7 +46,7 @@ Examples:
       of 20 s: about seven minutes
   albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 \\
       --clip drive.mp4
-      two thresholds on a recording of one's own (needs ffmpeg)
+      two thresholds on your own recording (needs ffmpeg)
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
   albireo compare --detector yolo26n.onnx --u 5e-4 --clip drive.mp4

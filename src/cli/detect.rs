@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 const EXAMPLES: &str = "\
 Examples:
-  albireo detect yolo26n.onnx                       say how the model is read
+  albireo detect yolo26n.onnx                       print how the model is read
   albireo detect yolo26n.onnx frame.jpg             and what it finds
   albireo detect yolo26n.onnx frame.jpg --out seen   and draw the boxes
   albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture";

@@ -17,15 +17,15 @@ use std::process::ExitCode;
 const EXAMPLES: &str = "\
 Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or
 `all`; parts joined by & must all match ('cam-* & region=north'), a part after !
-must not ('all & !cam-3'). Several --select add up.
+must not match ('all & !cam-3'). Several --select add up.
 
-Exit codes: 0 done as asked; 1 the hub cannot be reached or refuses; 2 wrong
-arguments; 3 some nodes refused the value or did not answer in time, or a
-rollout went back; 4 nothing failed, but something is still open: nodes out of
-reach, a rollout that is held.
+Exit codes: 0 done; 1 the hub cannot be reached or refuses; 2 wrong arguments;
+3 some nodes refused the value or did not answer in time, or a rollout was
+returned; 4 nothing failed, but something is still open: nodes out of reach, a
+rollout on hold.
 
 Examples:
-  albireo fleet ls                                   all nodes, and how they are
+  albireo fleet ls                                   all nodes and their states
   albireo fleet show cam-7
       one node: values, health, last clips
   albireo fleet set-u 5e-4 --select 'cam-*' --dry-run    who would change
@@ -36,14 +36,14 @@ Examples:
   albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% \\
       --soak 30m --gate 'joules<=+5%'
   albireo fleet rollout show --follow
-      until it is done, held or back
+      until it is done, held or returned
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
-  albireo fleet forget car-7                         a node that was scrapped
+  albireo fleet forget car-7                         a scrapped node
   albireo fleet energy --since 7d --by node
   albireo fleet diag
       an archive for finding a fault
   albireo fleet changes --node cam-7
-      who set what, when, why, and what came of it
+      who set what, when and why, and the outcome
   ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
 
 /// Arguments of `albireo fleet`.

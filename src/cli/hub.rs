@@ -22,9 +22,10 @@ Examples:
   albireo hub move albireo-hub.db postgres://hub@db.example/fleet";
 
 const MOVE_EXAMPLES: &str = "\
-Stop the hub first, and start it with the new database.url afterwards: what it
-still stores in the file in between is not moved. Nodes keep their reports until
-a hub takes them, so none is lost or counted twice. The file stays as it is.
+Stop the hub first, and start it with the new database.url afterwards: anything
+it stores in the file in between is not moved. Nodes keep their reports until a
+hub acknowledges them, so none is lost or counted twice. The file is not
+changed.
 PGPASSWORD keeps the password out of the command line.
 
 Example:

@@ -5,8 +5,8 @@ use clap::CommandFactory;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-One page a subcommand, albireo-node.1 and so on, beside albireo.1. Packages
-bring them along.
+Writes albireo.1 and one page per subcommand, such as albireo-node.1. The
+packages include them.
 
 Examples:
   albireo man /usr/local/share/man/man1

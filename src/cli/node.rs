@@ -11,8 +11,8 @@ const EXAMPLES: &str = "\
 Without --config the built-in defaults apply; config/node.toml lists them all.
 An environment variable overrides a single key: ALBIREO_SECTION__KEY, with two
 underscores between section and key. RUST_LOG overrides log.level. Ctrl-C or
-SIGTERM stops it: the current frame is finished and the open clip reported
-first.
+SIGTERM stops it, after the current frame is finished and the open clip
+reported.
 
 Examples:
   albireo node --config /etc/albireo/node.toml

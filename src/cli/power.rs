@@ -5,9 +5,9 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-It opens every source in turn and watches it for a second. The source marked *
-is the one that `source = \"auto\"` takes. Watts of `estimate` are a model, all
-others are measured.
+Opens every source in turn and reads it for a second. The source marked * is
+the one that `source = \"auto\"` selects. The watts of `estimate` come from a
+model; all others are measured.
 
 Examples:
   albireo power

@@ -24,15 +24,16 @@ Examples:
       --connect tcp/192.168.0.5:7447
       a network camera, to the camera `front` of a node on another machine
   albireo publish 'rtsp://${CAMERA_USER}:${CAMERA_PASSWORD}@192.168.0.20/stream'
-      credentials from the environment: the quotation marks keep them from the
-      shell
+      credentials from the environment: the quotation marks stop the shell from
+      inserting them
   albireo publish /dev/video0 --rate 10 --camera cabin
-      a camera of this machine, at most ten frames a second
+      a camera of this machine, at most ten frames per second
   albireo publish 'v4l2src device=/dev/video0 ! image/jpeg ! jpegparse'
       a GStreamer pipeline that makes JPEG files
 
 A camera on the node's own machine needs no publisher: [[camera]] source in its
-configuration. Runs until stopped: camera and node may go away and come back.";
+configuration. Runs until stopped, and reconnects to a camera or node that
+comes back.";
 
 /// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
 const QUALITY: u8 = 3;

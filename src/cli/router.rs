@@ -9,8 +9,7 @@ use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
 A Zenoh router with health and metrics. Its configuration is Zenoh's own
-(JSON5), which zenohd takes too; config/zenoh-router.json5 shows what a fleet
-needs.
+(JSON5), as for zenohd; config/zenoh-router.json5 shows what a fleet needs.
 
 Examples:
   albireo router --config config/zenoh-router.json5

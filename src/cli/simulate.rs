@@ -5,22 +5,20 @@ use albireo_simulate::Options;
 use anyhow::{Context, bail};
 
 const EXAMPLES: &str = "\
-The nodes are real to a hub: status, reports, pulls and
-notices go over real Zenoh sessions. Their pictures, energy and latencies are
-made up, and say so (`simulated`). Only endpoints of this machine are connected
-to. Exit code 1 when a report was not acknowledged in the end.
+To a hub the nodes are real: statuses, reports, pulls and notices go over real
+Zenoh sessions. Their pictures, energy and latencies are invented and marked
+`simulated`. Connects only to endpoints on this machine. The exit code is 1 if
+a report was not acknowledged by the end.
 
 Examples:
   albireo simulate
       100 nodes on 4 sessions for a minute
   albireo simulate --nodes 10000 --sessions 50 --seconds 300 --pid hub=4711 \\
       --pid router=4712
-      the load of 10,000 nodes for five minutes, and what hub and router cost
-      meanwhile
+      the load of 10,000 nodes for five minutes, and the cost of hub and router
   albireo simulate --nodes 40 --clip-seconds 1 --status-seconds 2 --gather 1 \\
-      --seconds 600 --spoilt-above 4e-4
-      a small fast fleet to which values above 4e-4 do harm: for walking a
-      rollout
+      --seconds 600 --worse-above 4e-4
+      a small fast fleet that values above 4e-4 harm, for trying a rollout
   albireo simulate --nodes 10000 --sessions 50 --backlog 90 --seconds 60
       after an hour's outage: every node has 90 reports to deliver";
 

@@ -351,8 +351,8 @@ async fn have_clips(hub: &Hub, nodes: usize, clips: u64) {
 async fn harm_is_undone(database: &str) {
     let hub = Hub::start(config(database)).await;
     let behaviour = Behaviour {
-        spoilt_above: Some(4e-4),
-        spoilt_by: 1.6,
+        worse_above: Some(4e-4),
+        worse_by: 1.6,
         measured: true,
     };
     let options = Options {

@@ -278,9 +278,9 @@ impl SimNode {
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
         let skip =
             (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
-        let spoilt = self.behaviour.spoilt_above.is_some_and(|limit| u > limit);
-        let worse = if spoilt {
-            self.behaviour.spoilt_by
+        let is_worse = self.behaviour.worse_above.is_some_and(|limit| u > limit);
+        let worse = if is_worse {
+            self.behaviour.worse_by
         } else {
             1.0
         };
@@ -468,8 +468,8 @@ mod tests {
     #[test]
     fn a_clip_costs_more_where_the_run_says_that_a_value_is_bad() {
         let behaviour = Behaviour {
-            spoilt_above: Some(4e-4),
-            spoilt_by: 1.5,
+            worse_above: Some(4e-4),
+            worse_by: 1.5,
             ..Options::default().behaviour
         };
         let mut node = node(Options {

@@ -21,10 +21,10 @@ const FAULTS: &str = "What goes wrong";
 pub struct Behaviour {
     /// Above this threshold, clips cost more energy and time.
     #[arg(long, help_heading = FAULTS, value_name = "U")]
-    pub spoilt_above: Option<f64>,
+    pub worse_above: Option<f64>,
     /// The factor by which they cost more.
     #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
-    pub spoilt_by: f64,
+    pub worse_by: f64,
     /// Marks the invented energy in reports as measured instead of estimated.
     #[arg(skip)]
     pub measured: bool,

@@ -65,7 +65,7 @@ fn a_bomb_is_refused() {
 }
 
 #[test]
-fn a_spoilt_batch_and_one_of_another_dictionary_are_refused() {
+fn a_corrupt_batch_and_one_of_another_dictionary_are_rejected() {
     let error = ReportBatch::from_payload(&[REPORT_DICTIONARY + 1, 0, 0]).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -73,10 +73,10 @@ fn a_spoilt_batch_and_one_of_another_dictionary_are_refused() {
     );
     assert!(ReportBatch::from_payload(&[]).is_err());
     let sent = example().to_payload(BatchCompression::Best).unwrap();
-    let mut spoilt = sent.clone();
-    let middle = spoilt.len() / 2;
-    spoilt[middle] ^= 0x10;
-    assert!(ReportBatch::from_payload(&spoilt).is_err());
+    let mut corrupt = sent.clone();
+    let middle = corrupt.len() / 2;
+    corrupt[middle] ^= 0x10;
+    assert!(ReportBatch::from_payload(&corrupt).is_err());
     assert!(ReportBatch::from_payload(&sent[..middle]).is_err());
 }
 

@@ -54,10 +54,10 @@ pub(super) enum RolloutCommand {
 const START_EXAMPLES: &str = "\
 Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05),
 joules<=+5% (of a clip), edp, latency_p99, degraded, recall, precision. The
-change is that of the stage's nodes beyond that of the nodes not asked yet, over
-the same hours; with fewer than eight on either side a gate is not measured. A
-gate with ? at its end holds only where the metric is reported. Measured and
-estimated energy are two figures.
+change of the stage's nodes is compared with that of the nodes not asked yet,
+over the same hours; with fewer than eight on either side a gate is not
+measured. A gate that ends with ? applies only where the metric is reported.
+Measured and estimated energy are separate figures.
 
 Examples:
   albireo fleet rollout start 5e-4 --select all

@@ -135,7 +135,7 @@ fn the_program_accepts_no_key_that_the_shipped_file_lacks() {
         };
         taken.extend(keys_taken(&format!("{section}."), &text));
     }
-    // Subsections: the GPU's, and those of the policies for comparison (docs/policies.md).
+    // Subsections: the GPU's, and those of the policies for comparison.
     let compared = "fixed_skip ctd statues in_tracker";
     let mut sections: Vec<_> = compared
         .split(' ')

@@ -34,7 +34,7 @@ impl std::fmt::Display for Advice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "no frame of {} was skipped, though objects were followed in {} of them; try {} = {} (it is {})",
+            "no frame of {} was skipped, although objects were tracked in {} of them; try {} = {} (it is {})",
             self.frames,
             self.followed,
             self.knob,
@@ -177,7 +177,7 @@ mod tests {
         assert_eq!(advice.attempt, 2e-4);
         assert_eq!(
             advice.to_string(),
-            "no frame of 400 was skipped, though objects were followed in 400 of them; try u = 2e-4 (it is 1e-4)"
+            "no frame of 400 was skipped, although objects were tracked in 400 of them; try u = 2e-4 (it is 1e-4)"
         );
         // Turned, it is another matter; and one skipped frame is enough to be silent.
         count(&mut watch, FrameState::P, &knob, 2e-4, 1.9e-4);
