@@ -70,10 +70,10 @@ mod tests {
     use crate::tests::Tree;
 
     #[test]
-    fn auto_takes_the_boards_monitor_before_counters_before_the_estimate() {
+    fn auto_prefers_the_board_monitor_then_counters_then_the_estimate() {
         let tree = Tree::default();
         let chosen = || open(&tree.config()).unwrap().source().to_owned();
-        // A card of the machine that this runs on is not in the tree: `nvml` may come first.
+        // NVML sees the cards of the machine that runs the test, so `nvml` may come before an entry of the tree.
         assert!(["none", "nvml"].contains(&&*chosen()));
         tree.write("proc/stat", "cpu 1 2 3 4");
         assert!(["estimate", "nvml"].contains(&&*chosen()));
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[rstest::rstest]
-    fn a_meter_asked_for_by_name_that_is_not_there_is_an_error(
+    fn a_missing_meter_selected_by_name_is_an_error(
         #[values("ina", "tegrastats", "rapl", "estimate")] source: &str,
     ) {
         let mut config = Tree::default().config();

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_span_has_the_hottest_moment_any_throttling_and_the_mean_clock() {
+    fn a_span_has_the_highest_temperature_any_throttling_and_the_mean_clock() {
         let mut sum = ConditionSum::default();
         sum.add(&condition("cpu", 50.0, false, 1000.0, "15W"));
         sum.add(&condition("gpu", 70.0, true, 2000.0, "MAXN"));
@@ -128,14 +128,14 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_known_there_is_no_state() {
+    fn without_readings_there_is_no_state() {
         let mut sum = ConditionSum::default();
         sum.add(&Condition::default());
         assert_eq!(sum.state(), None);
     }
 
     #[test]
-    fn two_sources_give_the_hotter_sensor_and_throttling_by_either() {
+    fn two_sources_combine_to_the_hotter_sensor_and_any_throttling() {
         let one = condition("cpu", 50.0, false, 1000.0, "15W");
         let two = condition("gpu", 60.0, true, 2000.0, "MAXN");
         let both = one.and(two);

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_defaults_are_sound_and_survive_the_file_format() {
+    fn the_defaults_are_valid_and_survive_a_toml_round_trip() {
         let config = PowerConfig::default();
         config.check().unwrap();
         let text = toml::to_string(&config).unwrap();
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_values_are_refused_by_key() {
+    fn invalid_values_are_rejected_by_key() {
         assert!(
             refused("interval_ms = 1")
                 .contains("power.interval_ms: must be from 10 to 10000, not 1")
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn both_monitors_names_mean_the_same_meter() {
+    fn chip_names_select_the_ina_meter() {
         for name in ["ina", "ina3221", "ina238"] {
             let config: PowerConfig = toml::from_str(&format!("source = \"{name}\"")).unwrap();
             assert_eq!(config.source, PowerSource::Ina);

@@ -57,7 +57,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn a_wrap_goes_on_counting_and_a_reset_does_not_jump() {
+    fn counting_continues_across_a_wrap_and_a_reset_adds_nothing() {
         let start = Instant::now();
         let at = |s: u64| start + Duration::from_secs(s);
         let mut counter = Counter::new(1e-6, Some(262_143_328_850));
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_counter_without_a_range_that_falls_was_reset() {
+    fn a_decrease_without_a_known_range_is_a_reset() {
         let start = Instant::now();
         let mut counter = Counter::new(1e-3, None);
         assert!(counter.update(start, 5_000_000));

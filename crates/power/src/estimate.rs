@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn half_busy_cores_cost_half_way_between_idle_and_busy() {
+    fn half_load_draws_halfway_between_idle_and_busy_power() {
         let tree = Tree::default();
         let mut meter = open(&tree, "cpu  100 0 100 800 0 0 0 0 0 0\ncpu0 1 2 3 4").unwrap();
         let start = Instant::now();
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stat_file_of_another_kind_is_refused() {
+    fn a_malformed_stat_file_is_rejected() {
         for text in ["", "intr 1 2 3", "cpu 1 2", "cpu 1 x 3 4"] {
             assert!(open(&Tree::default(), text).is_err(), "{text:?}");
         }

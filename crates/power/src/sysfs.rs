@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_holds_no_number_is_reported_with_its_text() {
+    fn a_file_without_a_number_is_reported_with_its_text() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("energy_uj");
         std::fs::write(&path, "many\n").unwrap();

@@ -1,4 +1,4 @@
-//! What the tests of several meters share.
+//! Fixtures shared by the tests of several meters.
 
 use crate::config::PowerConfig;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ impl Tree {
         }
     }
 
-    /// An energy counter of powercap: its path, name and count.
+    /// A powercap energy counter with its path, name and count in microjoules.
     pub(crate) fn rapl(&self, zone: &str, name: &str, energy: u64) {
         let zone = Path::new("sys/class/powercap").join(zone);
         self.write(zone.join("name"), name);

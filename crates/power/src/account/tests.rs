@@ -1,4 +1,4 @@
-//! Promises of the account of energy.
+//! Tests of the energy account.
 
 use super::*;
 use crate::reading::{Value, Values};
@@ -22,7 +22,7 @@ fn account(interval: u64) -> Account {
     Account::new("test", EnergyQuality::Measured, ms(interval))
 }
 
-/// The account of a meter that is read every 100 ms, and a clock that begins with it.
+/// The account of a meter that is read every 100 ms, with a clock that starts at 0.
 struct Bench {
     account: Account,
     camera: u64,
@@ -45,7 +45,7 @@ impl Bench {
         self.start + ms(at)
     }
 
-    /// Samples of the total until then, and including that moment.
+    /// Samples the total every 100 ms up to and including `until`.
     fn sample_until(&mut self, until: u64, watts: impl Fn(f64) -> f64) {
         while self.now <= until {
             let value = Value::Power(watts(self.now as f64 / 1e3));
@@ -67,7 +67,7 @@ impl Bench {
         self.account.close(number, self.at(end)).unwrap()
     }
 
-    /// The node's energy between two kept instants.
+    /// The node's energy between two instants in the history.
     fn energy(&mut self, start: u64, end: u64) -> ClipEnergy {
         let number = self.open(start);
         self.close(number, end).energy
@@ -79,11 +79,11 @@ fn total(energy: &ClipEnergy) -> f64 {
 }
 
 #[test]
-fn a_clip_of_any_length_is_exact_in_constant_memory() {
+fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
     let mut bench = Bench::new();
     let span = bench.open(250);
     let mut most = 0;
-    // Three hours, up and down a triangle of ten seconds.
+    // Three hours of a triangle wave with a period of 10 s.
     let watts = |t: f64| 10.0 + (t % 10.0 - 5.0).abs();
     for second in 1..=10_800 {
         bench.sample_until(second * 1000, watts);
@@ -104,14 +104,14 @@ fn a_clip_of_any_length_is_exact_in_constant_memory() {
 }
 
 #[test]
-fn an_end_that_is_noticed_an_hour_later_is_exact() {
+fn a_clip_closed_an_hour_after_its_end_is_exact() {
     let mut bench = Bench::new();
     let span = bench.open(0);
     bench.sample_until(100_000, |_| 10.0);
     bench.until(span, 100_030);
     bench.sample_until(3_700_000, |_| 50.0);
     let spent = bench.close(span, 100_030);
-    // The 30 ms are on the way from 10 W to 50 W.
+    // During the last 30 ms the power ramps from 10 W towards 50 W.
     let exact = 1000.0 + 0.03 * 10.0 + 0.5 * 0.03 * 0.03 * 400.0;
     let joules = total(&spent.energy);
     assert!((joules - exact).abs() < 1e-6, "{joules}, not {exact}");
@@ -120,7 +120,7 @@ fn an_end_that_is_noticed_an_hour_later_is_exact() {
 }
 
 #[test]
-fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
+fn a_clip_includes_a_long_pause_between_its_frames() {
     let mut bench = Bench::new();
     let span = bench.open(0);
     bench.sample_until(10_000, |_| 10.0);
@@ -137,7 +137,7 @@ fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
 }
 
 #[test]
-fn a_span_older_than_what_is_kept_is_reported_as_not_covered() {
+fn a_span_older_than_the_history_is_reported_as_not_covered() {
     let mut bench = Bench::new();
     bench.sample_until(200_000, |_| 10.0);
     let found = bench.energy(0, 200_000);
@@ -148,7 +148,7 @@ fn a_span_older_than_what_is_kept_is_reported_as_not_covered() {
 }
 
 #[test]
-fn what_is_not_sampled_makes_the_energy_partial_and_not_smaller_in_silence() {
+fn samples_missing_from_the_total_make_the_energy_partial() {
     let mut bench = Bench::new();
     for i in 0..=100 {
         let counted = (Domain::Cpu, Value::Counter(i as f64));
@@ -166,7 +166,7 @@ fn what_is_not_sampled_makes_the_energy_partial_and_not_smaller_in_silence() {
 }
 
 #[test]
-fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
+fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
     let mut bench = Bench::new();
     bench.account.set_condition(Condition {
         cpu_mhz: Some(1500.0),
@@ -186,7 +186,7 @@ fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
 }
 
 #[test]
-fn mean_watts_are_the_joules_by_the_seconds_that_were_sampled() {
+fn mean_watts_are_joules_divided_by_seconds() {
     let mut bench = Bench::new();
     bench.sample_until(4000, |_| 7.0);
     let energy = bench.energy(500, 3500);
@@ -195,10 +195,10 @@ fn mean_watts_are_the_joules_by_the_seconds_that_were_sampled() {
 }
 
 #[test]
-fn avoided_calls_save_their_time_at_the_watts_of_a_running_detector() {
+fn savings_are_the_time_of_avoided_calls_times_detector_watts() {
     let mut bench = Bench::new();
     let mut clip = None;
-    // In every other three seconds the detector runs for half of the time; in the others as many calls are avoided.
+    // The detector runs half of the time for 3 s, then as many calls are avoided for 3 s, and so on.
     for tick in 1..=6_000 {
         let now = tick * 100;
         let busy = tick / 30 % 2 == 0;
@@ -223,7 +223,7 @@ fn avoided_calls_save_their_time_at_the_watts_of_a_running_detector() {
 }
 
 #[test]
-fn a_measurement_that_is_given_up_leaves_nothing_behind() {
+fn a_forgotten_measurement_leaves_nothing_behind() {
     let mut bench = Bench::new();
     let before = bench.account.footprint();
     let given_up = bench.open(0);
@@ -233,7 +233,7 @@ fn a_measurement_that_is_given_up_leaves_nothing_behind() {
 }
 
 #[test]
-fn an_old_sample_is_not_reported_as_power_now() {
+fn an_old_sample_is_not_reported_as_present_power() {
     let mut bench = Bench::new();
     bench.sample_until(0, |_| 1.0);
     assert!(bench.account.history.present(bench.at(900)).is_some());
@@ -241,7 +241,7 @@ fn an_old_sample_is_not_reported_as_power_now() {
 }
 
 #[test]
-fn a_change_of_rule_is_reported() {
+fn a_change_of_the_total_rule_is_reported() {
     let mut bench = Bench::new();
     let mut one = reading(&[(Domain::Total, Value::Power(1.0))]);
     for i in 0..10 {
@@ -254,16 +254,16 @@ fn a_change_of_rule_is_reported() {
     assert_eq!(found.total_from, "sum_of_rails, then input_rail");
 }
 
-/// What happens to a node.
+/// An event at a node.
 #[derive(Clone, Debug)]
 enum Event {
     /// The meter is read.
     Sample { watts: f64 },
     /// A camera sends a frame.
     Frame { user: usize },
-    /// The detector has run for so long, for so many pictures of these cameras.
+    /// A detector run of `took` ms ends; each entry of `pictures` is the camera of one picture.
     Run { took: u64, pictures: Vec<usize> },
-    /// A camera's clip ends, and its next begins.
+    /// A camera's clip ends and its next one begins.
     Cut { user: usize },
 }
 
@@ -282,12 +282,12 @@ fn events() -> impl Strategy<Value = Vec<(u64, Event)>> {
 
 proptest! {
     #[test]
-    fn the_clips_of_all_cameras_add_up_to_the_nodes_total(
+    fn clips_of_all_cameras_sum_to_the_node_total(
         events in events(),
         counted in any::<bool>(),
     ) {
         let mut bench = Bench::new();
-        // Long enough to be bridged whatever comes between two samples.
+        // Bridges every gap between two samples that the events can make.
         bench.account = account(100_000);
         let users: Vec<u64> = (0..USERS)
             .map(|_| bench.account.cameras.add())
@@ -303,7 +303,7 @@ proptest! {
         let start = bench.at(0);
         let whole = bench.account.open(users[0], start);
         let mut open: Vec<u64> = users.iter().map(|user| bench.account.open(*user, start)).collect();
-        // Clips that have ended and wait for a sample after their end.
+        // Ended clips that wait for a sample after their end.
         let mut ended: Vec<(u64, u64)> = Vec::new();
         let mut shares = Vec::new();
         let mut free_at = 0;
@@ -324,7 +324,7 @@ proptest! {
                     bench.until(open[user], now);
                 }
                 Event::Run { took, pictures } => {
-                    // One run after another; what is asked meanwhile waits.
+                    // Runs are sequential: a call during a run waits for its end.
                     let start = now.saturating_sub(took).max(free_at);
                     free_at = now;
                     let used = ms(now - start) / pictures.len() as u32;

@@ -1,4 +1,4 @@
-//! Promises of the division of energy and of what is saved of the detector's time.
+//! Tests of how energy is divided among cameras and of the detector time that avoided calls save.
 
 use super::*;
 use crate::tests::ms;
@@ -12,7 +12,8 @@ fn two_cameras() -> Attribution {
     cameras
 }
 
-/// Ten watts for so many samples of 100 ms; `work` comes before each. What each camera has of it, and of saved time.
+/// Divides 10 W over `samples` samples of 100 ms, with `work` before each. Returns the joules and the saved seconds of
+/// each camera.
 fn pass(
     cameras: &mut Attribution,
     samples: u64,
@@ -43,14 +44,14 @@ fn assert_near(found: [f64; 2], expected: [f64; 2], by: f64) {
 }
 
 #[test]
-fn detector_time_divides_the_energy_and_frames_divide_it_without() {
+fn energy_is_divided_by_detector_time_or_else_by_frames() {
     let mut cameras = two_cameras();
     let (joules, _) = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(30));
         cameras.called(REAR, ms(10));
     });
     assert_near(joules, [750.0, 250.0], 1e-9);
-    // Frames alone take over within some time constants.
+    // Without calls, frames decide after some time constants.
     pass(&mut cameras, 200, |cameras, sample| {
         cameras.frame(FRONT);
         if sample.is_multiple_of(9) {
@@ -64,19 +65,19 @@ fn detector_time_divides_the_energy_and_frames_divide_it_without() {
         }
     });
     assert_near(joules, [810.0, 90.0], 1.0);
-    // Nothing at all: as before.
+    // Without calls and frames the shares stay as they were.
     let (joules, _) = pass(&mut cameras, 1000, |_, _| {});
     assert!(joules[0] > 800.0 && (joules[0] + joules[1] - 1000.0).abs() < 1e-9);
 }
 
 #[test]
-fn cameras_that_did_nothing_share_equally() {
+fn idle_cameras_share_equally() {
     let (joules, _) = pass(&mut two_cameras(), 10, |_, _| {});
     assert_near(joules, [5.0, 5.0], 1e-9);
 }
 
 #[test]
-fn a_camera_that_comes_has_its_part_from_then_on_and_one_that_goes_takes_none() {
+fn a_new_camera_shares_from_then_on_and_a_removed_one_gets_nothing() {
     let mut cameras = Attribution::default();
     assert_eq!(cameras.add(), FRONT);
     pass(&mut cameras, 10, |cameras, _| cameras.called(FRONT, ms(10)));
@@ -93,7 +94,7 @@ fn a_camera_that_comes_has_its_part_from_then_on_and_one_that_goes_takes_none() 
 }
 
 #[test]
-fn an_avoided_call_saves_the_time_of_a_call() {
+fn an_avoided_call_saves_the_duration_of_a_call() {
     let mut cameras = two_cameras();
     let (_, saved) = pass(&mut cameras, 1000, |cameras, sample| {
         cameras.called(FRONT, ms(20));
@@ -106,9 +107,9 @@ fn an_avoided_call_saves_the_time_of_a_call() {
 }
 
 #[test]
-fn no_more_is_saved_than_the_time_that_one_detector_had_left() {
+fn savings_are_limited_to_the_idle_time_of_one_detector() {
     let mut cameras = two_cameras();
-    // Of each 100 ms it is busy for 80; the calls avoided would have taken 120 more.
+    // It is busy for 80 of each 100 ms; the avoided calls would have taken another 120 ms.
     let (_, saved) = pass(&mut cameras, 1000, |cameras, _| {
         cameras.called(FRONT, ms(40));
         cameras.called(REAR, ms(40));
@@ -118,10 +119,10 @@ fn no_more_is_saved_than_the_time_that_one_detector_had_left() {
 }
 
 #[test]
-fn calls_that_are_avoided_in_a_burst_have_the_time_around_it() {
+fn calls_avoided_in_a_burst_use_the_idle_time_around_it() {
     let mut cameras = two_cameras();
     cameras.called(FRONT, ms(40));
-    // Twice a second four frames come at once: 160 ms of calls that one detector would have spread over two samples.
+    // Four frames arrive at once twice per second: 160 ms of calls that one detector would have spread over two samples.
     let (_, saved) = pass(&mut cameras, 1000, |cameras, sample| {
         if sample.is_multiple_of(5) {
             (0..4).for_each(|_| cameras.avoided(REAR));
@@ -131,7 +132,7 @@ fn calls_that_are_avoided_in_a_burst_have_the_time_around_it() {
 }
 
 #[test]
-fn before_the_first_call_nothing_is_known_to_be_saved() {
+fn nothing_counts_as_saved_before_the_first_call() {
     let (_, saved) = pass(&mut two_cameras(), 10, |cameras, _| cameras.avoided(FRONT));
     assert_near(saved, [0.0, 0.0], f64::MIN_POSITIVE);
 }

@@ -1,4 +1,4 @@
-//! Promises of the supervised child.
+//! Tests of the supervised child process.
 
 use super::*;
 use std::path::Path;
@@ -10,7 +10,7 @@ fn shell(script: &str) -> LineChild {
 
 const LONG: Duration = Duration::from_secs(60);
 
-/// Takes lines until there are `count` of them.
+/// Reads lines until there are at least `count`.
 fn lines(child: &mut LineChild, count: usize) -> Vec<(Instant, String)> {
     let mut found = Vec::new();
     let given_up = std::time::Instant::now() + Duration::from_secs(20);
@@ -27,13 +27,13 @@ fn texts(child: &mut LineChild, count: usize) -> Vec<String> {
     found.map(|(_, line)| line).collect()
 }
 
-/// Whether a process of that number is there, be it as a zombie.
+/// Returns `true` if the process exists, even as a zombie.
 fn exists(process: u32) -> bool {
     Path::new(&format!("/proc/{process}")).exists()
 }
 
 #[test]
-fn lines_come_with_rising_times_and_the_child_is_gone_with_its_owner() {
+fn timestamps_never_decrease_and_drop_ends_and_reaps_the_child() {
     let mut child = shell("while :; do echo tick; sleep 0.02; done");
     let process = child.process().unwrap();
     let found = lines(&mut child, 5);
@@ -44,22 +44,22 @@ fn lines_come_with_rising_times_and_the_child_is_gone_with_its_owner() {
 }
 
 #[test]
-fn a_child_that_ends_is_started_again_and_leaves_no_zombie() {
+fn an_exited_child_is_restarted_and_leaves_no_zombie() {
     let mut child = shell("echo $$; exit 3");
     let processes = texts(&mut child, 3);
     assert_eq!(child.trouble().unwrap(), "it ended with exit status: 3");
-    // The first two have been waited for, or the third could not have been started.
+    // The third child starts only after the first two were reaped.
     for process in &processes[..2] {
         assert!(!exists(process.parse().unwrap()));
     }
 }
 
 #[test]
-fn a_silent_child_is_killed_and_started_again() {
+fn a_silent_child_is_killed_and_restarted() {
     let mut child = shell("echo here; exec sleep 1000");
     assert_eq!(texts(&mut child, 1), ["here"]);
     let stalled = child.process().unwrap();
-    // It has been silent for longer than not at all, and started long enough ago.
+    // Any silence exceeds a limit of zero, and the pause since the start has passed.
     std::thread::sleep(PAUSE);
     child.take(Duration::ZERO);
     assert_eq!(texts(&mut child, 1), ["here"]);
@@ -69,19 +69,19 @@ fn a_silent_child_is_killed_and_started_again() {
 }
 
 #[test]
-fn a_line_cut_off_by_the_childs_death_is_not_given_out() {
+fn an_unfinished_last_line_is_discarded() {
     let mut child = shell("echo whole; printf 'VDD_IN 49'");
     assert_eq!(texts(&mut child, 2), ["whole", "whole"]);
 }
 
 #[test]
-fn a_program_that_is_not_there_is_an_error_at_once() {
+fn a_missing_program_is_an_error_at_start() {
     let error = LineChild::start(Path::new("/nowhere/tegrastats"), &[]).unwrap_err();
     assert_eq!(error.kind(), std::io::ErrorKind::NotFound);
 }
 
 #[test]
-fn lines_nobody_takes_do_not_fill_the_memory() {
+fn the_backlog_of_unread_lines_is_bounded() {
     let folder = tempfile::tempdir().unwrap();
     let done = folder.path().join("done");
     let mut child = shell(&format!(
@@ -93,7 +93,7 @@ fn lines_nobody_takes_do_not_fill_the_memory() {
         assert!(std::time::Instant::now() < given_up);
         std::thread::sleep(Duration::from_millis(5));
     }
-    // What the pipe still held is read, and dropped, by now or in a moment.
+    // The rest of the pipe is read and dropped now or shortly after.
     let found = lines(&mut child, MOST_LINES);
     assert!(found.len() <= MOST_LINES + 1, "{}", found.len());
 }

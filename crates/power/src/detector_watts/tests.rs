@@ -1,10 +1,11 @@
-//! Promises of the learnt watts, on machines whose watts are given.
+//! Tests of the learnt detector watts, on simulated machines of known power.
 
 use super::*;
 use crate::reading::{Reading, Value};
 
-/// A machine that draws `idle` watts at a time, and `busy` more while its detector runs, with calls of `call` each
-/// of which begins at a multiple of `every` where `runs` says so. What is learnt in `seconds`.
+/// A machine that draws `idle` watts at a given time and `busy` watts more while its detector runs. Calls last `call`
+/// and start at multiples of `every` if `runs` returns `true`. [`learn`](Self::learn) returns the watts learnt in
+/// `seconds`.
 struct Machine {
     idle: fn(f64) -> f64,
     busy: f64,
@@ -53,7 +54,7 @@ impl Machine {
     }
 }
 
-/// A share of calls that changes every few seconds.
+/// A call rate that changes every 40 slots.
 fn varied(slot: u64) -> bool {
     let lately = slot / 40 % 7;
     slot % 10 < 2 + lately
@@ -68,13 +69,13 @@ const MACHINE: Machine = Machine {
 };
 
 #[test]
-fn the_watts_of_a_running_detector_are_learnt_within_two_clips() {
+fn detector_watts_are_learnt_within_80_seconds() {
     let found = MACHINE.learn(80, varied).unwrap();
     assert!((found / 10.0 - 1.0).abs() < 0.03, "{found}");
 }
 
 #[test]
-fn slow_changes_of_the_rest_of_the_machine_fall_out() {
+fn slow_changes_of_other_loads_cancel_out() {
     let machine = Machine {
         idle: |t| 60.0 + 20.0 * (t / 600.0).sin(),
         ..MACHINE
@@ -84,7 +85,7 @@ fn slow_changes_of_the_rest_of_the_machine_fall_out() {
 }
 
 #[test]
-fn a_slow_detector_and_a_slow_meter_are_learnt_too() {
+fn detector_watts_are_learnt_with_a_slow_detector_and_meter() {
     let machine = Machine {
         call: Duration::from_millis(265),
         every: Duration::from_millis(400),
@@ -96,14 +97,14 @@ fn a_slow_detector_and_a_slow_meter_are_learnt_too() {
 }
 
 #[test]
-fn a_share_that_never_changes_teaches_nothing() {
+fn a_constant_call_rate_yields_no_estimate() {
     assert_eq!(MACHINE.learn(300, |_| true), None);
     assert_eq!(MACHINE.learn(300, |slot| slot.is_multiple_of(2)), None);
     assert_eq!(MACHINE.learn(300, |_| false), None);
 }
 
 #[test]
-fn a_detector_whose_watts_drown_in_those_of_others_teaches_nothing() {
+fn a_detector_hidden_by_other_loads_yields_no_estimate() {
     let machine = Machine {
         idle: |t| if (t * 0.37).fract() < 0.5 { 30.0 } else { 90.0 },
         busy: 1.0,

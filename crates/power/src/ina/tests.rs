@@ -1,10 +1,10 @@
-//! Promises of the hwmon meters, on trees in the documented layout.
+//! Tests of the hwmon meters, on trees in the documented layout.
 
 use super::*;
 use crate::reading::Domain;
 use crate::tests::Tree;
 
-/// A tree with an INA3221 with these rails, and files that are no rails.
+/// A tree with an INA3221 that has these rails, and with files that are not rails.
 fn tree(rails: &[(&str, i64, i64)]) -> Tree {
     let tree = Tree::default();
     tree.ina3221("hwmon3", rails);
@@ -35,7 +35,7 @@ fn refused(tree: &Tree) -> String {
     Ina::open(&tree.config()).unwrap_err().to_string()
 }
 
-/// One idle AGX Thor, as quoted in public code.
+/// An idle AGX Thor, as quoted in public code.
 const THOR: [(&str, i64, i64); 3] = [
     ("VDD_GPU", 12040, 640),
     ("VDD_CPU_SOC_MSS", 12040, 960),
@@ -47,7 +47,7 @@ fn close(found: Option<f64>, expected: f64) -> bool {
 }
 
 #[test]
-fn power_is_voltage_times_current_and_shunt_inputs_are_no_rails() {
+fn power_is_voltage_times_current_and_shunt_inputs_are_ignored() {
     let tree = tree(&THOR);
     assert!(close(watts(&tree, Domain::Gpu), 7.7056));
     assert!(close(
@@ -58,7 +58,7 @@ fn power_is_voltage_times_current_and_shunt_inputs_are_no_rails() {
 }
 
 #[test]
-fn thors_input_monitor_is_the_total() {
+fn the_input_monitor_of_a_thor_gives_the_total() {
     let tree = tree(&THOR);
     tree.write("sys/class/hwmon/hwmon5/name", "ina238");
     tree.write("sys/class/hwmon/hwmon5/power1_input", "31250000");
@@ -67,7 +67,7 @@ fn thors_input_monitor_is_the_total() {
 }
 
 #[test]
-fn two_monitors_of_one_board_are_one_reading() {
+fn two_monitors_of_a_board_make_one_reading() {
     let tree = tree(&[
         ("VDD_GPU_SOC", 20000, 100),
         ("VDD_CPU_CV", 20000, -20),
@@ -80,7 +80,7 @@ fn two_monitors_of_one_board_are_one_reading() {
 }
 
 #[test]
-fn a_channel_that_is_off_or_fails_is_missing_and_not_zero() {
+fn a_disabled_or_failing_channel_is_missing_rather_than_zero() {
     let tree = tree(&THOR);
     tree.write(format!("{CHIP}/in1_enable"), "0");
     assert_eq!(watts(&tree, Domain::Gpu), None);
@@ -91,7 +91,7 @@ fn a_channel_that_is_off_or_fails_is_missing_and_not_zero() {
 }
 
 #[test]
-fn a_machine_without_monitors_says_where_it_looked_and_one_that_cannot_be_read_names_the_file() {
+fn missing_monitors_and_unreadable_files_are_errors_that_name_the_path() {
     let other = Tree::default();
     other.write("sys/class/hwmon/hwmon0/name", "coretemp");
     let text = refused(&other);

@@ -1,4 +1,4 @@
-//! Promises of the machine's condition, on fixture trees.
+//! Tests of the machine's condition, on fixture trees.
 
 use super::*;
 use crate::tests::{Tree, ms};
@@ -7,7 +7,7 @@ fn read(tree: &Tree) -> Condition {
     Machine::new(&tree.config()).read()
 }
 
-/// Puts the stand-in for nvpmodel there, which says `says`.
+/// Installs a stand-in for nvpmodel that prints `says`.
 fn nvpmodel(tree: &Tree, says: &str) {
     let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/fake_nvpmodel");
     std::os::unix::fs::symlink(fake, tree.path("nvpmodel")).unwrap();
@@ -15,12 +15,12 @@ fn nvpmodel(tree: &Tree, says: &str) {
 }
 
 #[test]
-fn a_machine_that_reports_nothing_has_an_empty_condition() {
+fn a_machine_without_sensors_has_an_empty_condition() {
     assert_eq!(read(&Tree::default()), Condition::default());
 }
 
 #[test]
-fn the_hottest_sensor_that_is_on_comes_with_mean_clocks() {
+fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported() {
     let tree = Tree::default();
     for (file, text) in [
         ("class/thermal/thermal_zone0/type", "cpu-thermal"),
@@ -49,7 +49,7 @@ fn the_hottest_sensor_that_is_on_comes_with_mean_clocks() {
 }
 
 #[test]
-fn throttling_shows_in_cooling_devices_but_not_in_fans() {
+fn an_active_cooling_device_means_throttling_but_a_fan_does_not() {
     let tree = Tree::default();
     let set = |device: &str, kind: &str, state: u8| {
         tree.write(format!("sys/class/thermal/{device}/type"), kind);
@@ -63,7 +63,7 @@ fn throttling_shows_in_cooling_devices_but_not_in_fans() {
 }
 
 #[test]
-fn throttling_shows_in_event_counters_that_rise_and_only_then() {
+fn event_counters_mean_throttling_only_when_they_rise() {
     let tree = Tree::default();
     let counter = "sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count";
     tree.write(counter, "41");
@@ -78,7 +78,7 @@ fn throttling_shows_in_event_counters_that_rise_and_only_then() {
 }
 
 #[test]
-fn without_nvpmodel_the_platform_profile_is_the_mode() {
+fn the_platform_profile_is_the_mode_without_a_working_nvpmodel() {
     let tree = Tree::default();
     tree.write("sys/firmware/acpi/platform_profile", "low-power");
     assert_eq!(read(&tree).mode.as_deref(), Some("low-power"));
@@ -87,7 +87,7 @@ fn without_nvpmodel_the_platform_profile_is_the_mode() {
 }
 
 #[test]
-fn nvpmodel_is_asked_again_and_a_slow_answer_holds_up_no_reading() {
+fn nvpmodel_is_polled_and_a_slow_answer_blocks_no_reading() {
     let tree = Tree::default();
     nvpmodel(&tree, "NV Fan Mode:quiet\nNV Power Mode: MODE_30W\n2");
     let mut machine = Machine::new(&tree.config());
@@ -95,7 +95,7 @@ fn nvpmodel_is_asked_again_and_a_slow_answer_holds_up_no_reading() {
     let calls = || std::fs::read_to_string(tree.path("nvpmodel.calls")).unwrap();
     assert_eq!(calls(), "-q\n", "the next time in a minute");
     machine.mode = follow_mode(tree.path("nvpmodel"), ms(100));
-    // From now on it answers when somebody writes into a pipe.
+    // From now on it answers only after a write to the pipe.
     let says = tree.path("nvpmodel.says");
     std::fs::remove_file(&says).unwrap();
     let made = Command::new("mkfifo").arg(&says).status();

@@ -1,10 +1,10 @@
-//! Promises of the NVML meter, on cards that are not there.
+//! Tests of the NVML meter, on fake cards.
 
 use super::*;
 use std::sync::Mutex;
 use std::time::Duration;
 
-/// What one card says.
+/// The answers of one card.
 #[derive(Clone)]
 struct Fake {
     energy: Result<Option<u64>, String>,
@@ -72,7 +72,7 @@ fn jetson() -> Fake {
     card(None, None)
 }
 
-/// The reading a second after the first, before which the first card becomes `next`.
+/// The second reading, 1 s after the first; the first card becomes `next` in between.
 fn second_reading(machine: &FakeMachine, next: Fake) -> Reading {
     let mut meter = machine.open();
     let start = Instant::now();
@@ -83,7 +83,7 @@ fn second_reading(machine: &FakeMachine, next: Fake) -> Reading {
 }
 
 #[test]
-fn the_energy_counters_are_used_where_all_cards_have_one() {
+fn energy_counters_are_used_if_every_card_has_one() {
     let machine = FakeMachine::new(&[counting(5_000), counting(7_000)]);
     let reading = second_reading(&machine, counting(65_000));
     let total = reading.value(Domain::Total);
@@ -93,7 +93,7 @@ fn the_energy_counters_are_used_where_all_cards_have_one() {
 }
 
 #[test]
-fn power_is_used_where_a_card_counts_no_energy() {
+fn power_is_used_for_a_card_without_an_energy_counter() {
     let machine = FakeMachine::new(&[counting(5_000), card(None, Some(75_500))]);
     let mut meter = machine.open();
     let reading = meter.poll(Instant::now()).unwrap().remove(0);
@@ -104,7 +104,7 @@ fn power_is_used_where_a_card_counts_no_energy() {
 }
 
 #[test]
-fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
+fn no_card_with_a_power_reading_is_an_error() {
     let text = FakeMachine::new(&[jetson()]).refused();
     assert!(text.contains("no card reports its power"), "{text}");
     assert!(text.contains("ina or tegrastats"), "{text}");
@@ -113,14 +113,14 @@ fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
 }
 
 #[test]
-fn a_card_that_reports_nothing_is_left_out_beside_one_that_does() {
+fn a_card_without_readings_is_left_out() {
     let meter = FakeMachine::new(&[jetson(), counting(0)]).open();
     assert_eq!(meter.cards.len(), 1);
     assert_eq!(&*meter.cards[0].name, "1 Test GPU");
 }
 
 #[test]
-fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
+fn a_lost_card_is_an_error_rather_than_zero() {
     let machine = FakeMachine::new(&[counting(0), counting(0)]);
     let mut meter = machine.open();
     meter.poll(Instant::now()).unwrap();
@@ -135,14 +135,14 @@ fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
 }
 
 #[test]
-fn a_driver_that_was_reloaded_does_not_take_energy_back() {
+fn a_driver_reload_does_not_decrease_the_energy() {
     let machine = FakeMachine::new(&[counting(9_000_000)]);
     let reading = second_reading(&machine, counting(10));
     assert_eq!(reading.value(Domain::Total), Some(Value::Counter(0.0)));
 }
 
 #[test]
-fn the_condition_is_that_of_the_hottest_card_and_throttling_of_any() {
+fn the_condition_has_the_hottest_card_and_any_throttling() {
     let mut meter = FakeMachine::new(&[counting(0), counting(0)]).open();
     let found = meter.condition();
     assert_eq!(found.hottest, Some(("gpu".into(), 41.0)));
@@ -150,7 +150,7 @@ fn the_condition_is_that_of_the_hottest_card_and_throttling_of_any() {
 }
 
 #[test]
-fn without_a_driver_the_reason_is_given() {
+fn a_missing_driver_is_reported_with_the_reason() {
     let error = driver::Driver::load(&["/nowhere/libnvidia-ml.so.1"]).err();
     let text = missing(error.unwrap()).to_string();
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Promises of the rail tables.
+//! Tests of the rail tables.
 
 use super::*;
 
@@ -11,7 +11,7 @@ fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
         .collect()
 }
 
-/// What the built-in tables make of these rails.
+/// The reading that the built-in tables make from these rails.
 fn read(list: &[(&str, f64)]) -> Reading {
     RailMap::new(None).unwrap().reading(&rails(list))
 }
@@ -21,7 +21,7 @@ fn watts(reading: &Reading, domain: Domain) -> Option<f64> {
 }
 
 #[test]
-fn every_built_in_table_is_sound() {
+fn every_built_in_table_is_valid() {
     let tables = built_in().unwrap();
     assert!(tables.len() >= 6);
     for table in tables {
@@ -31,7 +31,7 @@ fn every_built_in_table_is_sound() {
 }
 
 #[test]
-fn the_total_is_the_input_rail_where_there_is_one() {
+fn the_total_is_the_input_rail_if_there_is_one() {
     let found = read(&[
         ("VDD_GPU", 2.0),
         ("VDD_CPU_SOC_MSS", 5.9),
@@ -46,7 +46,7 @@ fn the_total_is_the_input_rail_where_there_is_one() {
 }
 
 #[test]
-fn an_input_rail_that_is_missing_is_a_gap_and_not_another_rule() {
+fn a_missing_input_rail_is_a_gap_and_keeps_the_rule() {
     let mut map = RailMap::new(None).unwrap();
     let parts = [
         ("VDD_GPU", 2.0),
@@ -63,14 +63,14 @@ fn an_input_rail_that_is_missing_is_a_gap_and_not_another_rule() {
 }
 
 #[test]
-fn a_sum_with_a_rail_missing_is_no_total() {
+fn a_sum_with_a_missing_rail_gives_no_total() {
     let found = read(&[("VDD_GPU_SOC", 2.0), ("VDD_CPU_CV", 1.0)]);
     assert_eq!(watts(&found, Domain::Total), None);
     assert_eq!(watts(&found, Domain::Gpu), Some(2.0));
 }
 
 #[test]
-fn a_negative_rail_counts_as_zero_and_is_shown_as_read() {
+fn a_negative_rail_counts_as_zero_but_is_reported_as_read() {
     let found = read(&[
         ("VDD_GPU_SOC", 1.592),
         ("VDD_CPU_CV", -0.398),
@@ -82,7 +82,7 @@ fn a_negative_rail_counts_as_zero_and_is_shown_as_read() {
 }
 
 #[test]
-fn a_users_table_goes_before_the_built_in_ones() {
+fn a_user_table_takes_precedence_over_the_built_in_ones() {
     let user: RailTable = toml::from_str(
         "sum = [\"VDD_GPU_SOC\", \"VDDQ_VDD2_1V8AO\"]\nio_mem = [\"VDDQ_VDD2_1V8AO\"]",
     )
@@ -99,7 +99,7 @@ fn a_users_table_goes_before_the_built_in_ones() {
 }
 
 #[test]
-fn a_table_that_counts_a_rail_twice_is_refused_by_name() {
+fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
     let refused = |text: &str| {
         let table: RailTable = toml::from_str(text).unwrap();
         RailMap::new(Some(&table)).unwrap_err().to_string()
@@ -115,7 +115,7 @@ fn a_table_that_counts_a_rail_twice_is_refused_by_name() {
 }
 
 #[test]
-fn an_unknown_board_is_added_up_and_says_so() {
+fn the_rails_of_an_unknown_board_are_summed_and_the_rule_says_so() {
     let found = read(&[("5V", 2.0), ("3V3", 1.0)]);
     assert_eq!(watts(&found, Domain::Total), Some(3.0));
     assert!(found.total_from.contains("unknown board"));

@@ -1,4 +1,4 @@
-//! Promises of the RAPL counters, on powercap trees in the layout of the kernel's documentation.
+//! Tests of the RAPL counters, on powercap trees in the layout of the kernel's documentation.
 
 use super::*;
 use crate::tests::Tree;
@@ -11,7 +11,7 @@ const OTHER: &str = "intel-rapl:1";
 const DRAM: &str = "intel-rapl:1/intel-rapl:1:0";
 const MMIO: &str = "intel-rapl-mmio:0";
 
-/// Where the counters wrap, microjoules.
+/// The value at which the counters wrap, in microjoules.
 const RANGE: u64 = 262_143_328_850;
 
 fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
@@ -20,7 +20,8 @@ fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
     }
 }
 
-/// Joules of the total, GPU, CPU and memory within a second in which counters rose: path, name, counts before and after.
+/// Checks the joules of the total, GPU, CPU and memory over 1 s. Each zone has a path, a name, and its count before and
+/// after.
 #[rstest]
 #[case::subzones_and_the_mmio_duplicate_are_not_added_to_the_package(
     &[
@@ -42,27 +43,27 @@ fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
     [Some(35.0), None, Some(30.0), Some(5.0)],
     "sum_of_rails",
 )]
-#[case::psys_is_the_whole_platform_and_packages_are_not_added_to_it(
+#[case::packages_are_not_added_to_psys(
     &[(PACKAGE, "package-0", 0, 10_000_000), (OTHER, "psys", 0, 25_000_000)],
     [Some(25.0), None, Some(10.0), None],
     "input_rail",
 )]
-#[case::only_the_mmio_zone_is_used_where_there_is_no_other(
+#[case::the_mmio_zone_is_used_if_it_is_the_only_one(
     &[(MMIO, "package-0", 0, 3_000_000)],
     [Some(3.0), None, Some(3.0), None],
     "sum_of_rails",
 )]
-#[case::a_counter_that_wraps_goes_on_counting(
+#[case::counting_continues_across_a_wrap(
     &[(PACKAGE, "package-0", RANGE - 4_000_000, 6_000_000)],
     [Some(10.0), None, Some(10.0), None],
     "sum_of_rails",
 )]
-#[case::a_counter_that_was_reset_is_not_taken_for_one_that_wrapped(
+#[case::a_reset_is_not_mistaken_for_a_wrap(
     &[(PACKAGE, "package-0", 5_000_000_000, 1_000_000)],
     [Some(0.0), None, Some(0.0), None],
     "sum_of_rails",
 )]
-fn the_domains_of(
+fn energy_per_domain(
     #[case] zones: &[(&str, &str, u64, u64)],
     #[case] joules: [Option<f64>; 4],
     #[case] total_from: &str,
@@ -83,7 +84,7 @@ fn the_domains_of(
 }
 
 #[test]
-fn a_machine_without_powercap_says_what_was_looked_for() {
+fn missing_powercap_is_an_error_that_names_folder_and_module() {
     let text = Rapl::open(&Tree::default().config())
         .unwrap_err()
         .to_string();
@@ -94,7 +95,7 @@ fn a_machine_without_powercap_says_what_was_looked_for() {
 }
 
 #[test]
-fn a_psys_counter_that_counts_less_than_its_packages_is_not_believed() {
+fn a_psys_counter_below_its_packages_is_not_trusted() {
     let tree = Tree::default();
     set(
         &tree,

@@ -1,4 +1,4 @@
-//! Promises of the sampler.
+//! Tests of the sampler.
 
 use super::*;
 use crate::account::Measured;
@@ -8,7 +8,7 @@ use crate::tests::Tree;
 use albireo_wire::ClipEnergy;
 use rstest::rstest;
 
-/// A meter that follows a curve of power over the seconds since it was made.
+/// A meter that follows a power curve over the seconds since its creation.
 struct Curve<F>(Instant, F);
 
 impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
@@ -49,7 +49,7 @@ fn total(energy: &ClipEnergy) -> f64 {
     energy.node_joules.unwrap()
 }
 
-/// The node's energy over a span that has begun already.
+/// The node's energy over a span that started in the past.
 async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
     let measured: Measured = (handle.camera().measure(start))
         .finish(end, Duration::MAX)
@@ -59,7 +59,7 @@ async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnerg
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_span_is_answered_to_its_edges_and_the_sampler_stops_when_told() {
+async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() {
     let (handle, start, stop, task) = sampled(|t| Some(10.0 + t));
     let end = start + Duration::from_millis(8_250);
     tokio::time::sleep_until(end).await;
@@ -75,7 +75,7 @@ async fn a_span_is_answered_to_its_edges_and_the_sampler_stops_when_told() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stalled_meter_is_counted_and_its_time_is_not_covered() {
+async fn failed_reads_are_counted_and_their_time_is_not_covered() {
     let (handle, start, stop, task) = sampled(|t| (!(2.95..5.95).contains(&t)).then_some(20.0));
     tokio::time::sleep_until(start + Duration::from_secs(11)).await;
     let found = energy(&handle, start, start + Duration::from_secs(10)).await;
@@ -89,7 +89,7 @@ async fn a_stalled_meter_is_counted_and_its_time_is_not_covered() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn without_a_meter_energy_is_unavailable_and_nobody_waits() {
+async fn without_a_meter_energy_is_unavailable_at_once() {
     let stop = CancellationToken::new();
     let (handle, _task) = start_with(Box::new(NoMeter), Duration::from_millis(100), stop.clone());
     let start = Instant::now();
@@ -108,7 +108,7 @@ async fn without_a_meter_energy_is_unavailable_and_nobody_waits() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn energy_is_right_at_every_interval_the_configuration_accepts() {
+async fn energy_is_exact_from_the_shortest_to_the_longest_interval() {
     for interval in [10, 100, 999, 1000, 1500, 2000, 5000, 10_000] {
         let (handle, start, stop, _task) = sampled_every(interval, |_| Some(10.0));
         let span = handle.camera().measure(start);
@@ -144,7 +144,7 @@ async fn energy_is_right_at_every_interval_the_configuration_accepts() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
+async fn a_stalled_meter_makes_energy_partial_at_short_and_long_intervals() {
     for interval in [100, 1000, 10_000] {
         let (handle, start, stop, _task) =
             sampled_every(interval, |t| (!(35.0..95.0).contains(&t)).then_some(10.0));
@@ -165,7 +165,7 @@ async fn a_meter_that_stalls_makes_energy_partial_at_every_interval() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
+async fn a_clip_waits_for_the_first_sample_after_its_end() {
     let (handle, start, stop, _task) = sampled_every(10_000, Some);
     let span = handle.camera().measure(start);
     let end = start + Duration::from_millis(13_000);
@@ -182,7 +182,7 @@ async fn a_clip_is_reported_when_the_first_sample_after_its_end_has_come() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_meter_that_fails_lets_nobody_wait_for_long_and_what_it_missed_is_not_covered() {
+async fn a_failing_meter_delays_clips_briefly_and_leaves_the_gap_uncovered() {
     let (handle, start, stop, _task) = sampled_every(1_000, |t| (t < 5.5).then_some(10.0));
     let camera = handle.camera();
     let spans: Vec<_> = (0..100).map(|_| camera.measure(start)).collect();
@@ -200,7 +200,7 @@ async fn a_meter_that_fails_lets_nobody_wait_for_long_and_what_it_missed_is_not_
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_clip_that_ends_with_the_node_waits_no_longer_than_it_may() {
+async fn finishing_a_clip_waits_no_longer_than_its_limit() {
     let (handle, start, stop, _task) = sampled_every(10_000, |_| Some(10.0));
     let span = handle.camera().measure(start);
     let end = start + Duration::from_secs(15);
@@ -216,7 +216,7 @@ async fn a_clip_that_ends_with_the_node_waits_no_longer_than_it_may() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_meter_that_panics_is_counted_and_read_again() {
+async fn a_panicking_meter_is_counted_and_read_again() {
     let mut polls = 0;
     let (handle, start, stop, task) = sampled(move |_| {
         polls += 1;
@@ -232,7 +232,7 @@ async fn a_meter_that_panics_is_counted_and_read_again() {
     task.await.unwrap();
 }
 
-/// What a board's, a PC's and a laptop's trees hold, with more files than most have.
+/// The files of a board, a PC and a laptop in one tree, more than most machines have.
 fn tree() -> Tree {
     let tree = Tree::default();
     for chip in ["hwmon1", "hwmon2"] {
@@ -261,7 +261,7 @@ fn tree() -> Tree {
 }
 
 #[rstest]
-fn each_source_of_files_takes_less_than_half_a_percent_of_a_core_at_ten_samples_a_second(
+fn each_file_source_uses_under_half_a_percent_of_a_core_at_ten_samples_per_second(
     #[values(PowerSource::Ina, PowerSource::Rapl, PowerSource::Estimate)] source: PowerSource,
 ) {
     let tree = tree();
@@ -274,7 +274,7 @@ fn each_source_of_files_takes_less_than_half_a_percent_of_a_core_at_ten_samples_
     let seconds = 30;
     let before = thread_cpu();
     for _ in 0..seconds {
-        // Once a second the machine's condition, ten times the meter, as the sampler does.
+        // Per second, the sampler reads the condition once and the meter ten times.
         machine.read();
         for _ in 0..10 {
             meter.poll(Instant::now()).unwrap();

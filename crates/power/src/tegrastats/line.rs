@@ -67,13 +67,16 @@ mod tests {
     #[case::cores("CPU [10%@1000,off,30%@2000]", None)]
     #[case::temperature("cpu@42.5C gpu@38C/44.1C", None)]
     #[case::not_connected("NC 0mW/0mW", None)]
-    #[case::of_a_later_release("FUTURE_TOKEN value", None)]
-    fn a_rail_is_a_name_and_its_power_now(#[case] text: &str, #[case] watts: Option<f64>) {
+    #[case::an_unknown_token("FUTURE_TOKEN value", None)]
+    fn rails_have_their_present_power_and_other_tokens_are_ignored(
+        #[case] text: &str,
+        #[case] watts: Option<f64>,
+    ) {
         assert_eq!(rail(text), watts);
     }
 
     #[rstest]
-    fn a_line_of_another_program_is_refused(
+    fn a_line_of_another_program_is_rejected(
         #[values(
             "",
             "sudo: a password is required",
@@ -87,7 +90,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn no_text_makes_it_fail(text in "RAM (\\PC{0,40} ){0,8}[A-Z@/%,\\[\\]mWC0-9.-]{0,60}") {
+        fn any_ram_line_gives_finite_watts(text in "RAM (\\PC{0,40} ){0,8}[A-Z@/%,\\[\\]mWC0-9.-]{0,60}") {
             let rails = tegrastats_rails(&text).unwrap();
             proptest::prop_assert!(rails.iter().all(|rail| rail.watts.is_finite()));
         }

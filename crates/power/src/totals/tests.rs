@@ -1,9 +1,9 @@
-//! Promises of the totals, checked against the rule written out for a whole span at once.
+//! Tests of the totals against a direct integration over the whole span.
 
 use super::*;
 use proptest::prelude::*;
 
-/// The rule for power: trapezoids clipped to the span.
+/// The integral of power: trapezoids clipped to the span.
 fn power(samples: &[(f64, f64)], start: f64, end: f64, gap: f64) -> Sum {
     let mut sum = Sum::default();
     let mut add = |from: f64, to: f64, watts: f64| {
@@ -33,7 +33,7 @@ fn reading(value: Value) -> Reading {
     }
 }
 
-/// Totals of samples that are bridged over a second.
+/// The totals of these samples, with gaps of up to 1 s bridged.
 fn history(samples: &[(f64, f64)], value: fn(f64) -> Value) -> (History, Instant) {
     let start = Instant::now() + Duration::from_secs(1000);
     let mut history = History::new(Duration::from_millis(100));
@@ -62,7 +62,7 @@ impl History {
 }
 
 fn close(a: f64, b: f64) -> bool {
-    // Moments are whole nanoseconds.
+    // An `Instant` has whole nanoseconds.
     (a - b).abs() <= 1e-6 * b.abs().max(1.0)
 }
 
@@ -75,7 +75,7 @@ fn every_tenth(watts: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
 }
 
 #[test]
-fn a_constant_and_a_ramp_are_exact_when_the_span_cuts_between_samples() {
+fn a_constant_and_a_ramp_are_exact_for_a_span_cut_between_samples() {
     let (constant, zero) = history(&every_tenth(|_| 7.0), Value::Power);
     assert!(close(
         constant.span(zero, 0.237, 9.641).joules,
@@ -107,7 +107,7 @@ fn a_span_between_two_samples_is_interpolated() {
 }
 
 #[test]
-fn a_counter_counts_on_through_a_gap_and_rises_evenly_in_it() {
+fn a_counter_is_interpolated_across_a_short_gap_but_not_a_long_one() {
     let (found, zero) = history(
         &[(0.0, 0.0), (0.5, 1.0), (5.0, 46.0), (5.5, 47.0)],
         Value::Counter,
@@ -128,7 +128,7 @@ fn a_counter_counts_on_through_a_gap_and_rises_evenly_in_it() {
 }
 
 #[test]
-fn nothing_is_assumed_before_the_first_sample_and_after_the_last() {
+fn nothing_is_assumed_before_the_first_sample_or_after_the_last() {
     let (found, zero) = history(&[(0.0, 4.0), (0.5, 6.0)], Value::Power);
     let held = found.span(zero, -0.5, 1.0);
     assert!(close(held.joules, 2.5) && close(held.covered_s, 0.5));
@@ -138,7 +138,7 @@ fn nothing_is_assumed_before_the_first_sample_and_after_the_last() {
 }
 
 #[test]
-fn nothing_known_covers_nothing() {
+fn a_span_without_samples_is_not_covered() {
     let (found, zero) = history(&[], Value::Power);
     assert_eq!(found.span(zero, 0.0, 1.0), Sum::default());
     let (found, zero) = history(&[(0.5, 3.0)], Value::Counter);
@@ -148,7 +148,7 @@ fn nothing_known_covers_nothing() {
 }
 
 #[test]
-fn the_gap_that_is_bridged_follows_from_the_interval() {
+fn the_longest_bridged_gap_depends_on_the_interval() {
     let gap = |ms| longest_gap(Duration::from_millis(ms));
     assert_eq!(gap(10), Duration::from_secs(1));
     assert_eq!(gap(100), Duration::from_secs(1));
@@ -163,7 +163,7 @@ fn uneven_samples() -> impl Strategy<Value = Vec<(f64, f64)>> {
             .into_iter()
             .map(|(dt, watts)| {
                 at += dt;
-                // Whole nanoseconds, as an Instant has.
+                // Whole nanoseconds, like an `Instant`.
                 (Duration::from_secs_f64(at).as_secs_f64(), watts)
             })
             .collect()
@@ -185,7 +185,7 @@ proptest! {
     }
 
     #[test]
-    fn spans_that_tile_add_up(samples in uneven_samples(), cut in 0.05..0.95_f64) {
+    fn adjacent_spans_add_up(samples in uneven_samples(), cut in 0.05..0.95_f64) {
         let (start, end) = (samples[0].0, samples[samples.len() - 1].0);
         let middle = start + cut * (end - start);
         let (summed, zero) = history(&samples, Value::Power);
@@ -196,7 +196,7 @@ proptest! {
     }
 
     #[test]
-    fn a_counter_read_at_both_ends_gives_its_difference(samples in uneven_samples()) {
+    fn a_counter_read_at_both_ends_gives_the_difference(samples in uneven_samples()) {
         let mut total = 0.0;
         let counted: Vec<_> = samples
             .iter()
