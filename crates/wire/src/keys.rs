@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_keys_are_those_of_the_design() {
+    fn keys_follow_the_documented_layout() {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
         assert_eq!(node.target(), "albireo/car-7/target");
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_means_something_to_zenoh_is_refused() {
+    fn names_unsafe_in_a_zenoh_key_are_rejected() {
         for name in ["", "a/b", "*", "a$*", "@alive", "a b", "a#b", "ä"] {
             assert!(check_segment("camera name", name).is_err(), "{name:?}");
         }

@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_heartbeat_is_an_array_of_four_numbers_and_no_status() {
+    fn a_heartbeat_is_an_array_of_four_numbers_unlike_a_status() {
         let heartbeat = Heartbeat {
             run: 509_983_003,
             seq: 33,

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_target_is_one_field_of_its_own_name_or_null_and_nothing_else_may_be_in() {
+    fn a_target_message_holds_one_known_target_or_null() {
         let read = serde_json::from_str::<TargetMessage>;
         let message = read(r#"{"target":{"skip_rate":0.5}}"#).unwrap();
         assert_eq!(

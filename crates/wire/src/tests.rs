@@ -2,7 +2,7 @@ use super::*;
 use albireo_core::policy::FrameState;
 
 #[test]
-fn an_unknown_version_is_refused_by_name() {
+fn an_unknown_version_is_rejected_with_its_number() {
     let error = read::<FrameAttachment>(br#"{"v":9,"seq":1}"#).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -13,7 +13,7 @@ fn an_unknown_version_is_refused_by_name() {
 }
 
 #[test]
-fn the_five_states_add_up() {
+fn the_five_states_sum_to_all_frames() {
     let mut states = FrameStates::default();
     for state in FrameState::ALL {
         states.count(state);
@@ -23,7 +23,7 @@ fn the_five_states_add_up() {
     assert!((states.skip_rate(0) - 0.4).abs() < 1e-12);
 }
 
-/// The batch that batches are compressed against.
+/// The batch that serves as the compression dictionary.
 const EXAMPLE: &[u8] = include_bytes!("report/dictionary-1.json");
 
 fn example() -> ReportBatch {
@@ -31,7 +31,7 @@ fn example() -> ReportBatch {
 }
 
 #[test]
-fn a_batch_comes_back_as_it_was_sent() {
+fn a_batch_survives_compression_unchanged() {
     let batch = example();
     assert_eq!(batch.reports.len(), 8);
     assert_eq!(batch.reports[0].id.get_version_num(), 7);
@@ -40,15 +40,15 @@ fn a_batch_comes_back_as_it_was_sent() {
         assert!(payload.len() < 1000, "{}", payload.len());
         assert_eq!(ReportBatch::from_payload(&payload).unwrap(), batch);
     }
-    // Nothing in the example is passed over in silence: each field of it is there again.
+    // Every field of the example is known: writing it again gives the same JSON.
     let value = |json: &[u8]| serde_json::from_slice::<serde_json::Value>(json).unwrap();
     assert_eq!(value(&serde_json::to_vec(&batch).unwrap()), value(EXAMPLE));
 }
 
 #[test]
-fn a_bomb_is_refused() {
+fn a_decompression_bomb_is_rejected() {
     use std::io::Write;
-    // And one that wants a window of half a gigabyte before it says anything.
+    // The second one needs a window of 512 MiB to decompress.
     let spaces = vec![b' '; LARGEST_BATCH_BYTES + 1];
     for window in [None, Some(29)] {
         let mut bomb = zstd::Encoder::new(vec![REPORT_DICTIONARY], 3).unwrap();
@@ -65,7 +65,7 @@ fn a_bomb_is_refused() {
 }
 
 #[test]
-fn a_corrupt_batch_and_one_of_another_dictionary_are_rejected() {
+fn a_corrupt_batch_and_an_unknown_dictionary_are_rejected() {
     let error = ReportBatch::from_payload(&[REPORT_DICTIONARY + 1, 0, 0]).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -81,7 +81,7 @@ fn a_corrupt_batch_and_one_of_another_dictionary_are_rejected() {
 }
 
 #[test]
-fn a_report_of_a_later_version_is_read_as_far_as_it_is_known() {
+fn unknown_fields_and_values_in_a_report_are_tolerated() {
     let report = &example().reports[0];
     let mut json = serde_json::to_value(report).unwrap();
     json["ended_by"] = "eclipse".into();
@@ -93,7 +93,7 @@ fn a_report_of_a_later_version_is_read_as_far_as_it_is_known() {
 }
 
 #[test]
-fn a_threshold_that_cannot_be_read_is_not_taken_for_none() {
+fn an_invalid_threshold_is_an_error_rather_than_none() {
     let camera = |threshold: &str| {
         let json = format!(
             r#"{{"name":"front","state":"never_seen","threshold_source":"local"{threshold}}}"#
@@ -110,7 +110,7 @@ fn a_threshold_that_cannot_be_read_is_not_taken_for_none() {
 }
 
 #[test]
-fn calls_by_cause_are_named_as_in_the_message_of_a_frame_and_survive_a_later_version() {
+fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
     let mut calls = DetectorCalls::default();
     for cause in CallCause::ALL {
         assert_eq!(CallCause::ALL[cause as usize], cause);
@@ -130,7 +130,7 @@ fn calls_by_cause_are_named_as_in_the_message_of_a_frame_and_survive_a_later_ver
 }
 
 #[test]
-fn a_desired_setting_is_a_threshold_a_target_or_no_target() {
+fn a_desired_setting_is_a_threshold_a_target_or_a_null_target() {
     for (setting, text) in [
         (
             DesiredSetting::Threshold(Threshold::new("u", 5e-4)),

@@ -90,7 +90,7 @@ mod tests {
     use albireo_core::policy::{Albireo, ExpectedLoss};
 
     #[test]
-    fn a_message_may_leave_the_version_out_and_nothing_else_may_be_in() {
+    fn the_version_is_optional_and_missing_or_unknown_fields_are_rejected() {
         let read = serde_json::from_str::<ThresholdMessage>;
         let message = read(r#"{"threshold":{"name":"u","value":5e-4}}"#).unwrap();
         assert_eq!(
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_name_is_cut_and_one_that_does_not_fit_is_refused() {
+    fn new_truncates_a_long_name_and_deserialising_rejects_it() {
         assert_eq!(
             Threshold::new("component_size", 1.0).name.as_str(),
             "component_size"
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn another_policys_threshold_is_refused_by_name() {
+    fn a_threshold_of_another_policy_is_rejected_by_name() {
         let threshold = Threshold::new("u", 5e-4);
         assert_eq!(threshold.value_of(&Albireo::KNOB), Ok(5e-4));
         let error = threshold.value_of(&ExpectedLoss::KNOB).unwrap_err();
