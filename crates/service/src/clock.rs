@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_have_the_digits_that_mean_something() {
+    fn figures_are_rounded_to_meaningful_digits() {
         assert_eq!(milliseconds(Duration::from_nanos(1_234_567)), 1.235);
         assert_eq!(seconds(Duration::from_micros(1_234_567)), 1.235);
         assert_eq!(significant(1.912_345_678e-4, 6), 1.912_35e-4);

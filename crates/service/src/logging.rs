@@ -92,11 +92,11 @@ mod tests {
     use parking_lot::Mutex;
     use tracing::{Level, subscriber::with_default};
 
-    /// Held by a test that sets a subscriber: `tracing` caches for all threads what the subscribers there are want.
+    /// Held by each test that sets a subscriber: `tracing` caches the interest of all subscribers process-wide.
     pub(super) static ONE_SUBSCRIBER: Mutex<()> = Mutex::new(());
 
     #[test]
-    fn what_nobody_reads_is_not_made() {
+    fn events_that_nothing_records_are_disabled() {
         let _alone = ONE_SUBSCRIBER.lock();
         let log = subscriber("warn", LogFormat::Human).unwrap();
         with_default(log, || {
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_is_never_less_than_info() {
+    fn a_plain_tail_level_is_at_least_info() {
         assert_eq!(tail_level(" warn"), "info");
         assert_eq!(tail_level("debug"), "debug");
         assert_eq!(
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn libraries_are_quiet_unless_asked_for() {
+    fn ort_logs_only_warnings_unless_configured() {
         let directives = |level: &str| -> Vec<String> {
             let filter = filter(level).unwrap().to_string();
             filter.split(',').map(str::to_owned).collect()

@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_family_has_its_description_once_and_a_line_for_each_sample() {
+    fn a_family_has_one_description_and_one_line_per_sample() {
         let mut page = MetricsPage::default();
         page.gauge("up", "Whether it works", 1.0);
         page.gauge("sessions", "Sessions", None);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_histogram_counts_what_is_at_most_each_bound() {
+    fn histogram_buckets_are_cumulative_and_include_their_bound() {
         let mut histogram = LatencyHistogram::default();
         for seconds in [0.0001, 0.5, 0.75, 4.0] {
             histogram.observe(seconds);

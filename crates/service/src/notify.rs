@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_service_that_is_well_is_ready_once_and_feeds_the_watchdog() {
+    async fn a_healthy_service_reports_ready_once_and_feeds_the_watchdog() {
         let (recorded, _look, shutdown, task) = watch(well());
         tokio::time::sleep(Duration::from_millis(10_500)).await;
         assert_eq!(recorded.count("READY=1"), 1);
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn one_that_waits_for_others_is_fed_and_counts_as_started_after_a_while() {
+    async fn a_waiting_service_feeds_the_watchdog_and_reports_ready_after_30_seconds() {
         let waits = ServiceState {
             reasons: "zenoh: no\nrouter".to_owned(),
             ..ServiceState::default()
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn one_that_is_stuck_is_not_fed_until_it_works_again() {
+    async fn a_stuck_service_does_not_feed_the_watchdog_until_it_recovers() {
         let (recorded, read, shutdown, task) = watch(well());
         tokio::time::sleep(Duration::from_millis(2_500)).await;
         read.lock().stuck = Some("the detector".to_owned());

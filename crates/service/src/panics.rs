@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_contained_panic_comes_back_and_the_next_one_is_not_contained() {
+    fn a_contained_panic_is_returned_and_containment_ends() {
         let text = contain(|| panic!("row {}", 3))
             .map(|(): ()| ())
             .unwrap_err();

@@ -58,8 +58,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn this_process_has_all_of_them() {
-        // Processor time is counted in ticks of 10 ms: it takes a while to have used one.
+    fn all_six_figures_of_this_process_are_positive() {
+        // Processor time has a resolution of 10 ms, so the first tick takes a while.
         let begun = std::time::Instant::now();
         while figures().first().is_some_and(|(.., cpu)| *cpu == 0.0) {
             assert!(begun.elapsed().as_secs() < 60, "no processor time");

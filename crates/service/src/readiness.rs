@@ -281,7 +281,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
 
     #[tokio::test(start_paused = true)]
-    async fn the_worst_fault_decides_and_each_part_has_its_reasons_and_since_when() {
+    async fn the_worst_fault_decides_and_parts_have_reasons_and_durations() {
         let readiness = Readiness::default();
         assert_eq!(readiness.health().state(), HealthState::Ready);
         readiness.part("power").degraded("the meter cannot be read");
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn what_a_probe_sees_reaches_those_who_wait_once() {
+    async fn a_probed_fault_is_published_once() {
         let readiness = Readiness::default();
         let closed = Arc::new(AtomicBool::new(false));
         let faults = Arc::clone(&closed);

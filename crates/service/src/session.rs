@@ -165,7 +165,7 @@ mod tests {
     use crate::config::ZenohMode;
 
     #[test]
-    fn a_zenoh_error_is_shown_without_the_paths_of_its_sources() {
+    fn a_zenoh_error_is_shown_without_source_paths() {
         assert_eq!(
             without_places(
                 "Can not create listener [Address in use at /home/x/.cargo/registry/src/a-1/b.rs:75.] at /y/o.rs:910."
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_client_waits_for_its_router_also_with_a_configuration_file_of_zenoh() {
+    async fn a_client_with_a_zenoh_configuration_file_waits_for_its_router() {
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let endpoint = format!("tcp/{}", free.local_addr().unwrap());
         drop(free);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_are_spread() {
+    fn retry_pauses_are_jittered() {
         let pause = Duration::from_secs(2);
         let spread: std::collections::BTreeSet<_> = (0..50).map(|_| jittered(pause)).collect();
         assert!(spread.len() > 10);

@@ -291,7 +291,7 @@ mode = slow: there is one mode";
     }
 
     #[test]
-    fn everything_that_is_wrong_is_found_in_one_go_and_in_plain_words() {
+    fn all_errors_in_a_file_are_reported_at_once_in_plain_words() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("small.toml");
         let text = "[http]\ntimeout = \"long\"\nloud = 1\nprot = 8080\n[[camera]]\nring = \"two\"\n\
@@ -318,7 +318,7 @@ mode = slow: there is one mode";
     }
 
     #[test]
-    fn a_removed_key_or_value_is_refused_with_what_became_of_it() {
+    fn a_removed_key_or_value_is_rejected_with_the_reason() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("small.toml");
         std::fs::write(&file, "mode = \"slow\"\n[http]\nport = 1\nbacklog = 5\n").unwrap();
@@ -337,7 +337,7 @@ mode = slow: there is one mode";
     }
 
     #[test]
-    fn a_variable_is_named_as_it_is_set() {
+    fn a_key_is_named_as_its_environment_variable() {
         assert_eq!(
             variable("http.cors_origins"),
             "environment variable ALBIREO_HTTP__CORS_ORIGINS"
@@ -345,7 +345,7 @@ mode = slow: there is one mode";
     }
 
     #[test]
-    fn a_variable_with_one_underscore_too_few_is_reported() {
+    fn a_variable_with_a_missing_underscore_is_reported() {
         let names = [
             "ALBIREO_HTTP_LISTEN",
             "ALBIREO_HTTP__LISTEN",

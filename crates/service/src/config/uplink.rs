@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_section_is_something_zenoh_understands() {
+    fn the_section_makes_a_valid_zenoh_configuration() {
         let uplink = UplinkConfig {
             connect: vec!["tls/hub.example:7447".to_owned()],
             root_ca_certificate: Some("ca.pem".into()),

@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_endpoint_whose_transport_is_not_built_in_is_refused_in_words() {
+    fn an_endpoint_with_a_transport_that_is_not_built_in_is_rejected() {
         let endpoints = [
             "quic/hub:1",
             "ws/hub:1",
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_section_is_something_zenoh_understands() {
+    fn the_default_section_is_valid_and_a_missing_file_is_named() {
         let mut zenoh = ZenohConfig::default();
         zenoh.to_zenoh(1 << 20).unwrap();
         zenoh.config_file = Some("/nowhere/zenoh.json5".into());

@@ -322,7 +322,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pages_of_other_sites_are_recognised_and_own_pages_and_other_clients_are_not() {
+    fn only_requests_from_pages_of_other_sites_count_as_foreign() {
         let guard = Guard {
             rule: Arc::new(Rule::ThisMachine),
             origins: Arc::new(["https://fleet.example".to_owned()]),
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn only_addresses_and_localhost_are_this_machine() {
+    fn only_ip_addresses_and_localhost_are_accepted_as_host() {
         for host in [
             "localhost",
             "LOCALHOST:80",

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_lines_are_kept_and_those_after_a_number_can_be_had() {
+    fn the_last_lines_are_kept_and_can_be_read_after_a_number() {
         let mut lines = VecDeque::new();
         for number in 1..=KEPT + 3 {
             keep(&mut lines, line(&number.to_string()));
@@ -190,9 +190,9 @@ mod tests {
         );
     }
 
-    // One test, for the lines and the secrets are those of the process.
+    // A single test, because the lines and the secrets are global to the process.
     #[test]
-    fn a_line_says_where_it_comes_from_and_no_secret_is_in_it() {
+    fn a_line_names_its_span_and_hides_secrets() {
         let _alone = super::super::tests::ONE_SUBSCRIBER.lock();
         tracing::subscriber::with_default(tracing_subscriber::registry().with(layer()), || {
             let span = tracing::info_span!("camera", name = "front");

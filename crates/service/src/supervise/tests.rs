@@ -11,12 +11,12 @@ struct Bench {
     readiness: Readiness,
     tally: TaskTally,
     shutdown: CancellationToken,
-    /// When the task was started, each time.
+    /// The time of each start of the task.
     starts: UnboundedReceiver<Instant>,
     watching: JoinHandle<Result<(), TaskFailed>>,
 }
 
-/// Runs a task that does `what` with the number of its start, from 0.
+/// Supervises a task that runs `what` with the number of its start, counted from 0.
 fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     what: impl Fn(u32, CancellationToken) -> F + Clone + Send + Sync + 'static,
 ) -> Bench {
@@ -52,7 +52,7 @@ fn counts(failures: u64, restarts: u64) -> Vec<(String, TaskCounts)> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_task_that_panics_is_counted_named_and_restarted() {
+async fn a_panicking_task_is_counted_reported_and_restarted() {
     let mut bench = bench(|number, stop| async move {
         if number == 0 {
             panic!("index out of bounds");
@@ -84,7 +84,7 @@ async fn a_task_that_panics_is_counted_named_and_restarted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
+async fn the_restart_pause_doubles_to_a_limit_and_resets_after_a_calm_run() {
     let mut bench = bench(|number, _| async move {
         if number == 3 {
             tokio::time::sleep(2 * CALM).await;
@@ -109,12 +109,12 @@ async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_task_that_ends_before_the_shutdown_has_failed() {
+async fn a_task_that_ends_before_the_shutdown_counts_as_failed() {
     let mut bench = bench(|_, _| async {});
     for _ in 0..3 {
         bench.starts.recv().await.unwrap();
     }
-    // The third run may have ended by now.
+    // The third run may already have ended.
     let reported = bench.tally.counts();
     assert!(
         reported[0].1.failures >= 2 && reported[0].1.restarts == 2,
@@ -125,7 +125,7 @@ async fn a_task_that_ends_before_the_shutdown_has_failed() {
 }
 
 #[tokio::test]
-async fn an_essential_task_that_fails_ends_the_service() {
+async fn watch_returns_the_failure_of_an_essential_task() {
     let (readiness, shutdown) = (Readiness::default(), CancellationToken::new());
     let mut supervisor = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
     let stop = shutdown.clone();
@@ -144,7 +144,7 @@ async fn an_essential_task_that_fails_ends_the_service() {
 }
 
 #[tokio::test]
-async fn a_part_that_outlives_the_others_is_watched_until_the_shutdown() {
+async fn an_until_shutdown_task_does_not_delay_shutdown_and_fails_if_it_ends_early() {
     let shutdown = CancellationToken::new();
     let mut supervisor =
         Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
@@ -164,7 +164,7 @@ async fn a_part_that_outlives_the_others_is_watched_until_the_shutdown() {
 }
 
 #[tokio::test]
-async fn a_supervisor_without_tasks_waits_for_the_shutdown() {
+async fn watch_without_tasks_returns_on_shutdown() {
     let shutdown = CancellationToken::new();
     let mut supervisor =
         Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());

@@ -6,7 +6,7 @@ fn asking(name: HeaderName, value: &'static str) -> HeaderMap {
 }
 
 #[test]
-fn gzip_is_sent_to_those_who_take_it() {
+fn gzip_needs_an_accept_encoding_that_allows_it() {
     for (value, takes) in [
         ("gzip", true),
         ("br, GZIP;q=0.5", true),
@@ -25,7 +25,7 @@ fn gzip_is_sent_to_those_who_take_it() {
 }
 
 #[test]
-fn the_page_is_served_under_a_strict_policy_whether_it_was_built_or_not() {
+fn each_page_has_a_strict_content_security_policy() {
     for page in [Page::Node, Page::Hub] {
         let response = page.answer(&HeaderMap::new());
         assert_eq!(response.status(), StatusCode::OK);
@@ -39,7 +39,7 @@ fn the_page_is_served_under_a_strict_policy_whether_it_was_built_or_not() {
 }
 
 #[test]
-fn only_parts_of_pages_are_served() {
+fn files_that_are_not_page_assets_are_not_served() {
     for name in [".gitignore", "node.html.gz", "../Cargo.toml", "assets/", ""] {
         assert!(
             file(name, &HeaderMap::new(), "no-cache").is_none(),
@@ -48,9 +48,9 @@ fn only_parts_of_pages_are_served() {
     }
 }
 
-/// What the embedded build holds, if there is one: every check is of real files.
+/// Checks the files of the embedded build; passes if there is none.
 #[test]
-fn what_was_built_is_sent_compressed_to_those_who_take_it() {
+fn assets_are_compressed_if_the_client_accepts_gzip() {
     let names: Vec<_> = Built::iter()
         .filter(|name| media_type(name).is_some())
         .collect();
