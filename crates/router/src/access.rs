@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn zenoh_takes_the_rules_and_each_node_has_its_own() {
+    fn zenoh_accepts_the_rules_and_each_node_has_its_own() {
         let entries = [
             entry(Role::Node, "car-7", 2, None),
             entry(Role::Node, "car-8", 1, None),
@@ -225,7 +225,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_names_are_taken_no_node_reaches_the_keys_of_another(
+        fn no_accepted_name_lets_a_node_send_on_the_node_keys_of_another(
             prefix in prop_oneof!["[a-z]{1,3}(/[a-z]{1,3})?", "[a-z/@*$ ]{1,4}"],
             names in proptest::collection::vec(prop_oneof![4 => "[a-z0-9-]{1,3}", 1 => "[a-z/@*$#?. -]{1,3}"], 2..5),
         ) {
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_revoked_certificate_is_in_no_rule_and_no_certificate_at_all_is_an_error() {
+    fn a_list_of_only_revoked_certificates_is_an_error() {
         let folder = Path::new("/nowhere");
         let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
         let refused = access_control(folder, &revoked, "albireo", false);

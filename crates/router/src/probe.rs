@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_failure_is_a_storm_and_three_in_a_row_are_stuck() {
+    fn three_failures_in_a_row_count_as_stuck_but_two_do_not() {
         let probes = Probes::default();
         for _ in 0..2 {
             probes.record(Err("none".to_owned()));

@@ -23,7 +23,7 @@ fn common_name_of(issued: &Issued) -> String {
 }
 
 #[test]
-fn a_certificate_carries_role_name_and_issue_and_its_key_is_the_owners_alone() {
+fn a_certificate_names_role_name_and_issue_and_keys_are_private() {
     let folder = tempfile::tempdir().unwrap();
     let issued = issue(&mut authority(folder.path()), Role::Node, "car-7").unwrap();
     assert_eq!(common_name_of(&issued), "node/car-7/1");
@@ -39,7 +39,7 @@ fn a_certificate_carries_role_name_and_issue_and_its_key_is_the_owners_alone() {
 }
 
 #[test]
-fn openssl_finds_the_chain_good_and_the_purposes_right() {
+fn openssl_accepts_the_chain_for_the_intended_purposes() {
     let folder = tempfile::tempdir().unwrap();
     let mut authority = authority(folder.path());
     let hosts = ["router.example".to_owned(), "127.0.0.1".to_owned()];
@@ -73,13 +73,13 @@ fn openssl_finds_the_chain_good_and_the_purposes_right() {
 }
 
 #[test]
-fn a_name_has_one_good_certificate_and_another_issue_after_it_was_revoked() {
+fn a_name_has_one_valid_certificate_and_a_new_issue_after_revocation() {
     let folder = tempfile::tempdir().unwrap();
     let mut authority = authority(folder.path());
     issue(&mut authority, Role::Node, "car-7").unwrap();
     let again = issue(&mut authority, Role::Node, "car-7");
     assert_refused(again, "renew it, or revoke it first");
-    // Another role is another holder.
+    // The same name in another role is a different holder.
     issue(&mut authority, Role::Hub, "car-7").unwrap();
     assert_eq!(authority.revoke(Role::Node, "car-7").unwrap().issue, 1);
     let twice = authority.revoke(Role::Node, "car-7");
@@ -92,7 +92,7 @@ fn a_name_has_one_good_certificate_and_another_issue_after_it_was_revoked() {
 }
 
 #[test]
-fn a_renewed_certificate_has_the_same_name_another_key_and_a_later_end() {
+fn renewal_keeps_the_name_and_replaces_key_and_expiry() {
     let folder = tempfile::tempdir().unwrap();
     let mut authority = authority(folder.path());
     let first = issue(&mut authority, Role::Node, "car-7").unwrap();
@@ -107,7 +107,7 @@ fn a_renewed_certificate_has_the_same_name_another_key_and_a_later_end() {
 }
 
 #[test]
-fn a_second_authority_is_not_put_over_the_first() {
+fn a_second_authority_does_not_overwrite_the_first() {
     let folder = tempfile::tempdir().unwrap();
     drop(authority(folder.path()));
     let again = Authority::create(folder.path(), "other", YEAR);
@@ -115,7 +115,7 @@ fn a_second_authority_is_not_put_over_the_first() {
 }
 
 #[test]
-fn names_that_mean_something_to_zenoh_and_times_that_cannot_be_are_refused() {
+fn unsafe_names_and_impossible_lifetimes_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let mut authority = authority(folder.path());
     for name in ["", "a/b", "*", "../x", "a b"] {
@@ -129,7 +129,7 @@ fn names_that_mean_something_to_zenoh_and_times_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn a_list_that_cannot_be_read_is_an_error_and_left_alone() {
+fn an_unreadable_list_is_an_error_and_stays_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     drop(authority(folder.path()));
     let list = folder.path().join("list.json");
