@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_cost_of_this_process_can_be_read_and_that_of_none_is_absent() {
+    fn cost_is_measured_for_this_process_and_absent_for_a_missing_one() {
         let mut own = Process::begin("own", std::process::id());
         let mut spent = 0u64;
         let until = Instant::now() + std::time::Duration::from_millis(60);

@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lower_revision_never_replaces_a_higher_and_a_refusal_is_said_once() {
+    fn an_older_revision_is_ignored_and_a_rejection_is_reported_once() {
         let mut node = node(Options::default());
         assert!(node.take(&desired(5, 1e-3)));
         assert!(!node.take(&desired(5, 1e-3)) && !node.take(&desired(4, 1e-4)));
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_moves_the_value_and_a_value_ends_the_target() {
+    fn a_target_changes_the_threshold_and_a_threshold_ends_the_target() {
         let mut node = node(Options::default());
         let hold = |revision, target| Desired {
             revision,
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_has_the_value_that_held_when_its_clip_was_made() {
+    fn a_report_has_the_threshold_in_force_when_its_clip_was_made() {
         let mut node = node(Options {
             backlog: 3,
             ..Options::default()
@@ -466,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_costs_more_where_the_run_says_that_a_value_is_bad() {
+    fn a_clip_costs_more_above_the_threshold_configured_as_worse() {
         let behaviour = Behaviour {
             worse_above: Some(4e-4),
             worse_by: 1.5,
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fleet_begins_between_two_batches_and_no_clip_lies_ahead() {
+    fn nodes_start_at_every_point_of_a_batch_and_no_clip_is_in_the_future() {
         let started = 1_000_000_000_000_000_000;
         let waiting: std::collections::BTreeSet<u64> = (0..100)
             .map(|index| {
@@ -508,7 +508,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_report_is_sent_until_it_is_acknowledged_under_one_identity(steps in prop::collection::vec((0u64..5, 1u64..8, any::<bool>()), 1..50)) {
+        fn every_report_is_sent_under_one_id_until_it_is_acknowledged(steps in prop::collection::vec((0u64..5, 1u64..8, any::<bool>()), 1..50)) {
             let mut node = node(Options::default());
             let (mut sent, mut acknowledged) = (std::collections::BTreeSet::new(), 0);
             for (more, most, answered) in steps {

@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fleet_is_played_to_this_machine_only_and_within_bounds() {
+    fn only_local_endpoints_and_sizes_within_limits_are_accepted() {
         let with = |change: &dyn Fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);

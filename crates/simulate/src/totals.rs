@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_those_of_the_delays() {
+    fn percentiles_match_known_delays() {
         let delays = Delays::default();
         for ms in 1..=1_000 {
             delays.add(Duration::from_millis(ms));
