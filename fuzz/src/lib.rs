@@ -1,6 +1,6 @@
-//! Feeds foreign input to every parser. A function here must return, whatever the bytes: a panic, an overflow, memory without
-//! bound or a value that does not survive being written and read again is a fault. Each says whether the bytes were valid, so
-//! that a corpus whose inputs are all refused is noticed.
+//! Feeds untrusted input to every parser. Each function must return for any bytes. A panic, an overflow, unbounded memory
+//! or a value that changes when it is written and read again is a fault. The result is `true` for valid bytes, which
+//! exposes a corpus whose inputs are all rejected.
 
 use albireo_core::geometry::PictureSize;
 use albireo_hub::config::HubConfig;
@@ -35,10 +35,10 @@ use tokio_util::sync::CancellationToken;
 use tower_service::Service;
 use zenoh::key_expr::KeyExpr;
 
-/// A target: its name, which is that of its corpus, and what it does with some bytes.
+/// A target: the name that it shares with its corpus, and the function that takes the bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
-/// Every target.
+/// All targets.
 pub const TARGETS: [Target; 15] = [
     ("access", access),
     ("attachment", attachment),
@@ -57,7 +57,7 @@ pub const TARGETS: [Target; 15] = [
     ("tegrastats", tegrastats),
 ];
 
-/// Small, so that an input is quick.
+/// Small limits, to keep each input fast.
 fn limits() -> FrameLimits {
     FrameLimits {
         max_payload_bytes: 1 << 20,
@@ -82,7 +82,7 @@ fn sample(
     let (_, Ok(frame)) = read_frame(raw, format, &limits()) else {
         return false;
     };
-    // A header can promise more pixels than an input of some kilobytes is worth.
+    // A small input may declare a huge picture, which takes too long to decode.
     if frame.picture.size.pixels() > 1 << 20 {
         return false;
     }
@@ -112,19 +112,19 @@ pub fn frame(data: &[u8]) -> bool {
     sample(payload, encoding, Some(size), PayloadFormat::Encoding)
 }
 
-/// The attachment of a frame that is good by itself: 2 by 2 pixels.
+/// The attachment of an otherwise valid frame of 2 × 2 pixels.
 pub fn attachment(data: &[u8]) -> bool {
     let raw = "image/raw;rgb8";
     sample(&[7; 12], raw, Some(data), PayloadFormat::Encoding)
 }
 
-/// A ROS 2 message, as either of the two types.
+/// A ROS 2 message, read as each of the two types.
 pub fn ros2(data: &[u8]) -> bool {
     let formats = [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image];
     (formats.map(|format| sample(data, "", None, format))).contains(&true)
 }
 
-/// What a camera's program writes: parts of a multipart stream, PNG or PPM files, one after the other.
+/// The output of a camera's program: a sequence of multipart parts, PNG files or PPM files.
 pub fn picture_stream(data: &[u8]) -> bool {
     fn drain<T, E>(data: &[u8], mut next: impl FnMut(&mut &[u8]) -> Result<Option<T>, E>) -> bool {
         let mut stream = data;
@@ -147,7 +147,7 @@ pub fn picture_stream(data: &[u8]) -> bool {
     .contains(&true)
 }
 
-/// Reads JSON; where that works, what is written of it must be read as the same.
+/// Reads JSON. A valid value must be equal after it is written and read again.
 fn json<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> bool {
     let Ok(first) = serde_json::from_slice::<T>(data) else {
         return false;
@@ -158,15 +158,15 @@ fn json<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> boo
     true
 }
 
-/// As [`json`], of a message with its version.
+/// Does the same as [`json`] for a message with a version.
 fn message<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> bool {
     read::<T>(data).is_ok() && json::<T>(data)
 }
 
-/// A node's reports.
+/// A batch of a node's reports.
 pub fn report_batch(data: &[u8]) -> bool {
     message::<ReportAnswer>(data);
-    // Fuzzing rarely finds its way through the compression, so the JSON within is an input too.
+    // Fuzzing rarely gets past the compression, so plain JSON is an input too.
     let Ok(mut batch) = read(data).or_else(|_| ReportBatch::from_payload(data)) else {
         return false;
     };
@@ -182,7 +182,7 @@ pub fn report_batch(data: &[u8]) -> bool {
     true
 }
 
-/// What a node says of itself.
+/// A node's status or heartbeat.
 pub fn status(data: &[u8]) -> bool {
     let valid = [message::<StatusMessage>(data), json::<NodeStatus>(data)].contains(&true);
     let Ok(beat) = Heartbeat::read(data) else {
@@ -194,7 +194,7 @@ pub fn status(data: &[u8]) -> bool {
     true
 }
 
-/// What a hub or a person sets at a node.
+/// The settings that a hub or a user sends to a node.
 pub fn desired(data: &[u8]) -> bool {
     [
         message::<Desired>(data),
@@ -249,7 +249,8 @@ pub fn tegrastats(data: &[u8]) -> bool {
     tegrastats_rails(&String::from_utf8_lossy(data)).is_some()
 }
 
-/// Names in Zenoh keys: one that is taken is one chunk of a key that Zenoh takes, without a wildcard, and comes out again.
+/// Names in Zenoh keys. The keys of an accepted name are valid in Zenoh and have no wildcard. The name is one chunk and can
+/// be read back.
 pub fn names(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));
@@ -271,7 +272,7 @@ pub fn names(data: &[u8]) -> bool {
     true
 }
 
-/// A rollout as a person asks for it, and a selection of nodes.
+/// A rollout request and a selection of nodes.
 pub fn rollout(data: &[u8]) -> bool {
     if let Ok(selector) = Selector::new(&[String::from_utf8_lossy(data)]) {
         selector.selects(
@@ -298,7 +299,7 @@ pub fn rollout(data: &[u8]) -> bool {
     true
 }
 
-/// Access rules as a router reads them, and the list of certificates that they are made from.
+/// A router's access rules, and the list of certificates that they are generated from.
 pub fn access(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let mut router = zenoh::Config::default();

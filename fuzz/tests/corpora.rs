@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use std::path::Path;
 
-/// The inputs of a target's corpus, what fuzzing found among them.
+/// The inputs of a target's corpus, including those that fuzzing found.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("corpus")
@@ -21,7 +21,7 @@ fn corpus(target: &str) -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// `input` with some bytes replaced, and cut short or doubled.
+/// `input` with some bytes replaced, then possibly truncated or doubled.
 fn mutated(input: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
     let length = input.len().max(1);
     let places = prop::collection::vec((0..length, any::<u8>()), 0..8);
@@ -41,7 +41,7 @@ fn mutated(input: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
 }
 
 #[test]
-fn the_corpora_have_the_configurations_as_they_are_shipped() {
+fn the_corpora_contain_the_shipped_configurations() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     for name in ["node", "hub"] {
         let read = |path: String| std::fs::read_to_string(root.join(path)).unwrap();
@@ -57,7 +57,7 @@ fn the_corpora_have_the_configurations_as_they_are_shipped() {
 }
 
 #[test]
-fn every_target_returns_on_its_corpus_on_mutations_of_it_and_on_random_bytes() {
+fn every_target_returns_on_corpus_mutated_and_random_inputs() {
     let failed: Vec<_> = TARGETS
         .into_iter()
         .filter_map(|(name, target)| {
@@ -81,7 +81,7 @@ fn every_target_returns_on_its_corpus_on_mutations_of_it_and_on_random_bytes() {
 }
 
 #[test]
-fn every_target_has_a_fuzzer_and_every_fuzzer_a_target() {
+fn targets_and_fuzzers_match_one_to_one() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let manifest = std::fs::read_to_string(root.join("Cargo.toml")).unwrap();
     for (name, _) in TARGETS {
