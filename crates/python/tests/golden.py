@@ -1,4 +1,4 @@
-"""Writes what the policies decide through the package, bit by bit, for the test that compares it with the core.
+"""Writes the decisions that policies make through the package, for the bit-exact comparison with the core in a test.
 
 Usage: golden.py JOBS OUT. Each line of JOBS is a recording under a policy: {"name", "policy", "threshold", "size",
 "empty_without_detections", "frames": [[[x1, y1, x2, y2, confidence, class], …], …]}. OUT/NAME gets, for each frame, numbers

@@ -1,4 +1,4 @@
-"""Whatever is given, there is an answer or an error that says what was wrong; never a crash."""
+"""Checks that any input gives an answer or a clear error, and never a crash."""
 
 import unittest
 
@@ -20,7 +20,7 @@ DTYPES = ["f2", "f4", "f8", ">f8", "g", "i1", "i8", "u8", "?", "O", "c16", "U8",
 
 @st.composite
 def arrays(draw, columns=None):
-    """An array of any kind, of the right shape more often than not."""
+    """An array of any type and layout, more often than not of the right shape."""
     rows = draw(st.integers(0, 6))
     shape = draw(st.sampled_from([(rows, columns) if columns else (rows,)] * 5 + [(), (rows, 5), (2, rows, 4), (4,), (0,)]))
     count = int(np.prod(shape))
@@ -29,7 +29,7 @@ def arrays(draw, columns=None):
         dtype = draw(st.sampled_from(["f8"] * 8 + ["f4"] * 4 + DTYPES))
         numbers = np.array(values, "f8").reshape(shape)
         array = (np.nan_to_num(numbers) % 100).astype(dtype) if dtype[-1] not in "f248?g" else numbers.astype(dtype)
-    array = np.asarray(array)  # of no dimensions NumPy makes a number
+    array = np.asarray(array)  # NumPy arithmetic turns a 0-d array into a scalar
     match draw(st.integers(0, 5)):
         case 0:
             return np.asfortranarray(array)
@@ -48,7 +48,7 @@ def arrays(draw, columns=None):
 
 @st.composite
 def boxes(draw):
-    """Detections that agree in length, with any numbers in them."""
+    """Detections of matching lengths with arbitrary numbers."""
     count = draw(st.integers(0, 8))
     kind = draw(st.sampled_from(["f4", "f8"]))
     with np.errstate(all="ignore"):
@@ -83,7 +83,7 @@ STEPS = st.one_of(
 class Hostile(unittest.TestCase):
     @settings(max_examples=400, deadline=None, derandomize=True, database=None)
     @given(st.booleans(), st.sampled_from(POLICIES), st.sampled_from([(1280, 720), (1, 1), (65535, 3)]), st.lists(STEPS, max_size=40))
-    def test_any_calls_with_anything_end_in_an_answer_or_a_clear_error(self, late, policy, size, steps):
+    def test_any_calls_with_any_input_give_an_answer_or_an_error_message(self, late, policy, size, steps):
         late = late and policy.startswith(("albireo", "expected-loss"))
         skip = Skipper(policy, size=size, audit=0.5, late=late, settle=True)
         for name, *given in steps:
@@ -103,7 +103,7 @@ class Hostile(unittest.TestCase):
                     self.assertTrue(np.isfinite(answer.xyxy).all(), answer)
             str(skip), repr(skip), skip.frames
 
-    def test_detections_that_are_no_boxes_are_left_out_and_counted(self):
+    def test_invalid_boxes_are_left_out_and_counted(self):
         skip = Skipper(size=(640, 480))
         skip.wants_detector(0)
         xyxy = np.array([[10, 10, 50, 50], [np.nan, 0, 9, 9], [50, 50, 10, 10], [0, 0, np.inf, 9], [5, 5, 5, 9], [60, 60, 90, 90]])
@@ -111,13 +111,13 @@ class Hostile(unittest.TestCase):
         np.testing.assert_allclose(boxes.xyxy, xyxy[:1], rtol=1e-14)
         self.assertIn("5 detections were no box and left out", str(skip))
 
-    def test_a_picture_that_is_none_is_refused(self):
+    def test_an_invalid_picture_is_rejected(self):
         skip = Skipper("expected-loss+flow", size=(640, 480))
         for picture in (np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4)), np.zeros((0, 4), np.uint8), "frame.jpg"):
             with self.assertRaisesRegex(ValueError, "grey picture"):
                 skip.look(picture)
 
-    def test_an_answer_of_thousands_of_boxes_is_answered(self):
+    def test_thousands_of_boxes_are_accepted(self):
         random = np.random.default_rng(0)
         corner = random.uniform(0, 1200, (3000, 2))
         skip = Skipper(size=(1280, 720))

@@ -1,4 +1,4 @@
-"""Types of results: what goes in comes out."""
+"""Checks that boxes come out in the type in which results go in."""
 
 import json
 import pathlib
@@ -18,7 +18,7 @@ XYXY = np.array([[10.0, 20, 110, 220], [300, 40, 380, 90]])
 
 
 class Arrays(unittest.TestCase):
-    def test_rows_come_back_with_ids_before_the_confidence(self):
+    def test_rows_are_returned_with_ids_before_the_confidence(self):
         rows = np.array([[*XYXY[0], 0.9, 2], [*XYXY[1], 0.8, 7]], np.float32)
         skip = Skipper("fixed-skip-in-tracker", threshold=2, size=SIZE)
         for n in range(4):
@@ -31,7 +31,7 @@ class Arrays(unittest.TestCase):
             with self.assertRaisesRegex(ValueError, r"must be \(N, 6\): x1, y1, x2, y2, confidence, class"):
                 Skipper(size=SIZE).update(np.zeros(shape))
 
-    def test_boxes_come_back_in_the_precision_they_came_in(self):
+    def test_boxes_keep_their_precision(self):
         for dtype in (np.float32, np.float64):
             skip = Skipper(size=SIZE)
             skip.wants_detector(0)
@@ -41,13 +41,13 @@ class Arrays(unittest.TestCase):
             skip.wants_detector(1) and skip.unavailable()
             self.assertEqual(skip.predict().xyxy.dtype, dtype)
 
-    def test_what_came_out_can_go_in(self):
+    def test_returned_boxes_are_accepted_as_a_result(self):
         one, two = Skipper(size=SIZE), Skipper(size=SIZE)
         one.wants_detector(0), two.wants_detector(0)
         boxes = one.update((XYXY, np.array([0.9, 0.8]), np.array([1, 2])))
         np.testing.assert_array_equal(two.update(boxes).xyxy, boxes.xyxy)
 
-    def test_other_things_are_refused_by_name(self):
+    def test_invalid_results_are_rejected_with_the_reason(self):
         skip = Skipper(size=SIZE)
         skip.wants_detector(0)
         for result, kind, said in [
@@ -76,7 +76,7 @@ class Supervision(unittest.TestCase):
             data={"class_name": np.array(["car", "truck"])},
         )
 
-    def test_detections_come_back_as_detections(self):
+    def test_detections_are_returned_as_detections(self):
         skip = Skipper("expected-loss", size=SIZE)
         kinds = set()
         for n in range(40):
@@ -86,11 +86,11 @@ class Supervision(unittest.TestCase):
             self.assertEqual(boxes.tracker_id.tolist(), [0, 1])
             self.assertEqual(boxes["class_name"].tolist(), ["car", "truck"])
             kinds |= set(boxes["source"])
-            # What supervision itself does with them.
+            # supervision filters its detections like this.
             self.assertEqual(len(boxes[boxes.class_id == 2]), 1)
         self.assertEqual(kinds, {"detected", "predicted"})
 
-    def test_an_empty_frame_and_missing_columns_are_detections_too(self):
+    def test_an_empty_frame_and_missing_columns_are_accepted(self):
         skip = Skipper("vanilla", size=SIZE)
         skip.wants_detector(0)
         self.assertEqual(len(skip.update(supervision.Detections.empty())), 0)
@@ -100,7 +100,7 @@ class Supervision(unittest.TestCase):
 
 
 class Tensor:
-    """As much of torch.Tensor as is used."""
+    """The part of torch.Tensor that the package uses."""
 
     def __init__(self, array, device="cuda:0"):
         self.array, self.device = np.asarray(array), device
@@ -156,7 +156,7 @@ class Results:
 
 
 class Ultralytics(unittest.TestCase):
-    # What a network of Ultralytics found; `make parity` records it and runs this loop with Ultralytics itself.
+    # The detections of an Ultralytics network. `make parity` records them and runs this loop with Ultralytics itself.
     FOUND = json.loads((pathlib.Path(__file__).parent / "ultralytics.json").read_text())
     ROWS = np.array(FOUND["rows"], np.float32)
     NAMES = {int(number): name for number, name in FOUND["names"].items()}
@@ -165,7 +165,7 @@ class Ultralytics(unittest.TestCase):
         data = Tensor(self.ROWS) if device else self.ROWS.copy()
         return Results(np.zeros((*self.FOUND["orig_shape"], 3), np.uint8), "busy.jpg", self.NAMES, data)
 
-    def test_results_come_back_as_results_with_ids(self):
+    def test_results_are_returned_as_results_with_ids(self):
         for device in (False, True):
             with self.subTest(device=device):
                 height, width = self.FOUND["orig_shape"]
@@ -185,7 +185,7 @@ class Ultralytics(unittest.TestCase):
                     self.assertEqual(shown.source[0], "predicted" if n % 2 else "detected")
                     self.assertEqual(shown.orig_img[0, 0, 0], n if n % 2 else 0)
 
-    def test_a_result_of_another_size_or_without_boxes_is_refused(self):
+    def test_a_result_of_another_size_or_without_boxes_is_rejected(self):
         skip = Skipper(size=(1280, 720))
         skip.wants_detector(0)
         with self.assertRaisesRegex(ValueError, "640x360 pixels; this skipper takes 1280x720"):

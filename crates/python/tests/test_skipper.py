@@ -1,4 +1,4 @@
-"""The loop: order of calls, lost frames, ids, totals, audit, pickle."""
+"""Tests the loop: order of calls, lost frames, ids, totals, audit, pickle."""
 
 import doctest
 import pickle
@@ -14,7 +14,7 @@ SIZE = (1280, 720)
 
 
 def found(n, objects=3):
-    """Objects that move to the right, each at a height of its own."""
+    """The detections of objects that move to the right, each at a different height."""
     left = 100.0 + 3 * n
     xyxy = np.array([[left, 50 + 150 * i, left + 80, 140 + 150 * i] for i in range(objects)]).reshape(-1, 4)
     return xyxy, np.linspace(0.9, 0.6, objects), np.arange(objects) % 3
@@ -25,11 +25,11 @@ def step(skip, n, model=found):
 
 
 class Loop(unittest.TestCase):
-    def test_the_example_in_the_documentation_runs(self):
+    def test_the_documentation_examples_run(self):
         self.assertEqual(doctest.testmod(albireo.skipper).failed, 0)
         self.assertGreater(doctest.testmod(albireo.skipper).attempted, 5)
 
-    def test_ids_are_the_same_on_every_frame_and_boxes_follow(self):
+    def test_ids_are_stable_and_boxes_follow_the_objects(self):
         skip = Skipper("expected-loss", threshold=0.3, size=SIZE)
         for n in range(120):
             boxes = step(skip, n)
@@ -42,7 +42,7 @@ class Loop(unittest.TestCase):
         self.assertEqual(skip.frames, 120)
         self.assertEqual(sum(skip.causes.values()), skip.calls)
 
-    def test_over_lost_frames_the_objects_move_on(self):
+    def test_objects_keep_moving_across_lost_frames(self):
         skip = Skipper("expected-loss", threshold=2.0, size=SIZE)
         for n in range(60):
             step(skip, n)
@@ -52,7 +52,7 @@ class Loop(unittest.TestCase):
         np.testing.assert_allclose(after.xyxy, found(n)[0], atol=5)
         self.assertIsNot(before, after)
 
-    def test_a_higher_threshold_skips_more_and_holds_from_the_next_frame_on(self):
+    def test_a_higher_threshold_skips_more_frames(self):
         shares = []
         for threshold in (0.1, 1.0):
             skip = Skipper("expected-loss", size=SIZE)
@@ -62,7 +62,7 @@ class Loop(unittest.TestCase):
             shares.append(skip.skipped)
         self.assertLess(shares[0], shares[1])
 
-    def test_a_detector_that_fails_leaves_predictions_and_is_asked_again(self):
+    def test_a_failed_call_gives_predictions_and_is_retried(self):
         skip = Skipper("albireo", size=SIZE)
         n = 0
         while not (skip.wants_detector(n) and n > 5):
@@ -73,7 +73,7 @@ class Loop(unittest.TestCase):
         self.assertTrue(skip.wants_detector(n + 1))
         self.assertIn("1 calls failed", str(skip))
 
-    def test_a_call_out_of_order_says_what_to_call(self):
+    def test_a_call_out_of_order_is_an_error_that_explains_the_order(self):
         skip = Skipper(size=SIZE)
         for call in (skip.predict, skip.unavailable, lambda: skip.update(found(0))):
             with self.assertRaisesRegex(RuntimeError, r"wants_detector\(n\)"):
@@ -97,7 +97,7 @@ class Loop(unittest.TestCase):
         self.assertEqual(skip.frames, 1)
         self.assertIn("1 frames were left without a result", str(skip))
 
-    def test_settings_that_cannot_be_say_what_can(self):
+    def test_invalid_settings_are_rejected_with_a_reason(self):
         for settings, said in [
             ({"policy": "yolo"}, "there is no policy `yolo`; the policies are `albireo`"),
             ({"threshold": float("nan")}, "`lambda` must be a number from"),
@@ -111,7 +111,7 @@ class Loop(unittest.TestCase):
             with self.subTest(settings), self.assertRaisesRegex(ValueError, said):
                 Skipper(**({"size": SIZE} | settings))
 
-    def test_what_is_printed_says_how_much_was_skipped_and_why_each_call_was_made(self):
+    def test_the_summary_has_the_skip_rate_and_the_causes_of_calls(self):
         skip = Skipper("fixed-skip", threshold=4, size=SIZE)
         for n in range(40):
             step(skip, n)
@@ -119,7 +119,7 @@ class Loop(unittest.TestCase):
         self.assertIn("30 of 40 frames skipped (75%), 10 detector calls", said)
         self.assertIn("10 because schedule", said)
 
-    def test_an_own_check_for_empty_scenes_spares_calls(self):
+    def test_a_custom_check_for_empty_scenes_saves_a_call(self):
         skip = Skipper("albireo", size=SIZE)
         self.assertFalse(skip.wants_detector(0, empty=True))
         self.assertEqual((skip.state, len(skip.predict().xyxy)), ("E", 0))
@@ -127,7 +127,7 @@ class Loop(unittest.TestCase):
         skip.update(found(1))
         self.assertEqual((skip.state, skip.cause), ("E+I", "screen"))
 
-    def test_an_audit_draws_skipped_frames_and_tells_what_had_been_shown(self):
+    def test_an_audit_samples_skipped_frames_and_reports_recall(self):
         skip = Skipper(size=SIZE, audit=0.5, seed=3)
         drawn = 0
         for n in range(200):
@@ -144,8 +144,8 @@ class Loop(unittest.TestCase):
         self.assertGreater(skip.recall[0], 0.95)
         self.assertIn("of what the detector sees had been shown", str(skip))
 
-    def test_flow_follows_what_turns(self):
-        """A textured square stops: with pictures its box stops too, without them it goes on."""
+    def test_flow_follows_an_object_that_stops(self):
+        """A textured square stops. With flow its box stops too, without flow it moves on."""
         texture = np.random.default_rng(1).integers(0, 255, (60, 60), dtype=np.uint8)
         texture = texture.repeat(2, 0).repeat(2, 1)
         ends = {}
@@ -168,7 +168,7 @@ class Loop(unittest.TestCase):
 
 
 class Pickle(unittest.TestCase):
-    def test_it_goes_on_where_it_was(self):
+    def test_a_pickled_skipper_continues_identically(self):
         for policy in ("expected-loss", "albireo", "fixed-skip", "ctd", "vanilla"):
             with self.subTest(policy):
                 one = Skipper(policy, size=SIZE, resumable=True)
@@ -192,11 +192,11 @@ class Pickle(unittest.TestCase):
                         np.testing.assert_array_equal(mine, other)
                 self.assertEqual(str(one), str(two))
 
-    def test_before_the_first_frame_any_skipper_can_be_pickled(self):
+    def test_a_new_skipper_can_be_pickled(self):
         skip = pickle.loads(pickle.dumps(Skipper("albireo", threshold=5e-4, size=SIZE)))
         self.assertEqual(repr(skip), "<Skipper albireo with u = 0.0005, 1280x720>")
 
-    def test_one_that_cannot_be_pickled_says_why(self):
+    def test_a_skipper_that_cannot_be_pickled_reports_why(self):
         skip = Skipper(size=SIZE)
         step(skip, 0)
         with self.assertRaisesRegex(TypeError, "resumable=True"):
@@ -208,7 +208,7 @@ class Pickle(unittest.TestCase):
 
 
 class Late(unittest.TestCase):
-    def test_frames_are_answered_at_once_and_late_detections_are_taken_at_their_own_frame(self):
+    def test_frames_are_answered_at_once_and_late_detections_apply_to_their_own_frame(self):
         late = Skipper(threshold=0.3, size=SIZE, late=True)
         under_way, final = None, 0
         for n in range(80):
@@ -227,7 +227,7 @@ class Late(unittest.TestCase):
         self.assertEqual((late.frames, late.calls), (80, final))
         self.assertGreater(final, 5)
 
-    def test_a_detector_that_fails_late_frees_its_frame(self):
+    def test_a_late_failure_frees_its_frame(self):
         skip = Skipper(size=SIZE, late=True)
         self.assertTrue(skip.submit(0))
         self.assertFalse(skip.submit(1))
@@ -237,7 +237,7 @@ class Late(unittest.TestCase):
         self.assertTrue(skip.submit(2))
         self.assertIn("1 calls failed", str(skip))
 
-    def test_a_call_of_the_other_kind_says_what_to_call(self):
+    def test_a_call_of_the_other_mode_is_an_error_that_names_the_mode(self):
         late, waiting = Skipper(size=SIZE, late=True), Skipper(size=SIZE)
         for call in (late.wants_detector, waiting.submit, lambda: waiting.deliver(0, None), waiting.settled):
             with self.assertRaisesRegex(RuntimeError, r"late=True|submit\(n\)|settle=True"):
@@ -245,7 +245,7 @@ class Late(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "cannot take late detections"):
             Skipper("vanilla", size=SIZE, late=True)
 
-    def test_every_frame_is_settled_once_in_order_and_nearer_to_the_truth(self):
+    def test_every_frame_is_settled_once_in_order_and_more_accurately(self):
         bent = lambda n: found(10 * np.sin(n / 6))
         skip = Skipper("even-skip-in-tracker", threshold=0.8, size=SIZE, settle=True)
         live, settled = [], []
@@ -263,7 +263,7 @@ class Track(unittest.TestCase):
     def pictures(self, count=30):
         return [np.full((720, 1280, 3), n, np.uint8) for n in range(count)]
 
-    def test_it_does_the_loop_and_calls_the_model_only_where_needed(self):
+    def test_track_runs_the_loop_and_skips_model_calls(self):
         called = []
 
         def model(image):
@@ -278,13 +278,13 @@ class Track(unittest.TestCase):
         for n, (image, boxes, _) in enumerate(frames):
             self.assertEqual((image[0, 0, 0], boxes.tracker_id.tolist()), (n, [0, 1, 2]))
 
-    def test_flow_sees_the_pictures(self):
+    def test_track_passes_pictures_to_flow(self):
         for kind in (lambda image: image, lambda image: image[..., 0]):
             pictures = map(kind, self.pictures())
             *_, last = albireo.track(lambda image: found(int(image.flat[0])), pictures, "expected-loss+flow")
             self.assertTrue(last.skip.looks)
 
-    def test_what_it_cannot_play_is_an_error_that_says_so(self):
+    def test_track_rejects_unsupported_input_with_a_reason(self):
         model = lambda image: found(0)
         with self.assertRaisesRegex(ImportError, "pip install opencv-python, or give an iterable"):
             albireo.track(model, "drive.mp4")
