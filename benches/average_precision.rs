@@ -20,7 +20,7 @@ fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBo
         .map(|frame| {
             let boxes = frame.iter().map(|detection| {
                 let mut corners = detection.bounding_box.pixel_corners(PICTURE);
-                // Off by up to a third of its width, so that some match at every threshold and some at none.
+                // Shifted by up to a third of the width, so that some match at every threshold and some at none.
                 let off = scores.between(-0.33, 0.33) * (corners.x2 - corners.x1);
                 corners.x1 += off;
                 corners.x2 += off;

@@ -1,5 +1,5 @@
-//! The decision core per frame, detector time excluded: `P` frames and detector frames apart, for 1 to
-//! 300 objects: Albireo with both profiles, and expected-loss. Run with `cargo bench --bench core`.
+//! Measures the decision core per frame, without the detector: `P` frames and detector frames separately, with 1 to
+//! 300 objects, for Albireo with both profiles and for expected-loss. Run with `cargo bench --bench core`.
 
 #![allow(clippy::expect_used)]
 
@@ -13,10 +13,10 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use std::time::{Duration, Instant};
 
 const OBJECTS: [usize; 5] = [1, 10, 30, 100, 300];
-/// So few that no uncertainty grows to the highest threshold.
+/// Few enough that no uncertainty reaches the highest threshold.
 const PREDICTED_IN_A_ROW: u64 = 15;
 
-/// A policy at work.
+/// A policy and its state for one camera.
 struct Camera<P> {
     policy: P,
     outcome: Outcome,
@@ -50,7 +50,7 @@ fn frames(criterion: &mut Criterion) {
         let mut settings = AlbireoSettings::of(profile);
         let new = |settings| Albireo::new(settings, 1e-9).expect("the settings can be used");
         detector_frames(criterion, name, &new(settings));
-        // So that nothing but the threshold calls the detector, and nobody leaves.
+        // Only the threshold calls the detector, and no object leaves the picture.
         settings.t_max = u32::MAX;
         settings.periodic_cap = u32::MAX;
         settings.life_cycle.boundary_margin = 10.0;
@@ -65,7 +65,7 @@ fn frames(criterion: &mut Criterion) {
     predicted_frames(criterion, ExpectedLoss::NAME, &new(settings), 100.0);
 }
 
-/// Frames of `policy`, which calls the detector on each of them. One object in twenty is missed.
+/// Measures frames on which `policy` calls the detector, which is all of them. The detector misses 1 object in 20.
 fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, policy: &P) {
     let mut group = criterion.benchmark_group(format!("detector_frame/{name}"));
     for objects in OBJECTS {
@@ -74,7 +74,7 @@ fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, pol
         for detections in &recorded {
             camera.frame(detections);
         }
-        // Back and forth, so that the film has no cut.
+        // Played backwards and forwards, so that the film has no cut.
         let film = recorded.iter().rev().chain(&recorded);
         let mut film = film.cycle();
         group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
@@ -86,7 +86,7 @@ fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, pol
     group.finish();
 }
 
-/// Frames that `policy`, which has seen its objects ten times, predicts with its knob at `highest`.
+/// Measures frames that `policy` predicts with its knob at `highest`, after ten observations of its objects.
 fn predicted_frames<P: Policy + Clone>(
     criterion: &mut Criterion,
     name: &str,

@@ -1,5 +1,5 @@
-//! What a node holds in memory beside the model: its resident set with several cameras, over that of a process that has
-//! nothing but ONNX Runtime and the same model; and whether it grows.
+//! Measures a node's memory without the model: its resident set with several cameras minus that of a process with only
+//! ONNX Runtime and the same model. Also shows whether it grows.
 //!
 //! ```text
 //! cargo bench --bench memory                                   # 1, 2, 4 and 8 cameras, 30 s each
@@ -8,9 +8,9 @@
 //! cargo bench --bench memory -- --model MODEL.onnx --head yolox
 //! ```
 //!
-//! Every camera sends JPEG pictures of 1280x720 at 30 frames per second, in clips of 40 s, and the detector looks at each
-//! (`vanilla`), which is when most is held; with `--skip 30` at one of thirty, which is a node's quieter day. Several programs
-//! take turns within one run.
+//! Every camera sends JPEG pictures of 1280x720 at 30 frames per second, in clips of 40 s. The detector runs on every frame
+//! (`vanilla`), the case that needs most memory. With `--skip 30` it runs on one frame of 30, a lighter load. Several
+//! programs take turns within one run.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
@@ -28,10 +28,10 @@ use std::time::{Duration, Instant};
 const SIZE: PictureSize = PictureSize::new(1280, 720);
 const RATE: f64 = 30.0;
 const CLIP: Duration = Duration::from_secs(40);
-/// Argument that makes this program the process with the model and nothing else.
+/// The argument that makes this program the process with only ONNX Runtime and the model.
 const BARE: &str = "--as-bare-runtime";
 
-/// What is measured.
+/// The settings of a measurement.
 struct Arguments {
     programs: Vec<PathBuf>,
     cameras: Vec<usize>,
@@ -73,7 +73,7 @@ impl Arguments {
                 "--model" => read.model = value().into(),
                 "--head" => read.head = value(),
                 "--skip" => read.skip = value().parse().expect("a number of frames"),
-                // The first is Cargo's.
+                // The first argument comes from Cargo.
                 "--bench" | BARE => {}
                 other => panic!("{other}: not known; see the top of benches/memory.rs"),
             }
@@ -93,7 +93,7 @@ impl Arguments {
     }
 }
 
-/// A child that is ended with this.
+/// A child process that is killed on drop.
 struct Process(Child);
 
 impl Drop for Process {
@@ -103,7 +103,7 @@ impl Drop for Process {
     }
 }
 
-/// Pages of memory that a process has in use, MB: all, and those that are no file's.
+/// The resident memory of a process in MB: all pages, and the anonymous ones.
 #[derive(Clone, Copy)]
 struct Resident {
     all: f64,
@@ -127,7 +127,7 @@ impl Resident {
     }
 }
 
-/// Loads the model, runs it some times on a black picture, says so, and stays.
+/// Loads the model, runs it on a black picture, reports that it is ready, and keeps running.
 fn be_bare(arguments: &Arguments) {
     let mut network = DetectorNetwork::open(&arguments.detector()).expect("the model opens");
     let size = network.preparation().format().size;
@@ -201,7 +201,7 @@ fn pictures() -> Vec<EncodedPicture> {
     (0..32).map(picture).collect()
 }
 
-/// Sends to all cameras for that time; after it, and each minute, `tell` is called.
+/// Sends to all cameras for `time`. Calls `tell` every minute, or once at the end of a shorter run.
 async fn send(
     port: u16,
     cameras: usize,

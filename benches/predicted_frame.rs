@@ -1,14 +1,14 @@
-//! A frame that needs no detector, end to end: a picture of some 36 kB to a node and to a bare Zenoh echo in a process of
-//! its own, which answers with a message as long as the node's. They take turns within one run, and so does a node that
-//! is audited as it is by default: its detector looks at one predicted frame of fifty afterwards. The last nodes answer at
-//! once while their detectors of 10, 110 and 265 ms work all the time.
+//! Measures a frame that needs no detector, end to end. A picture of about 36 kB is sent to a node and to a bare Zenoh echo
+//! in a separate process, which answers with a message as long as the node's. Both take turns within one run with a node
+//! that has the default audit: its detector checks one predicted frame of 50 afterwards. The last nodes answer at once
+//! while their detectors of 10, 110 and 265 ms run all the time.
 //!
 //! ```text
 //! cargo bench --bench predicted_frame [-- ROUNDS]
 //! ```
 //!
-//! Prints the time from the put to the answer's arrival (median and 99 %) at 30 frames per second, and the processor time of the
-//! answering process for a frame at 1,000 per second.
+//! Prints the time from the put to the arrival of the answer (median and 99th percentile) at 30 frames per second, and the
+//! processor time per frame of the answering process at 1,000 frames per second.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
@@ -26,15 +26,15 @@ use zenoh::qos::{CongestionControl, Priority};
 const SIZE: PictureSize = PictureSize::new(1280, 720);
 const FRAME: &str = "albireo/node/front/frame";
 const ANSWER: &str = "albireo/node/front/detections";
-/// Length of the echo's answers: that of the detections message of a frame without objects.
+/// The length of the echo's answers, equal to that of the detections message of a frame without objects.
 const ANSWER_BYTES: usize = 330;
-/// Frames of a turn at each rate, and those before them that do not count.
+/// The rates with the frames of a turn. The frames of `WARM_UP` come first and do not count.
 const TURNS: [(f64, u64); 2] = [(30.0, 150), (1000.0, 3000)];
 const WARM_UP: u64 = 20;
-/// Argument that makes this program the echo.
+/// The argument that makes this program the echo.
 const ECHO: &str = "--as-echo";
 
-/// A soft picture with some grain, whose file is as large as a camera's.
+/// A smooth picture with some noise, whose file is as large as that of a typical camera.
 fn picture() -> EncodedPicture {
     let (width, height) = (SIZE.width as usize, SIZE.height as usize);
     let mut noise = 1_u32;
@@ -70,7 +70,7 @@ impl Drop for Answerer {
 }
 
 impl Answerer {
-    /// A node whose detector runs on one frame of a thousand.
+    /// A node whose detector runs on 1 frame of 1,000.
     fn node(folder: &std::path::Path, audit: f64) -> Self {
         let model = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
         let policy = "policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = 1000";
@@ -80,8 +80,8 @@ impl Answerer {
         )
     }
 
-    /// A node that answers at once, whose detector holds one core all the time and finds nothing: it is asked again as
-    /// soon as it is free.
+    /// A node that answers at once. Its detector finds nothing and keeps one core busy: it is called again as soon as it
+    /// is free.
     fn at_once(folder: &std::path::Path, model: &str) -> Self {
         let models = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/models");
         let model = format!("{models}/{model}.onnx");
@@ -152,7 +152,7 @@ async fn session(listen: Option<u16>, connect: Option<u16>) -> zenoh::Session {
     zenoh::open(config).await.expect("the session opens")
 }
 
-/// Answers every sample where it arrives.
+/// Answers every sample in the callback that receives it.
 async fn run_echo(port: u16) {
     let session = session(Some(port), None).await;
     let answers = session
@@ -177,9 +177,9 @@ async fn run_echo(port: u16) {
     std::future::pending::<()>().await;
 }
 
-/// Processor time of a process, user and system, in seconds.
+/// The processor time of a process, user and system, in seconds.
 fn processor_time(pid: u32) -> f64 {
-    // Nanoseconds of each thread: `stat` counts in hundredths of a second.
+    // Adds up the nanoseconds of each thread, because `stat` has a resolution of 10 ms.
     let threads = std::fs::read_dir(format!("/proc/{pid}/task")).expect("/proc is there");
     let nanoseconds = threads.flatten().filter_map(|thread| {
         let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
@@ -188,10 +188,10 @@ fn processor_time(pid: u32) -> f64 {
     nanoseconds.sum::<u64>() as f64 * 1e-9
 }
 
-/// Times from put to answer, sorted, and processor time for a frame, all in milliseconds.
+/// The sorted times from put to answer, and the processor time per frame, all in milliseconds.
 type Turn = (Vec<f64>, f64);
 
-/// A way to an answerer and back.
+/// A connection to an answerer and back.
 struct Line {
     _session: zenoh::Session,
     frames: Publisher<'static>,

@@ -1,14 +1,14 @@
-//! Frames of 1920x1080 from a sender on the node's machine at 30 per second: raw pixels in shared memory, raw pixels as
-//! bytes over TCP, and a JPEG file of some 36 kB, in turns within one run. Nearly every frame is a `P` frame, whose pixels
-//! no one needs.
+//! Compares three ways to send frames of 1920x1080 at 30 frames per second from a sender on the node's machine: raw pixels
+//! in shared memory, raw pixels as bytes over TCP, and a JPEG file of about 36 kB. They take turns within one run. Nearly
+//! every frame is a `P` frame, whose pixels are not needed.
 //!
 //! ```text
 //! cargo bench --bench shared_memory [-- ROUNDS]
 //! ```
 //!
-//! Prints per frame: how long the sender takes to place the picture's bytes where they travel from; from there on, and with
-//! that, to the detections' arrival here (median and 99 %); processor time of node and sender. A camera that writes its
-//! pictures into shared memory has nothing to place.
+//! Prints per frame: the time in which the sender copies the picture's bytes into the send buffer; the time from there to
+//! the arrival of the detections, without and with that copy (median and 99th percentile); the processor time of node and
+//! sender. A camera that writes its pictures into shared memory needs no copy.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
@@ -27,11 +27,11 @@ use zenoh::shm::{GarbageCollect, PosixShmProviderBackend, ShmProvider, ShmProvid
 
 const SIZE: PictureSize = PictureSize::new(1920, 1080);
 const RATE: f64 = 30.0;
-/// Frames of one turn, and those before it that do not count.
+/// The frames of one turn. The frames of `WARM_UP` come first and do not count.
 const FRAMES: u64 = 300;
 const WARM_UP: u64 = 30;
 
-/// Grey stripes with some noise: as raw pixels 3.1 MB.
+/// Grey stripes with some noise, 3.1 MB of raw pixels.
 fn raw() -> EncodedPicture {
     let pixels = SIZE.width as usize * SIZE.height as usize;
     let mut noise = 1_u32;
@@ -49,7 +49,7 @@ fn raw() -> EncodedPicture {
     }
 }
 
-/// A soft picture, whose file is as small as a camera's.
+/// A smooth picture, whose file is as small as that of a typical camera.
 fn jpeg() -> EncodedPicture {
     let pixels = SIZE.width as usize * SIZE.height as usize;
     let mut bytes: Vec<u8> = (0..pixels)
@@ -77,7 +77,7 @@ impl Drop for Node {
     }
 }
 
-/// A node whose detector runs on one frame of a thousand, and looks at none of the others afterwards.
+/// A node whose detector runs on 1 frame of 1,000, without an audit.
 fn node(folder: &std::path::Path, port: u16) -> Node {
     let file = folder.join("node.toml");
     let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
@@ -96,7 +96,7 @@ fn node(folder: &std::path::Path, port: u16) -> Node {
     Node(child)
 }
 
-/// Processor time of a process, user and system.
+/// The processor time of a process, user and system.
 fn processor_time(pid: &str) -> Duration {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("/proc is there");
     let fields: Vec<u64> = stat
@@ -106,17 +106,17 @@ fn processor_time(pid: &str) -> Duration {
         .split(' ')
         .filter_map(|field| field.parse().ok())
         .collect();
-    // Without the state, which is no number: user and system time are the 11th and 12th.
+    // The state is not a number and drops out, so user and system time are the 11th and 12th fields.
     let ticks: u64 = fields.iter().skip(10).take(2).sum();
     Duration::from_millis(ticks * 10)
 }
 
-/// What one turn came to, in milliseconds per frame.
+/// The results of one turn, in milliseconds per frame.
 struct Turn {
     placings: Vec<f64>,
-    /// From the put of what is placed.
+    /// The times from the put to the answer, without the copy.
     placed: Vec<f64>,
-    /// Placing included.
+    /// The same times with the copy.
     latencies: Vec<f64>,
     node_ms: f64,
     sender_ms: f64,
@@ -130,7 +130,7 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
         ("connect/timeout_ms", "20000".to_owned()),
         ("scouting/multicast/enabled", "false".to_owned()),
-        // Frames are placed here, and nothing else is.
+        // The sender places only frames in shared memory, and does that itself.
         (
             "transport/shared_memory/transport_optimization/enabled",
             "false".to_owned(),
@@ -227,7 +227,7 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
     }
 }
 
-/// Memory for a dozen pictures: those that wait, those that the node looks at, and some on their way.
+/// Shared memory for 12 pictures: those that wait, those that the node reads, and those in transit.
 fn shared_memory(bytes: usize) -> ShmProvider<PosixShmProviderBackend> {
     let pool = ShmProviderBuilder::default_backend(12 * bytes).wait();
     pool.expect("shared memory")

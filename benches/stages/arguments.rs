@@ -1,4 +1,4 @@
-//! What the user may choose.
+//! Defines the command line.
 
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Parser)]
 #[command(name = "cargo bench --bench stages --")]
 pub(crate) struct Arguments {
-    /// ONNX file of a detector; may be given several times.
+    /// ONNX file of a detector; repeatable.
     #[arg(
         long = "model",
         value_name = "FILE",
@@ -17,25 +17,25 @@ pub(crate) struct Arguments {
     /// Folder of JPEG files; without it the demonstration's road, 640x360.
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
-    /// Pictures of one round.
+    /// Pictures per round.
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..))]
     pub frames: u16,
-    /// Rounds; ours, Python's and the loops take turns in each.
+    /// Rounds. In each, albireo, Python and the loops take turns.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..))]
     pub rounds: u16,
-    /// Threads of ONNX Runtime; 0 for one less than the machine has cores.
+    /// Threads of ONNX Runtime; 0 for one less than the number of cores.
     #[arg(long, default_value_t = 0)]
     threads: usize,
-    /// A Python with numpy, opencv-python and onnxruntime, to run the same path in.
+    /// A Python with numpy, opencv-python and onnxruntime, which runs the same path.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
-    /// `cargo bench` says so; changes nothing.
+    /// Passed by `cargo bench`; has no effect.
     #[arg(long, hide = true)]
     bench: bool,
 }
 
 impl Arguments {
-    /// Threads of ONNX Runtime, never 0.
+    /// The number of threads of ONNX Runtime, at least 1.
     pub(crate) fn threads(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
@@ -44,13 +44,13 @@ impl Arguments {
     }
 }
 
-/// The machine's load of the last minute, where it reports it.
+/// The load average of the last minute, if the machine reports it.
 pub(crate) fn load_average() -> Option<String> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next().map(ToOwned::to_owned)
 }
 
-/// A file's name for headings.
+/// The name of a file, for headings.
 pub(crate) fn name_of(path: &Path) -> anyhow::Result<String> {
     let name = path.file_name().context("the model has no file name")?;
     Ok(name.to_string_lossy().into_owned())

@@ -1,5 +1,5 @@
-//! Where the time of a frame goes, stage by stage, and what the queue in front of the detector costs; with
-//! `--python`, beside the same path in Python. Run with `cargo bench --bench stages`; `-- --help` lists options.
+//! Measures the time of a frame by stage and the cost of the queue in front of the detector. With `--python`, compares it
+//! with the same path in Python. Run with `cargo bench --bench stages`; `-- --help` lists options.
 
 mod arguments;
 mod ours;
@@ -27,7 +27,7 @@ use throughput::Throughput;
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let frames = frames(&arguments)?;
-    // The Python path reads the very same files.
+    // The Python path reads the same files.
     let folder = tempfile::tempdir().context("a folder for pictures")?;
     for (number, frame) in frames.iter().enumerate() {
         let file = folder.path().join(format!("{number:05}.jpg"));
@@ -64,7 +64,7 @@ fn main() -> anyhow::Result<()> {
     })
 }
 
-/// The pictures of one round, all JPEG.
+/// The pictures of one round, all in JPEG.
 fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
     let mut source: Box<dyn FrameSource> = match &arguments.pictures {
         Some(folder) => Box::new(Pictures::of_folder(folder, Pictures::DEFAULT_RATE)?),
@@ -85,7 +85,7 @@ fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
     Ok(frames)
 }
 
-/// Everything about one model. What is compared takes turns, so that a busy moment of the machine meets all alike.
+/// Measures one model. The compared paths take turns, so that a busy moment of the machine affects all of them.
 async fn measure(
     arguments: &Arguments,
     model: &Path,
@@ -111,7 +111,7 @@ async fn measure(
     let (mut ours, mut theirs) = (Samples::default(), Samples::default());
     let mut throughput = Throughput::default();
     for frame in frames {
-        // Not counted: buffers grow here.
+        // Warms up: buffers grow here.
         path.frame(frame, &mut Samples::default()).await?;
     }
     for _ in 0..arguments.rounds {
@@ -156,7 +156,7 @@ fn decoded(frames: &[EncodedPicture], input: InputFormat) -> anyhow::Result<Vec<
         .collect()
 }
 
-/// Decodes `frame` as the node does for a detector with that input, without a screen.
+/// Decodes `frame` like the node for a detector with this input, without a screen.
 fn decode_for(
     input: InputFormat,
     frame: &EncodedPicture,

@@ -1,4 +1,4 @@
-//! A frame's way as the node goes it, on one thread: decoding, letterbox, model, head, policy, message, Zenoh.
+//! Runs the node's path of a frame on one thread: decoding, letterbox, model, head, policy, message, Zenoh.
 
 use super::decode_for;
 use super::samples::{Samples, Stage};
@@ -19,10 +19,10 @@ use zenoh::pubsub::Publisher;
 
 const KEY: &str = "albireo/bench/front/detections";
 
-/// A publisher and, in a session of its own behind a TCP connection, somebody who listens.
+/// A publisher, and a subscriber in a separate session over TCP.
 pub(crate) struct Line {
     publisher: Publisher<'static>,
-    /// Open as long as the publisher is in use.
+    /// Keeps the sessions open while the publisher is in use.
     _sessions: [Session; 2],
 }
 
@@ -69,7 +69,7 @@ impl Line {
     }
 }
 
-/// All that one camera's frames pass.
+/// All stages that the frames of a camera pass.
 pub(crate) struct OurPath<'a> {
     pub network: DetectorNetwork,
     line: &'a Line,
@@ -87,7 +87,7 @@ impl<'a> OurPath<'a> {
             class_names: network.class_names().to_vec(),
             network,
             line,
-            // So low a threshold that every frame is one that the detector sees and that is matched.
+            // The threshold is so low that every frame has a detector run and matching.
             policy: Albireo::new(AlbireoSettings::paper(), 1e-9)?,
             outcome: Outcome::default(),
             picture: Picture::default(),
@@ -95,12 +95,12 @@ impl<'a> OurPath<'a> {
         })
     }
 
-    /// The size to which the pictures are decoded.
+    /// The size to which pictures are decoded.
     pub(crate) fn decoded_size(&self) -> PictureSize {
         self.picture.size
     }
 
-    /// Takes one picture the whole way.
+    /// Passes one picture through all stages.
     pub(crate) async fn frame(
         &mut self,
         encoded: &EncodedPicture,

@@ -1,4 +1,4 @@
-//! The same path in Python, in a separate process that runs a round on request.
+//! Runs the same path in Python, in a separate process that runs a round on request.
 
 use super::samples::{Samples, Stage};
 use anyhow::{Context, bail};
@@ -9,7 +9,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 const SCRIPT: &str = "benches/stages/python_path.py";
 
-/// One round of the script, milliseconds per frame.
+/// The results of one round of the script, in milliseconds per frame.
 #[derive(Deserialize)]
 struct Round {
     decode: Vec<f64>,
@@ -18,12 +18,12 @@ struct Round {
     head: Vec<f64>,
 }
 
-/// The script at work.
+/// A running script.
 pub(crate) struct PythonPath {
     child: Child,
     orders: Option<ChildStdin>,
     answers: Lines<BufReader<ChildStdout>>,
-    /// Versions of what it uses.
+    /// The versions of its libraries.
     pub versions: String,
 }
 
@@ -57,7 +57,7 @@ impl PythonPath {
         })
     }
 
-    /// All pictures once.
+    /// Runs all pictures once.
     pub(crate) fn round(&mut self, samples: &mut Samples) -> anyhow::Result<()> {
         let Some(orders) = &mut self.orders else {
             bail!("{SCRIPT} has ended");
@@ -83,7 +83,7 @@ impl PythonPath {
 
 impl Drop for PythonPath {
     fn drop(&mut self) {
-        // It ends with its input; it may also have ended before, which is as well.
+        // The script exits at the end of its input. An earlier exit does no harm.
         self.orders = None;
         let _ = self.child.wait();
     }

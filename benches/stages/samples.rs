@@ -1,8 +1,8 @@
-//! Times of the stages, and what is made of them.
+//! Collects the times of the stages and summarises them.
 
 use std::time::Duration;
 
-/// A part of a frame's way.
+/// A stage in the path of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
     Decode,
@@ -37,13 +37,13 @@ impl Stage {
         }
     }
 
-    /// Whether it is neither the model nor the decoding, which is shown separately.
+    /// Returns `true` for all stages except the model and decoding, which is shown separately.
     const fn is_ours(self) -> bool {
         !matches!(self, Self::Decode | Self::Model)
     }
 }
 
-/// Milliseconds of every frame, one list per stage.
+/// The milliseconds of every frame, one list per stage.
 #[derive(Default)]
 pub(crate) struct Samples {
     stages: [Vec<f64>; Stage::ALL.len()],
@@ -52,7 +52,7 @@ pub(crate) struct Samples {
 }
 
 impl Samples {
-    /// Takes one frame in: the times of its stages, and how many objects were found in it.
+    /// Adds a frame with the times of its stages and its number of detected objects.
     pub(crate) fn add(&mut self, times: &[(Stage, Duration)], detections: usize) {
         let mut ours = 0.0;
         for &(stage, time) in times {
@@ -66,28 +66,28 @@ impl Samples {
         self.detections += detections;
     }
 
-    /// One time of a stage, milliseconds.
+    /// Adds one time of a stage, in milliseconds.
     pub(crate) fn add_one(&mut self, stage: Stage, milliseconds: f64) {
         self.stages[stage as usize].push(milliseconds);
     }
 
-    /// Median and 95th percentile of a stage; `None` where it was never measured.
+    /// The median and 95th percentile of a stage; `None` if it was never measured.
     pub(crate) fn of(&self, stage: Stage) -> Option<[f64; 2]> {
         summary(&self.stages[stage as usize])
     }
 
-    /// The same of all stages that are ours together, frame by frame.
+    /// The median and 95th percentile of the sum per frame of albireo's own stages.
     pub(crate) fn ours(&self) -> Option<[f64; 2]> {
         summary(&self.ours)
     }
 
-    /// Objects found in a frame, on average.
+    /// The mean number of detected objects per frame.
     pub(crate) fn detections(&self) -> f64 {
         self.detections as f64 / self.ours.len().max(1) as f64
     }
 }
 
-/// Median and 95th percentile, nearest rank.
+/// The median and 95th percentile by nearest rank.
 fn summary(values: &[f64]) -> Option<[f64; 2]> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -98,7 +98,7 @@ fn summary(values: &[f64]) -> Option<[f64; 2]> {
     Some([rank(0.5)?, rank(0.95)?])
 }
 
-/// The middle one; of none, not a number.
+/// The median; NaN if there are no values.
 pub(crate) fn median(values: &[f64]) -> f64 {
     summary(values).map_or(f64::NAN, |[median, _]| median)
 }

@@ -1,11 +1,11 @@
-//! The table, in 80 columns.
+//! Prints the table, in 80 columns.
 
 use super::samples::{Samples, Stage};
 
-/// The model that the aim is set for: what is ours takes at most a tenth of its 10 ms.
+/// The model time behind the goal: albireo's own stages take at most a tenth of its 10 ms.
 const MODEL_MS: f64 = 10.0;
 
-/// Prints a line per stage, and what is ours together.
+/// Prints a line per stage, and the sum of albireo's own stages.
 pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
     let model = ours.of(Stage::Model);
     let line = |title: &str, times: Option<[f64; 2]>, theirs: Option<[f64; 2]>, share: bool| {

@@ -1,5 +1,5 @@
-//! What the queue costs: frames of several cameras through the shared detector, against the same model in a plain
-//! loop; and what it brings that one camera's next frame is decoded while the model runs.
+//! Measures the cost of the queue: frames of several cameras through the shared detector, against the same model in a
+//! plain loop. Also measures the gain from decoding a camera's next frame while the model runs.
 
 use super::decode_for;
 use super::samples::median;
@@ -9,10 +9,10 @@ use std::sync::Arc;
 use std::time::Instant;
 use tokio::task::JoinHandle;
 
-/// Cameras that ask at the same time, so that a picture always waits.
+/// The number of cameras that call at the same time, so that a picture always waits.
 pub(crate) const CAMERAS: usize = 3;
 
-/// Frames per second of each round.
+/// The frames per second of each round.
 #[derive(Default)]
 pub(crate) struct Throughput {
     queued: Vec<f64>,
@@ -24,7 +24,7 @@ pub(crate) struct Throughput {
 }
 
 impl Throughput {
-    /// The pictures once through the plain loop.
+    /// Runs all pictures through the plain loop once.
     pub(crate) fn run_loop(
         &mut self,
         network: &mut DetectorNetwork,
@@ -42,7 +42,7 @@ impl Throughput {
         Ok(())
     }
 
-    /// The pictures once through the queue, dealt out to the cameras.
+    /// Runs all pictures through the queue once, distributed over the cameras.
     pub(crate) async fn run_queue(
         &mut self,
         detector: &DetectorHandle,
@@ -78,8 +78,8 @@ impl Throughput {
         Ok(())
     }
 
-    /// All frames of one camera, decoding included: each made ready when its turn has come, or, with `ahead`,
-    /// while the model has the one before.
+    /// Runs all frames of one camera, including decoding. Each frame is prepared when its turn comes or, with `ahead`,
+    /// while the model runs on the previous one.
     pub(crate) async fn run_camera(
         &mut self,
         detector: &DetectorHandle,

@@ -1,12 +1,12 @@
-//! JPEG decoders beside each other, in turns within one run: what albireo uses (`zune-jpeg`), libjpeg-turbo (the feature
-//! `turbojpeg` uses it for pictures that are to be made smaller), and `jpeg-decoder`, which can scale too.
+//! Compares JPEG decoders, which take turns within one run: albireo's `zune-jpeg`, libjpeg-turbo (the feature
+//! `turbojpeg` uses it to decode at reduced size), and `jpeg-decoder`, which can also scale.
 //!
 //! ```text
 //! cargo run --release --locked --manifest-path benches/decoders/Cargo.toml [-- FILE.jpg …]
 //! ```
 //!
-//! Without files: pictures of a scene of boxes at three sizes. Prints the median and the 95 % of the milliseconds a
-//! picture takes, and the median beside that of `zune-jpeg` in colour.
+//! Without files, decodes pictures of a scene of boxes at three sizes. Prints the median and the 95th percentile of the
+//! milliseconds per picture, and the ratio of the median to that of `zune-jpeg` in colour.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
@@ -21,7 +21,7 @@ use zune_core::options::DecoderOptions;
 
 const ROUNDS: usize = 40;
 
-/// A way from a file to pixels; the buffer is used again.
+/// A decoder from a file to pixels. The buffer is reused.
 struct Way {
     name: &'static str,
     decode: Box<dyn FnMut(&[u8], &mut Vec<u8>)>,
@@ -34,7 +34,7 @@ fn way(name: &'static str, decode: impl FnMut(&[u8], &mut Vec<u8>) + 'static) ->
     }
 }
 
-/// As the node does it: strict, into a buffer that is there.
+/// Decodes like the node: strict, into an existing buffer.
 fn zune(colors: ColorSpace) -> impl FnMut(&[u8], &mut Vec<u8>) {
     move |file, pixels| {
         let options = DecoderOptions::default()
@@ -104,7 +104,7 @@ fn ways() -> Vec<Way> {
     ]
 }
 
-/// What is decoded, and what it is called.
+/// The files to decode, in groups with a name.
 fn files() -> Vec<(String, Vec<Vec<u8>>)> {
     let named: Vec<_> = std::env::args().skip(1).collect();
     if !named.is_empty() {

@@ -1,6 +1,5 @@
-//! What benches and tests share: boxes that wander about slowly, with noise and now and then a miss, as a detector would
-//! report them; pictures of boxes with their exact places; the clock that is read, and how a figure is drawn from many
-//! rounds.
+//! Shares fixtures between benches and tests: slowly moving boxes with noise and some misses, as a detector reports them;
+//! pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
 
 mod pictures;
 
@@ -12,10 +11,10 @@ use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};
 
-/// The picture they wander in.
+/// The size of the picture in which the boxes move.
 pub const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
-/// A scene with a fixed number of objects, the same at every run.
+/// A scene with a fixed number of objects, the same in every run.
 #[derive(Debug)]
 pub struct Scene {
     objects: Vec<(BoundingBox, [f64; 2])>,
@@ -39,12 +38,12 @@ impl Scene {
         scene
     }
 
-    /// Evenly distributed.
+    /// Returns a uniformly distributed number from `low` up to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// The next `frames` frames; `missed` objects are not seen on each, and the order says nothing.
+    /// The next `frames` frames. Each misses `missed` objects and has the others in random order.
     pub fn film(&mut self, frames: usize, missed: usize) -> Vec<Vec<Detection>> {
         (0..frames).map(|_| self.frame(missed)).collect()
     }
@@ -80,7 +79,7 @@ impl Scene {
     }
 }
 
-/// Processor time of this thread so far, in seconds: what others do on a busy machine does not count.
+/// The processor time of this thread so far, in seconds. The load of other processes does not count.
 pub fn processor_seconds() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

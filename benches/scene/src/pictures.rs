@@ -16,14 +16,14 @@ const COLOURS: [[f32; 3]; 6] = [
     [1.0, 0.0, 1.0],
 ];
 
-/// Pixels of a stripe of the boxes and of the background, at 360 rows.
+/// The width of a stripe of the boxes and of the background, in pixels at 360 rows.
 const STRIPE: f32 = 6.0;
 
-/// Frames from one turn of a box to the next, at the least.
+/// The minimum number of frames between two turns of a box.
 const CROSSING: u64 = 60;
 
-/// A scene that is a function of the frame's number: each box goes to and fro in a lane of its own, so that none hides
-/// another, and is out of sight for a fifth of the time.
+/// A scene computed from the frame number. Each box moves back and forth in a separate lane, so that none hides another,
+/// and is out of sight for a fifth of the time.
 #[derive(Clone, Copy, Debug)]
 pub struct BoxScene {
     size: PictureSize,
@@ -33,21 +33,21 @@ pub struct BoxScene {
 /// One frame of a [`BoxScene`].
 #[derive(Clone, Debug)]
 pub struct BoxFrame {
-    /// Size of the picture.
+    /// The size of the picture.
     pub size: PictureSize,
-    /// Three bytes a pixel: red, green, blue.
+    /// Three bytes per pixel: red, green, blue.
     pub rgb: Vec<u8>,
-    /// Every box in sight: its class as an index of [`CLASSES`], and its place in pixels.
+    /// The boxes in sight: the class as an index into [`CLASSES`], and the corners in pixels.
     pub boxes: Vec<(usize, Corners)>,
 }
 
 impl BoxScene {
-    /// A scene with pictures of `size`; the seed says how the boxes move.
+    /// A scene with pictures of `size`. The seed determines how the boxes move.
     pub const fn new(seed: u64, size: PictureSize) -> Self {
         Self { size, seed }
     }
 
-    /// The frame of that number.
+    /// The frame with the given number.
     pub fn frame(&self, index: u64) -> BoxFrame {
         let (width, height) = (self.size.width as usize, self.size.height as usize);
         let boxes: Vec<_> = (0..CLASSES.len())
@@ -63,7 +63,7 @@ impl BoxScene {
                     within(x, place.x1, place.x2) && within(y, place.y1, place.y2)
                 });
                 let pixel = match inside {
-                    // The stripes are the box's own: they move with it.
+                    // The stripes move with the box.
                     Some((class, place)) => {
                         let shade = shade(
                             x as f32 - place.x1 as f32,
@@ -87,9 +87,9 @@ impl BoxScene {
         }
     }
 
-    /// Where the box of `class` is; `None` while it is out of sight.
+    /// The corners of the box of `class`; `None` while it is out of sight.
     fn place(&self, class: u64, index: u64) -> Option<Corners> {
-        // Different for each box and seed, and nothing more.
+        // Any value that differs between boxes and seeds.
         let draw = (self.seed * 31 + class * 17) % 97;
         let (width, lane) = (
             f64::from(self.size.width),
@@ -115,16 +115,16 @@ impl BoxScene {
     }
 }
 
-/// 0 or 1, in oblique stripes.
+/// Returns 0 or 1, in oblique stripes.
 fn shade(x: f32, y: f32, stripe: f32) -> f32 {
     (((x + 0.5 * y) / stripe).rem_euclid(2.0)).floor()
 }
 
 impl BoxFrame {
-    /// The picture as a baseline JPEG of `quality` 1 to 100 with halved chroma, as cameras send it.
+    /// The picture as a baseline JPEG with a `quality` from 1 to 100 and halved chroma, as cameras send it.
     ///
     /// # Errors
-    /// When a side is above 65,535 pixels.
+    /// If a side exceeds 65,535 pixels.
     pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>, jpeg_encoder::EncodingError> {
         let mut bytes = Vec::new();
         let mut encoder = Encoder::new(&mut bytes, quality);

@@ -1,6 +1,6 @@
-//! Time of a detector frame in the decision core, beside the trackers of `trackforge`, `norfair-rs` and
-//! `edgefirst-tracker` on the same boxes, in the same run: processor time of the one thread they run on. Prints a
-//! table in Markdown.
+//! Compares a detector frame in the decision core with the trackers of `trackforge`, `norfair-rs` and
+//! `edgefirst-tracker`, on the same boxes and in the same run, by the processor time of the one thread that runs them.
+//! Prints a table in Markdown.
 //!
 //! `make bench-peers`, or `cargo run --release --manifest-path benches/standalone/Cargo.toml`
 
@@ -22,20 +22,20 @@ use trackforge::trackers::sort::Sort;
 
 const OBJECTS: [usize; 4] = [10, 30, 100, 300];
 const FRAMES: usize = 100;
-/// Rounds of each contestant; they take turns, so that a slow minute is slow for all of them alike.
+/// The rounds of each contestant. They take turns, so that a slow minute affects all of them.
 const ROUNDS: usize = 101;
 
-/// How glibc's allocator is set: it keeps the memory it has. By default it gives memory back to the system and fetches it
-/// again within a frame, which costs those that allocate for every frame more than their own work does.
+/// The settings of glibc's allocator, which make it keep freed memory. By default it returns memory to the system and
+/// requests it again within a frame. For contestants that allocate per frame, that costs more than their own work.
 const TUNABLES: (&str, &str) = (
     "GLIBC_TUNABLES",
     "glibc.malloc.trim_threshold=1073741824:glibc.malloc.mmap_threshold=1073741824:glibc.malloc.top_pad=67108864",
 );
 
-/// A box as trackforge takes it: left, top, width, height in pixels; score; class.
+/// A box for trackforge: left, top, width, height in pixels; score; class.
 type Measured = ([f32; 4], f32, i64);
 
-/// A box as edgefirst-tracker takes it: corners from 0 to 1, score, class.
+/// A box for edgefirst-tracker: corners from 0 to 1, score, class.
 #[derive(Clone, Debug)]
 struct EdgefirstBox {
     corners: [f32; 4],
@@ -57,7 +57,7 @@ impl DetectionBox for EdgefirstBox {
     }
 }
 
-/// A film in the form of each contestant.
+/// A film in the format of each contestant.
 struct Film {
     ours: Vec<Vec<Detection>>,
     trackforge: Vec<Vec<Measured>>,
@@ -68,7 +68,7 @@ struct Film {
 impl Film {
     fn new(objects: usize) -> Result<Self, Box<dyn Error>> {
         let forth = Scene::new(objects).film(FRAMES / 2, objects / 20);
-        // Back and forth, so that it can be played again without a cut.
+        // Forwards and backwards, so that the film repeats without a cut.
         let ours: Vec<_> = forth.iter().chain(forth.iter().rev()).cloned().collect();
         let norfair = ours
             .iter()
@@ -113,8 +113,7 @@ fn measured(detection: &Detection) -> Measured {
     )
 }
 
-/// Plays a film once and says how long a frame took, in microseconds, and how many boxes came out in the
-/// end.
+/// Plays a film once. Returns the microseconds per frame and the number of boxes at the end.
 type Contestant<'a> = Box<dyn FnMut() -> (f64, usize) + 'a>;
 
 fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
@@ -145,13 +144,13 @@ fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
     })
 }
 
-/// `update` takes the boxes of a frame and says how many objects it follows.
+/// Wraps a tracker whose `update` takes the boxes of a frame and returns the number of tracked objects.
 fn theirs<'a, T: Clone>(
     film: &'a [Vec<T>],
     mut update: impl FnMut(Vec<T>) -> usize + 'a,
 ) -> Contestant<'a> {
     Box::new(move || {
-        // Most take the boxes by value: the copies are not counted.
+        // Most trackers take the boxes by value. The copies are not counted.
         let frames = film.to_vec();
         let mut boxes = 0;
         let begin = processor_seconds();
@@ -173,7 +172,7 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
     let mut sort = Sort::new(1, 3, 0.3);
     let mut byte_track = ByteTrack::new(0.5, 30, 0.8, 0.6);
     let mut oc_sort = OcSort::from_params(OcSortParams::default());
-    // A distance of 1 − IoU, as SORT's 0.3 above.
+    // A distance of 1 − IoU, equivalent to SORT's 0.3 above.
     let mut config = TrackerConfig::from_distance_name("iou", 0.7);
     config.initialization_delay = 3;
     let mut norfair = norfair_rs::Tracker::new(config)?;
@@ -223,7 +222,7 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
 }
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
-    // Read once, when a process starts.
+    // glibc reads the variable once, at process start.
     if std::env::var_os(TUNABLES.0).is_none() {
         let mut again = Command::new(std::env::current_exe()?);
         let status = again.env(TUNABLES.0, TUNABLES.1).status()?;
@@ -261,7 +260,7 @@ fn measure() -> Result<(), Box<dyn Error>> {
                     boxes * 10 >= objects * 8,
                     "{name} follows {boxes} of {objects} objects: its time means nothing"
                 );
-                // The first round is for the caches and the filters.
+                // The first round warms up caches and filters.
                 if round > 0 {
                     times.push(time);
                 }
