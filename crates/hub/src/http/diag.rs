@@ -63,7 +63,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "at_s": now_s,
         "running_s": view.started.elapsed().as_secs_f64(),
         "database": view.store().ok().map(Store::kind),
-        "not_working": view.readiness.reasons(),
+        "not_working": view.readiness.health().status().reasons,
         "nodes": view.counts(),
     });
     let metrics = super::metrics::page(&view, view.sessions().await);

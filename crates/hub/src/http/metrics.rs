@@ -30,7 +30,7 @@ pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
     page.gauge(
         "albireo_hub_ready",
         "Whether reports are accepted and committed",
-        f64::from(u8::from(view.readiness.reasons().is_empty())),
+        f64::from(u8::from(view.readiness.health().is_ready())),
     );
     page.process();
     presence(&mut page, view);
