@@ -4,6 +4,7 @@
 use super::plan::Present;
 use crate::store::row::{Row, text};
 use crate::store::tables::SetupKey;
+use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipReport};
 use serde_json::{Value, json};
 
@@ -22,7 +23,7 @@ const LONGEST_TEXT: usize = 256;
 /// The clock of a node is wrong if a clip claims to begin this long after its receipt, milliseconds.
 const FUTURE_MS: i64 = 3_600_000;
 /// The clock of a node is wrong if a clip claims to begin this long before its receipt, milliseconds.
-const PAST_MS: i64 = 400 * 86_400_000;
+const PAST_MS: i64 = 400 * DAY_MS;
 
 /// The figures of a report, before its camera and setup have row ids.
 #[derive(Clone, Debug, PartialEq)]

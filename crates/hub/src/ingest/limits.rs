@@ -2,6 +2,7 @@
 
 use crate::per_node::{PerNode, Place};
 use crate::store::tables::EventRow;
+use albireo_service::clock::DAY_MS;
 use parking_lot::Mutex;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -23,7 +24,6 @@ const SET_ASIDE_PER_DAY: u32 = 100;
 
 const DAY_S: f64 = 86_400.0;
 const MINUTE_MS: i64 = 60_000;
-const DAY_MS: i64 = 86_400_000;
 
 /// The share of each node: the bytes that it may still send.
 #[derive(Debug)]
