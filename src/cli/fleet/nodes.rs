@@ -326,15 +326,11 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
 
 /// Formats the number of nodes in each state, then the nodes with problems, or else the first ones.
 fn overview(page: &NodeList) -> String {
-    let counts = &page.counts;
-    let known = counts.online + counts.degraded + counts.silent + counts.offline;
+    let counts = (page.counts.iter()).map(|(state, nodes)| format!("{nodes} {state}"));
     let line = format!(
-        "{}: {} online, {} degraded, {} silent, {} offline; {} reports wait",
-        units::nodes(known),
-        counts.online,
-        counts.degraded,
-        counts.silent,
-        counts.offline,
+        "{}: {}; {} reports wait",
+        units::nodes(page.counts.values().sum()),
+        counts.collect::<Vec<_>>().join(", "),
         page.waiting
     );
     let text = cut(&line, WIDTH) + "\n\n";
