@@ -108,7 +108,8 @@ pub struct Tuner {
     learned: AtomicU64,
     /// The last order to each node, as far as this hub knows.
     open: Mutex<HashMap<String, OpenOrder>>,
-    drift: Mutex<BTreeMap<String, Drift>>,
+    /// The nodes that drifted, with the time at which the hub noticed.
+    drifted_ms: Mutex<BTreeMap<String, Millis>>,
     /// Signals that the nodes' reports were read.
     pub(super) looked: Notify,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
@@ -176,7 +177,7 @@ impl Tuner {
             driver,
             learned: AtomicU64::new(0),
             open: Mutex::default(),
-            drift: Mutex::default(),
+            drifted_ms: Mutex::default(),
             looked: Notify::new(),
             runs: tokio::sync::Mutex::default(),
         };
@@ -264,7 +265,10 @@ impl Tuner {
         for (node, mut order) in orders {
             order.ask.revision = revision;
             self.desires.set(&node, DesiredValue { revision, setting });
-            self.drift.lock().remove(&node);
+            // A node that is set back stays listed until it has the value again.
+            if order.set_back == 0 {
+                self.drifted_ms.lock().remove(&node);
+            }
             self.notifier.notify(&node, revision);
             self.open.lock().insert(node, order);
         }
@@ -274,7 +278,7 @@ impl Tuner {
     /// Drops the orders to a node from memory.
     pub(super) fn stop_following(&self, node: &str) {
         self.desires.remove(node);
-        self.drift.lock().remove(node);
+        self.drifted_ms.lock().remove(node);
         self.open.lock().remove(node);
     }
 
@@ -351,14 +355,12 @@ impl Tuner {
                 && settings.revision == desired.revision
                 && !settings.has(desired.setting);
             if !drifted {
-                // A node that was set back stays listed until it has applied the value again.
                 if settings.revision >= desired.revision {
-                    self.drift.lock().remove(&node);
+                    self.drifted_ms.lock().remove(&node);
                 }
                 continue;
             }
-            let known = self.drift.lock().get(&node).cloned();
-            if known.is_none() {
+            if !self.drifted_ms.lock().contains_key(&node) {
                 let detail = serde_json::json!({
                     "revision": desired.revision,
                     "desired": desired.setting,
@@ -366,14 +368,7 @@ impl Tuner {
                 });
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
-            found.push(Drift {
-                since_ms: known.as_ref().map_or(now, |known| known.since_ms),
-                desired: desired.setting,
-                in_force: settings.setting(),
-                why: settings.target_off(),
-                set_back: self.set_back_times(&node),
-                node,
-            });
+            found.push((node, settings.setting(), desired.setting));
         }
         if !events.is_empty() {
             (self.store)
@@ -381,43 +376,43 @@ impl Tuner {
                 .await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
-        self.list_drift(&found);
+        for (node, ..) in &found {
+            self.drifted_ms.lock().entry(node.clone()).or_insert(now);
+        }
         if self.config.local_change == LocalChange::SetBack {
-            found.retain(|drift| drift.set_back < SET_BACK_TIMES);
-            found.sort_by_cached_key(|drift| drift.desired.to_string());
-            for alike in found.chunk_by_mut(|a, b| a.desired == b.desired) {
-                self.set_back(alike, now).await?;
+            found.retain(|(node, ..)| self.set_back_times(node) < SET_BACK_TIMES);
+            found.sort_by_cached_key(|(.., desired)| desired.to_string());
+            for alike in found.chunk_by(|a, b| a.2 == b.2) {
+                let change = ChangeRow {
+                    revision: 0,
+                    at_ms: now,
+                    who: "hub".to_owned(),
+                    why: "changed at the node".to_owned(),
+                    origin: SET_BACK.to_owned(),
+                    selector: String::new(),
+                    setting: alike[0].2,
+                };
+                let nodes = alike.iter().map(|(node, has, _)| (node.clone(), *has));
+                self.order(change, nodes.collect()).await?;
             }
         }
         Ok(())
     }
 
-    fn list_drift(&self, found: &[Drift]) {
-        let found = (found.iter()).map(|drift| (drift.node.clone(), drift.clone()));
-        self.drift.lock().extend(found);
-    }
-
-    /// Orders the desired setting of these nodes again; it is the same for all of them.
-    async fn set_back(&self, drifted: &mut [Drift], now: Millis) -> Result<(), StoreError> {
-        let change = ChangeRow {
-            revision: 0,
-            at_ms: now,
-            who: "hub".to_owned(),
-            why: "changed at the node".to_owned(),
-            origin: SET_BACK.to_owned(),
-            selector: String::new(),
-            setting: drifted[0].desired,
-        };
-        let nodes = drifted.iter().map(|d| (d.node.clone(), d.in_force));
-        self.order(change, nodes.collect()).await?;
-        // An order removes the drift; the nodes stay listed until they have the value again.
-        drifted.iter_mut().for_each(|drift| drift.set_back += 1);
-        self.list_drift(drifted);
-        Ok(())
-    }
-
     /// The nodes that have drifted.
     pub(crate) fn drift(&self) -> Vec<Drift> {
-        self.drift.lock().values().cloned().collect()
+        let nodes = self.drifted_ms.lock().clone();
+        let drift = |(node, since_ms): (String, Millis)| {
+            let settings = self.fleet.settings(&node)?;
+            Some(Drift {
+                since_ms,
+                desired: self.desires.get(&node)?.setting,
+                in_force: settings.setting(),
+                why: settings.target_off(),
+                set_back: self.set_back_times(&node),
+                node,
+            })
+        };
+        nodes.into_iter().filter_map(drift).collect()
     }
 }
