@@ -728,7 +728,7 @@ async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
         (
             "/api/v1/rollouts",
             json!({"u": 1e-4, "select": ["all"]}),
-            "select: no node",
+            "select: no selected node",
         ),
         ("/api/v1/trials", json!({"values": [{"u": 1e-4}]}), "values"),
     ] {

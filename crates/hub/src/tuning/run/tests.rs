@@ -544,7 +544,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
         plan: plan(),
     };
     let error = Run::begin(nobody, vec![], 1, "ops", 0).unwrap_err();
-    assert!(error.starts_with("select: no node"), "{error}");
+    assert!(error.starts_with("select: no selected node"), "{error}");
 }
 
 #[derive(Clone, Debug)]
