@@ -327,11 +327,7 @@ impl Tuner {
                 selector: String::new(),
                 setting: order.knob.into(),
             };
-            let nodes = order.nodes.iter().map(|node| {
-                let has = self.fleet.settings(node).and_then(|node| node.setting());
-                (node.clone(), has)
-            });
-            let revision = self.order(change, nodes.collect()).await?;
+            let revision = self.order(change, order.nodes.clone()).await?;
             run.asked(&order, revision, now);
         }
         run.observe(now, |node| self.fleet.settings(node));

@@ -4,7 +4,7 @@ use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
-use crate::presence::{Fleet, Notifier};
+use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::store::tables::EventRow;
 use crate::store::{ChangeNode, ChangeRow, DesiredRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
@@ -224,24 +224,25 @@ impl Tuner {
         Ok(())
     }
 
-    /// Orders a setting for nodes, each given with its present setting. When this returns, the order is in the database, pulls
-    /// are answered with it, and the nodes are notified.
+    /// Orders a setting for nodes. When this returns, the order is in the database, pulls are answered with it, and the
+    /// nodes are notified.
     pub(super) async fn order(
         &self,
         change: ChangeRow,
-        nodes: Vec<(String, Option<DesiredSetting>)>,
+        nodes: Vec<String>,
     ) -> Result<u64, StoreError> {
         let (now, setting) = (change.at_ms, change.setting);
         // A restored database lacks the revisions given after its backup, and offline nodes may have them. So that none is given
         // twice, revisions start at the time, in seconds, and above those that the nodes report.
         let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
         let mut orders = Vec::new();
-        for (node, from) in nodes {
+        for node in nodes {
             let settings = self.fleet.settings(&node);
             let reported = settings.as_ref().map_or(0, |settings| settings.revision);
             if self.implausible(reported).is_none() {
                 above = above.max(reported);
             }
+            let from = settings.as_ref().and_then(NodeSettings::setting);
             let outcome = match settings.is_some_and(|settings| settings.reachable) {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
@@ -368,7 +369,7 @@ impl Tuner {
                 });
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
-            found.push((node, settings.setting(), desired.setting));
+            found.push((node, desired.setting));
         }
         if !events.is_empty() {
             (self.store)
@@ -376,13 +377,13 @@ impl Tuner {
                 .await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
-        for (node, ..) in &found {
+        for (node, _) in &found {
             self.drifted_ms.lock().entry(node.clone()).or_insert(now);
         }
         if self.config.local_change == LocalChange::SetBack {
-            found.retain(|(node, ..)| self.set_back_times(node) < SET_BACK_TIMES);
-            found.sort_by_cached_key(|(.., desired)| desired.to_string());
-            for alike in found.chunk_by(|a, b| a.2 == b.2) {
+            found.retain(|(node, _)| self.set_back_times(node) < SET_BACK_TIMES);
+            found.sort_by_cached_key(|(_, desired)| desired.to_string());
+            for alike in found.chunk_by(|a, b| a.1 == b.1) {
                 let change = ChangeRow {
                     revision: 0,
                     at_ms: now,
@@ -390,9 +391,9 @@ impl Tuner {
                     why: "changed at the node".to_owned(),
                     origin: SET_BACK.to_owned(),
                     selector: String::new(),
-                    setting: alike[0].2,
+                    setting: alike[0].1,
                 };
-                let nodes = alike.iter().map(|(node, has, _)| (node.clone(), *has));
+                let nodes = alike.iter().map(|(node, _)| node.clone());
                 self.order(change, nodes.collect()).await?;
             }
         }
