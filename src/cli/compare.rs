@@ -4,6 +4,7 @@ mod clip;
 mod play;
 
 use super::progress;
+use super::values::{above_zero, not_negative, parse_rate};
 use albireo_eval::compare::{
     Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, agreement, render, schedule,
     summarise, variants, write,
@@ -79,10 +80,10 @@ pub(super) struct Arguments {
     #[arg(long, help_heading = PLAYING, default_value_t = 20.0, value_parser = above_zero)]
     seconds: f64,
     /// Frames per second of a source that has none of its own
-    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = super::values::parse_rate)]
+    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = parse_rate)]
     rate: Option<f64>,
     /// Play this many times as fast as the clip's own rate
-    #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor, conflicts_with = "unpaced")]
+    #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = parse_rate, conflicts_with = "unpaced")]
     speed: f64,
     /// Play as fast as the node accepts frames; none is dropped
     #[arg(long, help_heading = PLAYING)]
@@ -108,28 +109,6 @@ pub(super) struct Arguments {
     /// Write compare.json, runs.csv and compare.txt here
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-}
-
-fn above_zero(text: &str) -> Result<f64, String> {
-    number(text, |value| value > 0.0 && value <= 1e6, "above 0")
-}
-
-/// Reads a speed at which frames are still a reasonable time apart.
-fn factor(text: &str) -> Result<f64, String> {
-    number(
-        text,
-        |value| (0.001..=1000.0).contains(&value),
-        "from 0.001 to 1000",
-    )
-}
-
-fn not_negative(text: &str) -> Result<f64, String> {
-    number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
-}
-
-fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|value| fits(*value));
-    value.ok_or_else(|| format!("must be a number {which}"))
 }
 
 /// Runs the comparison and prints the result.

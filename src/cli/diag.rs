@@ -13,7 +13,9 @@ const EXAMPLES: &str = "\
 Examples:
   albireo diag                                  the node of this machine
   albireo diag http://127.0.0.1:8090            a hub
-  ALBIREO_HTTP__TOKEN=… albireo diag http://car-7.example:8080 -o car-7.tar";
+  ALBIREO_HTTP__TOKEN=… albireo diag http://car-7.example:8080 -o car-7.tar
+  ALBIREO_HTTP__TOKEN=$ALBIREO_HUB_TOKEN albireo diag $ALBIREO_HUB
+      the hub of `albireo fleet`";
 
 /// Arguments of `albireo diag`.
 #[derive(Debug, clap::Args)]
@@ -58,7 +60,7 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Writes an archive into a new file; an existing file is not overwritten.
-pub(super) fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
+fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
     OpenOptions::new()
         .write(true)
         .create_new(true)

@@ -1,7 +1,6 @@
 //! `albireo fleet`: uses a hub from the terminal, as a client of its HTTP interface only.
 
 pub(super) mod client;
-mod diag;
 mod nodes;
 mod runs;
 mod set;
@@ -40,8 +39,6 @@ Examples:
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
   albireo fleet forget car-7                         a scrapped node
   albireo fleet energy --since 7d --by node
-  albireo fleet diag
-      an archive for finding a fault
   albireo fleet changes --node cam-7
       who set what, when and why, and the outcome
   ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
@@ -99,8 +96,6 @@ enum Command {
     Energy(nodes::EnergyArguments),
     /// Show the fleet, refreshed every two seconds.
     Watch(nodes::WatchArguments),
-    /// Fetch the hub's diagnostics as one archive.
-    Diag(diag::Arguments),
 }
 
 /// The end of a command without an error.
@@ -179,6 +174,5 @@ async fn follow(arguments: Arguments) -> anyhow::Result<Ended> {
         Command::Trial(command) => runs::trial(&context, command).await,
         Command::Energy(arguments) => nodes::energy(&context, arguments).await,
         Command::Watch(arguments) => nodes::watch(&context, arguments).await,
-        Command::Diag(arguments) => diag::fetch(&context, arguments).await,
     }
 }

@@ -1,4 +1,4 @@
-//! Parses values of arguments: frame rates and picture sizes.
+//! Parses values of arguments: frame rates, times and picture sizes.
 
 use albireo_core::geometry::PictureSize;
 
@@ -8,12 +8,25 @@ pub(super) const MIN_RATE: f64 = 0.001;
 /// The most frames per second.
 pub(super) const MAX_RATE: f64 = 1000.0;
 
-/// Reads a number of frames per second.
+/// Reads a number of frames per second, or the factor of a speed, at which frames are still a reasonable time apart.
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(rate) if (MIN_RATE..=MAX_RATE).contains(&rate) => Ok(rate),
-        _ => Err(format!("must be a number from {MIN_RATE} to {MAX_RATE}")),
-    }
+    let fits = |rate| (MIN_RATE..=MAX_RATE).contains(&rate);
+    number(text, fits, &format!("from {MIN_RATE} to {MAX_RATE}"))
+}
+
+/// Reads a time of at most 11 days, seconds.
+pub(super) fn above_zero(text: &str) -> Result<f64, String> {
+    number(text, |value| value > 0.0 && value <= 1e6, "above 0")
+}
+
+/// Reads a time of at most 11 days, seconds, that may be 0.
+pub(super) fn not_negative(text: &str) -> Result<f64, String> {
+    number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
+}
+
+fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value| fits(*value));
+    value.ok_or_else(|| format!("must be a number {which}"))
 }
 
 /// Reads `1280x720`.

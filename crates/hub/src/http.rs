@@ -23,11 +23,11 @@ use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::ingest::IngestCounters;
 use crate::presence::{Fleet, ListenCounters};
-use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
 use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
+use albireo_service::readiness::Readiness;
 use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -44,8 +44,8 @@ use utoipa_axum::routes;
 /// The state that all routes share.
 #[derive(Clone, Debug)]
 pub struct HubView {
-    /// The parts that do not work.
-    pub readiness: Arc<Readiness>,
+    /// The faults of its parts: `database`, `zenoh`, `tasks`.
+    pub readiness: Readiness,
     /// All nodes.
     pub fleet: Arc<Fleet>,
     /// The desired settings of the nodes.
@@ -75,7 +75,7 @@ pub struct HubView {
 
 impl HubView {
     /// A hub that knows no node yet.
-    pub fn new(config: &HubConfig, readiness: Arc<Readiness>, shutdown: CancellationToken) -> Self {
+    pub fn new(config: &HubConfig, readiness: Readiness, shutdown: CancellationToken) -> Self {
         Self {
             readiness,
             fleet: Arc::new(Fleet::new(&config.presence)),

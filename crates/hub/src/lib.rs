@@ -9,7 +9,6 @@ pub mod ingest;
 mod named;
 mod per_node;
 pub mod presence;
-pub mod readiness;
 mod run;
 pub mod store;
 pub mod tuning;

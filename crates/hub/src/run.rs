@@ -5,11 +5,11 @@ use crate::error::HubError;
 use crate::http::{self, HubView, Reach};
 use crate::ingest::{self, Replies};
 use crate::presence::listen;
-use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::notify::{self, ServiceState};
+use albireo_service::readiness::Readiness;
 use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
 use axum::http::Method;
@@ -60,10 +60,10 @@ pub async fn run(
         .local_addr()
         .map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
-    let readiness = Arc::new(Readiness::default());
-    readiness.hold("zenoh", "the session is not open yet");
-    readiness.hold("database", "it is not open yet");
-    let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
+    let readiness = Readiness::default();
+    (readiness.part("zenoh")).not_ready("the session is not open yet");
+    (readiness.part("database")).not_ready("it is not open yet");
+    let view = HubView::new(config, readiness, shutdown.clone());
     // HTTP stops last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run(
@@ -106,9 +106,7 @@ pub async fn run(
 fn service_state(view: HubView) -> impl Fn() -> ServiceState {
     let moved = Mutex::new((0, Instant::now()));
     move || {
-        let reasons: Vec<_> = (view.readiness.reasons().iter())
-            .map(|(part, reason)| format!("{part}: {reason}"))
-            .collect();
+        let health = view.readiness.health();
         let all = view.ingest.counts();
         let tried = all.commits + all.database_errors + all.refused_unavailable + all.batches;
         let mut moved = moved.lock();
@@ -117,8 +115,8 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
         }
         let stuck = moved.1.elapsed() >= STUCK_AFTER;
         ServiceState {
-            ready: reasons.is_empty(),
-            reasons: reasons.join("; "),
+            ready: health.is_ready(),
+            reasons: health.status().text(),
             stuck: stuck.then(|| "batches wait and the writer does nothing".to_owned()),
         }
     }
@@ -127,6 +125,7 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
 /// Starts the parts in order, waits for the shutdown, and stops them in reverse order.
 async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let (readiness, shutdown) = (&view.readiness, &view.shutdown);
+    let (database, zenoh) = (readiness.part("database"), readiness.part("zenoh"));
     // The database may become unreachable again at any moment.
     let opening = || async {
         let store = Store::open(&config.database).await?;
@@ -140,9 +139,9 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     tracing::info!(database = store.kind(), nodes, "database opened");
     // This is the only place that sets it.
     let _ = view.opened.set(store.clone());
-    readiness.release("database");
+    database.works();
     let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
-        readiness.hold("zenoh", &error.to_string());
+        zenoh.not_ready(error.to_string());
     });
     let Some(session) = shutdown.run_until_cancelled(opening).await.transpose()? else {
         store.close().await;
@@ -155,12 +154,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let (queue, written) = ingest::start(config, view, &store, &replies)
         .map_err(HubError::at("the ingest threads cannot be started"))?;
     // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
-    // service manager restarts it; readiness does not need to name tasks.
-    let mut tasks = Supervisor::new(
-        albireo_service::readiness::Readiness::default(),
-        TaskTally::default(),
-        shutdown.clone(),
-    );
+    // service manager restarts it.
+    let mut tasks = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
     tasks.essential("writer", written);
     let (listening, receiving) = listen(config, view, &session, replies).await?;
     tasks.essential("presence", receiving);
@@ -191,7 +186,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         )
     };
     let tuner = patiently(config, view, opening).await?;
-    readiness.release("database");
+    database.works();
     if let Some(tuner) = tuner.map(Arc::new) {
         let _ = view.tunes.set(Arc::clone(&tuner));
         tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
@@ -202,20 +197,20 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
             .notifier
             .notify(&node, view.desires.of(&node).revision);
     }
-    readiness.release("zenoh");
-    let zenoh: Vec<String> = session
+    zenoh.works();
+    let locators: Vec<String> = session
         .info()
         .locators()
         .await
         .iter()
         .map(ToString::to_string)
         .collect();
-    tracing::info!(?zenoh, "ready");
+    tracing::info!(zenoh = ?locators, "ready");
 
     let watched = tasks.watch().await;
     // After a failure the other tasks have to stop.
     shutdown.cancel();
-    readiness.hold("zenoh", "the hub is stopping");
+    zenoh.not_ready("the hub is stopping");
     // This drops the queue's only sender: the writer commits the waiting batches and ends.
     drop(reports);
     let stop = async {
@@ -250,7 +245,7 @@ async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
             return Err(HubError::at(&what)(error));
         }
         tracing::warn!(%error, database = config.database.shown(), "trying again");
-        view.readiness.hold("database", &error.to_string());
+        (view.readiness.part("database")).not_ready(error.to_string());
         tokio::select! {
             () = tokio::time::sleep(DATABASE_RETRY) => {}
             () = view.shutdown.cancelled() => return Ok(None),

@@ -4,6 +4,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 pub use albireo_wire::significant;
 
+/// Milliseconds per day.
+pub const DAY_MS: i64 = 86_400_000;
+
 /// The present time by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {

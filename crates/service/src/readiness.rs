@@ -237,8 +237,7 @@ fn put(faults: &mut BTreeMap<Key, (Fault, Instant)>, key: Key, fault: Option<Fau
 }
 
 fn log(status: &HealthStatus) {
-    let shown = (status.reasons.iter()).map(|(part, reason)| format!("{part}: {reason}"));
-    let reasons = shown.collect::<Vec<_>>().join("; ");
+    let reasons = status.text();
     match status.state {
         HealthState::Ready => tracing::info!("every part works"),
         HealthState::Degraded => tracing::warn!("degraded: {reasons}"),

@@ -90,6 +90,14 @@ pub struct HealthStatus {
     pub reasons: BTreeMap<String, String>,
 }
 
+impl HealthStatus {
+    /// The problems as one text; empty when ready.
+    pub fn text(&self) -> String {
+        let reasons = (self.reasons.iter()).map(|(part, reason)| format!("{part}: {reason}"));
+        reasons.collect::<Vec<_>>().join("; ")
+    }
+}
+
 /// The full status that a hub shows of a node between reports.
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

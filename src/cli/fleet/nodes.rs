@@ -5,7 +5,7 @@ use super::units::{self, ago, figure, name_of, seconds, threshold};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
-use albireo_service::clock::unix_milliseconds;
+use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use serde::Deserialize;
 use serde_json::json;
@@ -17,7 +17,6 @@ const PAGE: usize = 500;
 const MAX_NODES: usize = 200_000;
 /// From this many seconds on, a period of `energy` begins with a day (UTC).
 const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
-const DAY_MS: i64 = 86_400_000;
 /// The number of nodes that `watch` shows.
 const SHOWN: usize = 20;
 /// The time between two updates of `watch`.
@@ -327,15 +326,11 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
 
 /// Formats the number of nodes in each state, then the nodes with problems, or else the first ones.
 fn overview(page: &NodeList) -> String {
-    let counts = &page.counts;
-    let known = counts.online + counts.degraded + counts.silent + counts.offline;
+    let counts = (page.counts.iter()).map(|(state, nodes)| format!("{nodes} {state}"));
     let line = format!(
-        "{}: {} online, {} degraded, {} silent, {} offline; {} reports wait",
-        units::nodes(known),
-        counts.online,
-        counts.degraded,
-        counts.silent,
-        counts.offline,
+        "{}: {}; {} reports wait",
+        units::nodes(page.counts.values().sum()),
+        counts.collect::<Vec<_>>().join(", "),
         page.waiting
     );
     let text = cut(&line, WIDTH) + "\n\n";

@@ -43,7 +43,7 @@ pub struct PublishOptions {
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
     /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive]
-    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = values::above_zero)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node uses its own time windows
     #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
@@ -61,13 +61,6 @@ fn parse_rate(text: &str) -> Result<Rate, String> {
         let (least, most) = (values::MIN_RATE, values::MAX_RATE);
         format!("must be `max` or a number from {least} to {most}")
     })
-}
-
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
-        _ => Err("must be a number above 0".to_owned()),
-    }
 }
 
 /// The totals so far.

@@ -1974,29 +1974,6 @@ export interface components {
             /** @description Current power by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
-        /** @description The number of nodes by state. */
-        Counts: {
-            /**
-             * Format: int64
-             * @description Nodes that send status messages, and of which a part does not work.
-             */
-            degraded: number;
-            /**
-             * Format: int64
-             * @description Nodes that sent no status for long, or whose liveliness token disappeared.
-             */
-            offline: number;
-            /**
-             * Format: int64
-             * @description Nodes that send status messages, and whose every part works.
-             */
-            online: number;
-            /**
-             * Format: int64
-             * @description Nodes that sent no status for a while.
-             */
-            silent: number;
-        };
         /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
             /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. It switches a target off. */
@@ -2130,11 +2107,6 @@ export interface components {
              */
             clips: number;
             /**
-             * Format: double
-             * @description The processor's part of it.
-             */
-            cpu_joules: number;
-            /**
              * Format: int64
              * @description Calls of the detector.
              */
@@ -2150,20 +2122,10 @@ export interface components {
              */
             frames: number;
             /**
-             * Format: double
-             * @description The GPU's part of it.
-             */
-            gpu_joules: number;
-            /**
              * @description Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, policy and value (`albireo u=0.0003`), or clip (`node/camera/clip`);
              *     empty for the sum over all.
              */
             group: string;
-            /**
-             * Format: double
-             * @description The part of memory, input and output.
-             */
-            io_mem_joules: number;
             /**
              * Format: double
              * @description Energy, joules: exact sums of what the nodes report, in whole microjoules.
@@ -2291,7 +2253,7 @@ export interface components {
         HubReadiness: {
             /** @description True if every part works. */
             ready: boolean;
-            /** @description The reason of each part that does not work: `database`, `zenoh`. */
+            /** @description The reason of each part that does not work: `database`, `zenoh`, `tasks`. */
             reasons: {
                 [key: string]: string;
             };
@@ -2449,7 +2411,9 @@ export interface components {
         /** @description A page of nodes. */
         NodeList: {
             /** @description The number of nodes in the whole fleet, by state. */
-            counts: components["schemas"]["Counts"];
+            counts: {
+                [key: string]: number;
+            };
             /** @description The rows. */
             nodes: components["schemas"]["NodeView"][];
             /** @description The number of rows before this page. */

@@ -65,7 +65,7 @@ export function Summary() {
           <span class="by-state">
             {states.map((state) => (
               <a key={state} href={href(["fleet"], { state })} class={known && known.counts[state] ? `state ${state}` : "state none"}>
-                <b>{known ? count(known.counts[state]) : "–"}</b> {state}
+                <b>{known ? count(known.counts[state] ?? 0) : "–"}</b> {state}
               </a>
             ))}
           </span>

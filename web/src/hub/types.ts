@@ -8,7 +8,6 @@ export type NodeList = Schemas["NodeList"];
 export type NodeView = Schemas["NodeView"];
 export type NodeDetail = Schemas["NodeDetail"];
 export type CountersMessage = Schemas["CountersMessage"];
-export type Counts = Schemas["Counts"];
 export type PresenceState = Schemas["PresenceState"];
 export type Energy = Schemas["Energy"];
 export type EnergyGroup = Schemas["EnergyGroup"];

@@ -63,8 +63,8 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "at_s": now_s,
         "running_s": view.started.elapsed().as_secs_f64(),
         "database": view.store().ok().map(Store::kind),
-        "not_working": view.readiness.reasons(),
-        "nodes": view.counts(),
+        "not_working": view.readiness.health().status().reasons,
+        "nodes": view.fleet.by_state(),
     });
     let metrics = super::metrics::page(&view, view.sessions().await);
     let files = [

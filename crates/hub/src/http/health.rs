@@ -24,8 +24,8 @@ pub(super) struct Health {
 pub(super) struct HubReadiness {
     /// True if every part works.
     ready: bool,
-    /// The reason of each part that does not work: `database`, `zenoh`.
-    reasons: BTreeMap<&'static str, String>,
+    /// The reason of each part that does not work: `database`, `zenoh`, `tasks`.
+    reasons: BTreeMap<String, String>,
 }
 
 /// [`HubReadiness`] as a problem document.
@@ -59,20 +59,16 @@ pub(super) async fn healthz() -> Json<Health> {
     )
 )]
 pub(super) async fn readyz(State(view): State<HubView>) -> Response {
-    let reasons = view.readiness.reasons();
+    let health = view.readiness.health();
+    let text = health.status().text();
     let readiness = HubReadiness {
-        ready: reasons.is_empty(),
-        reasons,
+        ready: health.is_ready(),
+        reasons: health.status().reasons,
     };
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let words: Vec<_> = readiness
-        .reasons
-        .iter()
-        .map(|(part, reason)| format!("{part}: {reason}"))
-        .collect();
     let status = StatusCode::SERVICE_UNAVAILABLE;
-    let problem = Problem::new(status, words.join("; "));
+    let problem = Problem::new(status, text);
     http::response(status, &HubNotReady { problem, readiness })
 }

@@ -1,7 +1,6 @@
 //! Serves metrics for Prometheus.
 
 use super::HubView;
-use crate::presence::PresenceState;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::TargetStatus;
 use axum::extract::State;
@@ -30,7 +29,7 @@ pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
     page.gauge(
         "albireo_hub_ready",
         "Whether reports are accepted and committed",
-        f64::from(u8::from(view.readiness.reasons().is_empty())),
+        f64::from(u8::from(view.readiness.health().is_ready())),
     );
     page.process();
     presence(&mut page, view);
@@ -70,7 +69,7 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",
         tallies.waiting as f64,
     );
-    let states = PresenceState::ALL.into_iter().zip(view.fleet.by_state());
+    let states = view.fleet.by_state().into_iter();
     page.gauges(
         "albireo_hub_nodes",
         "Nodes by state",

@@ -13,6 +13,7 @@ use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 
@@ -63,37 +64,11 @@ pub(super) struct Selection {
     limit: Option<usize>,
 }
 
-/// The number of nodes by state.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Counts {
-    /// Nodes that send status messages, and whose every part works.
-    pub online: u64,
-    /// Nodes that send status messages, and of which a part does not work.
-    pub degraded: u64,
-    /// Nodes that sent no status for a while.
-    pub silent: u64,
-    /// Nodes that sent no status for long, or whose liveliness token disappeared.
-    pub offline: u64,
-}
-
-impl HubView {
-    /// The number of nodes by state.
-    pub(super) fn counts(&self) -> Counts {
-        let [online, degraded, silent, offline] = self.fleet.by_state();
-        Counts {
-            online,
-            degraded,
-            silent,
-            offline,
-        }
-    }
-}
-
 /// A page of nodes.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct NodeList {
     /// The number of nodes in the whole fleet, by state.
-    pub counts: Counts,
+    pub counts: BTreeMap<PresenceState, u64>,
     /// Reports that wait in the outboxes of the whole fleet.
     pub waiting: u64,
     /// The number of selected rows, on all pages.
@@ -159,7 +134,7 @@ pub(super) async fn list(
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
     Ok(Json(NodeList {
-        counts: view.counts(),
+        counts: view.fleet.by_state(),
         waiting,
         total: found.len(),
         offset: selection.offset,

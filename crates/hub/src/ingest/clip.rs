@@ -4,6 +4,7 @@
 use super::plan::Present;
 use crate::store::row::{Row, text};
 use crate::store::tables::SetupKey;
+use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipReport};
 use serde_json::{Value, json};
 
@@ -22,7 +23,7 @@ const LONGEST_TEXT: usize = 256;
 /// The clock of a node is wrong if a clip claims to begin this long after its receipt, milliseconds.
 const FUTURE_MS: i64 = 3_600_000;
 /// The clock of a node is wrong if a clip claims to begin this long before its receipt, milliseconds.
-const PAST_MS: i64 = 400 * 86_400_000;
+const PAST_MS: i64 = 400 * DAY_MS;
 
 /// The figures of a report, before its camera and setup have row ids.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,15 +82,6 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     let avoided_calls = skipped.saturating_sub(report.degraded_frames);
     // If the node does not know the cost of a call, the avoided energy is known only without avoided calls: it is 0.
     let none_avoided = (avoided_calls == 0).then_some(0.0);
-    // The energy of a domain is the whole node's; the clip has the same share of it as of the total.
-    let share = match (energy.joules, energy.node_joules) {
-        (Some(own), Some(node)) if node > 0.0 => (own / node).clamp(0.0, 1.0),
-        _ => 1.0,
-    };
-    let domain = |name: &str| {
-        let found = energy.domains.iter().find(|domain| domain.domain == name);
-        Joules(found.map(|domain| domain.joules * share))
-    };
     let dropped = report.dropped.by_kind();
     let dropped = (dropped.iter()).fold(0_u64, |sum, (_, frames)| sum.saturating_add(*frames));
     let audit = |count: fn(&AuditReport) -> u64| Audited(report.audit.as_ref().map(count));
@@ -121,9 +113,6 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
         ),
         ("energy_uj", Joules(energy.joules)),
         ("node_uj", Joules(energy.node_joules)),
-        ("gpu_uj", domain("gpu")),
-        ("cpu_uj", domain("cpu")),
-        ("io_mem_uj", domain("io_mem")),
         ("samples", Count(energy.samples)),
         ("audit_frames", audit(|a| a.sums.frames)),
         ("audit_missed", audit(|a| a.sums.missed)),

@@ -2,6 +2,8 @@
 
 use crate::per_node::{PerNode, Place};
 use crate::store::tables::EventRow;
+use albireo_service::clock::DAY_MS;
+use albireo_service::config::DAY_S;
 use parking_lot::Mutex;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -21,9 +23,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 /// Most invalid reports of a node that are kept per day; further ones are only counted.
 const SET_ASIDE_PER_DAY: u32 = 100;
 
-const DAY_S: f64 = 86_400.0;
 const MINUTE_MS: i64 = 60_000;
-const DAY_MS: i64 = 86_400_000;
 
 /// The share of each node: the bytes that it may still send.
 #[derive(Debug)]

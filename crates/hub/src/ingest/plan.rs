@@ -3,11 +3,10 @@
 
 use crate::store::ReportKey;
 use crate::store::row::json_text;
+use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
-
-const DAY_MS: i64 = 86_400_000;
 
 /// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
 const FIRST_MS: i64 = 1_767_225_600_000;

@@ -11,7 +11,7 @@ use crate::store::retention::retain;
 use crate::store::row::Row;
 use crate::store::tables::{EventRow, LARGEST_SUM, SUM_KEY, SUMMED};
 use crate::store::{Access, Database, Store, StoreError};
-use albireo_service::clock::Now;
+use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -23,8 +23,6 @@ const RETENTION: Duration = Duration::from_secs(60);
 
 /// The tables of sums, with the length of their spans in seconds; days are in UTC.
 const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
-
-const DAY_MS: i64 = 86_400_000;
 
 /// Most cameras of a node.
 const MOST_CAMERAS: usize = 64;

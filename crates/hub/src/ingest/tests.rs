@@ -4,11 +4,11 @@ mod hostile;
 
 use super::plan::{Counts, Present, Seen, key};
 use crate::store::row::{read, row};
+use albireo_service::clock::DAY_MS;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use uuid::{Builder, Uuid};
 
-const DAY_MS: i64 = 86_400_000;
 /// Day 20,780 is the 23rd of November 2026.
 const NOW_MS: i64 = 20_780 * DAY_MS + 1_000;
 

@@ -179,7 +179,7 @@ impl Writer {
         }
         match self.transaction(batches, retention) {
             Ok(committed) => {
-                self.view.readiness.release("database");
+                self.view.readiness.part("database").works();
                 self.acknowledge(waiting, batches, committed);
             }
             Err(error) if !error.passes() && batches.len() > 1 => {
@@ -195,7 +195,7 @@ impl Writer {
             Err(error) => {
                 self.refuse(waiting, &error);
                 if error.passes() {
-                    self.view.readiness.hold("database", &error.to_string());
+                    (self.view.readiness.part("database")).not_ready(error.to_string());
                     std::thread::sleep(DATABASE_PAUSE);
                 }
             }

@@ -132,13 +132,7 @@ impl Entry {
 
     /// Stores a full status. Returns true if it differs from the previous one.
     pub(super) fn take_status(&mut self, status: &NodeStatus) -> bool {
-        let reasons: Vec<String> = status
-            .health
-            .reasons
-            .iter()
-            .map(|(part, reason)| format!("{part}: {reason}"))
-            .collect();
-        self.reasons = reasons.join("; ");
+        self.reasons = status.health.text();
         let changed = self.status.as_deref() != Some(status);
         if changed {
             self.status = Some(Arc::new(status.clone()));

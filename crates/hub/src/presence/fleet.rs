@@ -330,13 +330,11 @@ impl Fleet {
         self.events.lock().extend(news.events);
     }
 
-    /// The number of nodes in each state, in the order of [`PresenceState::ALL`].
-    pub(crate) fn by_state(&self) -> [u64; 4] {
-        let mut counts = [0; 4];
+    /// The number of nodes in each state, also where it is 0.
+    pub(crate) fn by_state(&self) -> BTreeMap<PresenceState, u64> {
+        let mut counts = BTreeMap::from(PresenceState::ALL.map(|state| (state, 0)));
         for entry in self.nodes.read().values() {
-            for (count, state) in counts.iter_mut().zip(PresenceState::ALL) {
-                *count += u64::from(entry.state == state);
-            }
+            *counts.entry(entry.state).or_default() += 1;
         }
         counts
     }

@@ -298,9 +298,7 @@ impl Receiver {
                     );
                     self.alone_since = Some(now);
                 }
-                self.view
-                    .readiness
-                    .hold("zenoh", "the router is not connected");
+                (self.view.readiness.part("zenoh")).not_ready("the router is not connected");
                 return;
             }
             (false, Some(since)) => {
@@ -308,7 +306,7 @@ impl Receiver {
                     .fleet
                     .pass_over(now.saturating_duration_since(since));
                 self.alone_since = None;
-                self.view.readiness.release("zenoh");
+                self.view.readiness.part("zenoh").works();
             }
             (false, None) => {}
         }

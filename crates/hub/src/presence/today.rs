@@ -2,7 +2,7 @@
 
 use super::Fleet;
 use crate::store::Store;
-use albireo_service::clock::unix_milliseconds;
+use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
@@ -40,7 +40,7 @@ impl Fleet {
     pub(crate) async fn follow_today(&self, store: &Store) {
         loop {
             let begun = Instant::now();
-            let day = unix_milliseconds().div_euclid(86_400_000);
+            let day = unix_milliseconds().div_euclid(DAY_MS);
             match store.today(day * 86_400).await {
                 Ok(today) => self.set_today(today),
                 Err(error) => tracing::debug!(%error, "the energy of today was not read"),

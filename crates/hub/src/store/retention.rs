@@ -4,12 +4,12 @@
 use super::row::Row;
 use super::{Database, Kind, StoreError};
 use crate::config::HistoryConfig;
+use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 
 /// Most rows per step.
 pub(crate) const STEP: usize = 2000;
 
-const DAY_MS: i64 = 86_400_000;
 /// Earlier than any day of a row.
 const NO_DAY: i64 = -1_000_000;
 

@@ -4,7 +4,7 @@ use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
 
 /// The columns that are summed over clips.
-pub(crate) const SUMMED: [&str; 34] = [
+pub(crate) const SUMMED: [&str; 31] = [
     "clips",
     "unpriced_calls",
     "duration_us",
@@ -22,9 +22,6 @@ pub(crate) const SUMMED: [&str; 34] = [
     "avoided_calls",
     "avoided_uj",
     "energy_uj",
-    "gpu_uj",
-    "cpu_uj",
-    "io_mem_uj",
     "audit_frames",
     "audit_missed",
     "audit_missed_boxes",

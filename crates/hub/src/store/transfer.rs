@@ -4,7 +4,7 @@ use super::migrate::identity;
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
-use albireo_service::clock::unix_milliseconds;
+use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde_json::Value;
 use uuid::Uuid;
 
@@ -106,7 +106,7 @@ fn copy(
         }
     }
     target.query("DELETE FROM counters", &[])?;
-    let today = unix_milliseconds().div_euclid(86_400_000);
+    let today = unix_milliseconds().div_euclid(DAY_MS);
     for table in retention::DAILY {
         retention::keep_days(target, table, 0, today)?;
     }

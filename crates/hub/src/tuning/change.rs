@@ -7,7 +7,7 @@ use crate::presence::NodeSettings;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use tokio::time::{Instant, timeout_at};
 use utoipa::ToSchema;
 
@@ -30,33 +30,14 @@ pub struct NewChange {
 }
 
 /// A change that was ordered, or would be without `dry_run`.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Change {
-    setting: DesiredSetting,
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
     /// Outcomes that were not reported to the caller yet.
     pub(crate) lines: Vec<OutcomeLine>,
-    /// Nodes whose answers are awaited, with their present settings.
-    pub(crate) awaited: BTreeMap<String, Option<DesiredSetting>>,
-}
-
-impl Change {
-    fn add(
-        &mut self,
-        node: &str,
-        outcome: Outcome,
-        from: Option<DesiredSetting>,
-        detail: impl Into<String>,
-    ) {
-        self.lines.push(OutcomeLine {
-            node: node.to_owned(),
-            outcome,
-            from,
-            to: self.setting,
-            detail: detail.into(),
-        });
-    }
+    /// The pending outcomes of nodes whose answers are awaited.
+    pub(crate) awaited: Vec<OutcomeLine>,
 }
 
 impl Tuner {
@@ -71,11 +52,13 @@ impl Tuner {
         who: &str,
         now: Millis,
     ) -> Result<Change, StoreError> {
-        let mut change = Change {
-            setting,
-            revision: None,
-            lines: Vec::new(),
-            awaited: BTreeMap::new(),
+        let mut change = Change::default();
+        let line = |node: &str, outcome, from, detail: &str| OutcomeLine {
+            node: node.to_owned(),
+            outcome,
+            from,
+            to: setting,
+            detail: detail.to_owned(),
         };
         let taken = self.taken().await?;
         let mut known = HashSet::new();
@@ -84,31 +67,30 @@ impl Tuner {
                 continue;
             }
             known.insert(node.name.to_string());
-            let from = node.setting();
             let taken = (taken.get(&*node.name))
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
-            match refused.or_else(|| unable(&node, setting)) {
-                Some(detail) => change.add(&node.name, Outcome::Refused, from, detail),
-                None if self.has_it(&node, setting) => {
-                    change.add(&node.name, Outcome::Unchanged, from, "");
-                }
-                None if request.dry_run => {
-                    let detail = match node.reachable {
-                        true => "",
-                        false => "out of reach: it would change when it returns",
-                    };
-                    change.add(&node.name, Outcome::WouldChange, from, detail);
-                }
-                None => {
-                    change.awaited.insert(node.name.to_string(), from);
-                }
-            }
+            let refused = refused.or_else(|| unable(&node, setting));
+            let (outcome, detail) = match &refused {
+                Some(detail) => (Outcome::Refused, detail.as_str()),
+                None if self.has_it(&node, setting) => (Outcome::Unchanged, ""),
+                None if !request.dry_run => (Outcome::Pending, ""),
+                None if node.reachable => (Outcome::WouldChange, ""),
+                None => (
+                    Outcome::WouldChange,
+                    "out of reach: it would change when it returns",
+                ),
+            };
+            let lines = match outcome {
+                Outcome::Pending => &mut change.awaited,
+                _ => &mut change.lines,
+            };
+            lines.push(line(&node.name, outcome, node.setting(), detail));
         }
         for name in request.select.named() {
             if known.insert(name.to_owned()) {
                 let detail = "no node has that name";
-                change.add(name, Outcome::Refused, None, detail);
+                (change.lines).push(line(name, Outcome::Refused, None, detail));
             }
         }
         if !change.awaited.is_empty() {
@@ -121,8 +103,8 @@ impl Tuner {
                 selector: request.select.to_string(),
                 setting,
             };
-            let nodes = change.awaited.clone().into_iter().collect();
-            change.revision = Some(self.order(row, nodes).await?);
+            let nodes = change.awaited.iter().map(|line| line.node.clone());
+            change.revision = Some(self.order(row, nodes.collect()).await?);
         }
         Ok(change)
     }
@@ -133,17 +115,17 @@ impl Tuner {
         loop {
             let looked = self.looked.notified();
             let is_over = Instant::now() >= until;
-            for (node, from) in std::mem::take(&mut change.awaited) {
+            for mut line in std::mem::take(&mut change.awaited) {
                 let revision = change.revision.unwrap_or(0);
-                match self.outcome(&node, revision) {
-                    (Outcome::Pending, _) if !is_over => {
-                        change.awaited.insert(node, from);
-                    }
-                    (Outcome::Pending, _) => {
-                        change.add(&node, Outcome::Pending, from, "not answered yet");
-                    }
-                    (outcome, detail) => change.add(&node, outcome, from, detail),
+                (line.outcome, line.detail) = self.outcome(&line.node, revision);
+                if line.outcome == Outcome::Pending && !is_over {
+                    change.awaited.push(line);
+                    continue;
                 }
+                if line.outcome == Outcome::Pending {
+                    line.detail = "not answered yet".to_owned();
+                }
+                change.lines.push(line);
             }
             let mut lines = std::mem::take(&mut change.lines);
             if !lines.is_empty() || change.awaited.is_empty() {

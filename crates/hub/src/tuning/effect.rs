@@ -116,7 +116,7 @@ impl Effect {
 }
 
 /// One figure of changed nodes compared with unchanged ones, over the same hours.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Comparison {
     /// The number of changed nodes with enough clips before and after.
     pub(crate) nodes: usize,

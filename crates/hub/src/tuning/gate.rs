@@ -174,34 +174,26 @@ pub(crate) fn judge(
         } else {
             Scale::Absolute
         };
-        let judged = results.len();
-        for figure in gate.metric.figures().filter(reported) {
-            let found = Comparison::of(figure, scale, changed, unchanged, fewest_clips);
+        let mut figures: Vec<_> = (gate.metric.figures().filter(reported)).map(Some).collect();
+        if figures.is_empty() {
+            figures.push(None);
+        }
+        for figure in figures {
+            let compare = |figure| Comparison::of(figure, scale, changed, unchanged, fewest_clips);
+            let found = figure.map(compare).unwrap_or_default();
             results.push(GateResult {
                 gate: *gate,
-                figure: Some(figure),
+                figure,
                 nodes: found.nodes,
                 compared: found.compared,
                 before: found.means.map(|(before, _)| before),
                 after: found.means.map(|(_, after)| after),
                 change: found.effect.map(|effect| effect.interval(rates.fail)),
-                verdict: (found.effect)
-                    .map_or(Verdict::NotMeasured, |effect| within(gate, &effect, rates)),
-            });
-        }
-        if results.len() == judged {
-            results.push(GateResult {
-                gate: *gate,
-                figure: None,
-                nodes: 0,
-                compared: 0,
-                before: None,
-                after: None,
-                change: None,
-                verdict: if gate.where_measured {
-                    Verdict::Passed
-                } else {
-                    Verdict::Undecided
+                verdict: match (found.effect, figure) {
+                    (Some(effect), _) => within(gate, &effect, rates),
+                    (None, Some(_)) => Verdict::NotMeasured,
+                    (None, None) if gate.where_measured => Verdict::Passed,
+                    (None, None) => Verdict::Undecided,
                 },
             });
         }

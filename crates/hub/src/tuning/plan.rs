@@ -3,6 +3,7 @@
 use super::gate::Gate;
 use super::selector::Selector;
 use crate::named::as_text;
+use albireo_service::config::DAY_S;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -10,7 +11,6 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 use utoipa::ToSchema;
 
-const DAY_S: f64 = 86_400.0;
 /// The longest time in a plan, seconds.
 const LONGEST_S: f64 = 90.0 * DAY_S;
 /// Most stages, and most values of a trial.

@@ -141,7 +141,6 @@ impl Tuner {
     /// # Errors
     /// When its plan is invalid, too few nodes can take part, or the database cannot be written.
     pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<KeptRun, RunError> {
-        kind.check().map_err(RunError::Plan)?;
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
@@ -327,11 +326,7 @@ impl Tuner {
                 selector: String::new(),
                 setting: order.knob.into(),
             };
-            let nodes = order.nodes.iter().map(|node| {
-                let has = self.fleet.settings(node).and_then(|node| node.setting());
-                (node.clone(), has)
-            });
-            let revision = self.order(change, nodes.collect()).await?;
+            let revision = self.order(change, order.nodes.clone()).await?;
             run.asked(&order, revision, now);
         }
         run.observe(now, |node| self.fleet.settings(node));

@@ -4,7 +4,7 @@ use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
-use crate::presence::{Fleet, Notifier};
+use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::store::tables::EventRow;
 use crate::store::{ChangeNode, ChangeRow, DesiredRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
@@ -108,7 +108,8 @@ pub struct Tuner {
     learned: AtomicU64,
     /// The last order to each node, as far as this hub knows.
     open: Mutex<HashMap<String, OpenOrder>>,
-    drift: Mutex<BTreeMap<String, Drift>>,
+    /// The nodes that drifted, with the time at which the hub noticed.
+    drifted_ms: Mutex<BTreeMap<String, Millis>>,
     /// Signals that the nodes' reports were read.
     pub(super) looked: Notify,
     pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
@@ -176,7 +177,7 @@ impl Tuner {
             driver,
             learned: AtomicU64::new(0),
             open: Mutex::default(),
-            drift: Mutex::default(),
+            drifted_ms: Mutex::default(),
             looked: Notify::new(),
             runs: tokio::sync::Mutex::default(),
         };
@@ -223,24 +224,25 @@ impl Tuner {
         Ok(())
     }
 
-    /// Orders a setting for nodes, each given with its present setting. When this returns, the order is in the database, pulls
-    /// are answered with it, and the nodes are notified.
+    /// Orders a setting for nodes. When this returns, the order is in the database, pulls are answered with it, and the
+    /// nodes are notified.
     pub(super) async fn order(
         &self,
         change: ChangeRow,
-        nodes: Vec<(String, Option<DesiredSetting>)>,
+        nodes: Vec<String>,
     ) -> Result<u64, StoreError> {
         let (now, setting) = (change.at_ms, change.setting);
         // A restored database lacks the revisions given after its backup, and offline nodes may have them. So that none is given
         // twice, revisions start at the time, in seconds, and above those that the nodes report.
         let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
         let mut orders = Vec::new();
-        for (node, from) in nodes {
+        for node in nodes {
             let settings = self.fleet.settings(&node);
             let reported = settings.as_ref().map_or(0, |settings| settings.revision);
             if self.implausible(reported).is_none() {
                 above = above.max(reported);
             }
+            let from = settings.as_ref().and_then(NodeSettings::setting);
             let outcome = match settings.is_some_and(|settings| settings.reachable) {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
@@ -264,7 +266,10 @@ impl Tuner {
         for (node, mut order) in orders {
             order.ask.revision = revision;
             self.desires.set(&node, DesiredValue { revision, setting });
-            self.drift.lock().remove(&node);
+            // A node that is set back stays listed until it has the value again.
+            if order.set_back == 0 {
+                self.drifted_ms.lock().remove(&node);
+            }
             self.notifier.notify(&node, revision);
             self.open.lock().insert(node, order);
         }
@@ -274,7 +279,7 @@ impl Tuner {
     /// Drops the orders to a node from memory.
     pub(super) fn stop_following(&self, node: &str) {
         self.desires.remove(node);
-        self.drift.lock().remove(node);
+        self.drifted_ms.lock().remove(node);
         self.open.lock().remove(node);
     }
 
@@ -351,14 +356,12 @@ impl Tuner {
                 && settings.revision == desired.revision
                 && !settings.has(desired.setting);
             if !drifted {
-                // A node that was set back stays listed until it has applied the value again.
                 if settings.revision >= desired.revision {
-                    self.drift.lock().remove(&node);
+                    self.drifted_ms.lock().remove(&node);
                 }
                 continue;
             }
-            let known = self.drift.lock().get(&node).cloned();
-            if known.is_none() {
+            if !self.drifted_ms.lock().contains_key(&node) {
                 let detail = serde_json::json!({
                     "revision": desired.revision,
                     "desired": desired.setting,
@@ -366,14 +369,7 @@ impl Tuner {
                 });
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
-            found.push(Drift {
-                since_ms: known.as_ref().map_or(now, |known| known.since_ms),
-                desired: desired.setting,
-                in_force: settings.setting(),
-                why: settings.target_off(),
-                set_back: self.set_back_times(&node),
-                node,
-            });
+            found.push((node, desired.setting));
         }
         if !events.is_empty() {
             (self.store)
@@ -381,43 +377,43 @@ impl Tuner {
                 .await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
-        self.list_drift(&found);
+        for (node, _) in &found {
+            self.drifted_ms.lock().entry(node.clone()).or_insert(now);
+        }
         if self.config.local_change == LocalChange::SetBack {
-            found.retain(|drift| drift.set_back < SET_BACK_TIMES);
-            found.sort_by_cached_key(|drift| drift.desired.to_string());
-            for alike in found.chunk_by_mut(|a, b| a.desired == b.desired) {
-                self.set_back(alike, now).await?;
+            found.retain(|(node, _)| self.set_back_times(node) < SET_BACK_TIMES);
+            found.sort_by_cached_key(|(_, desired)| desired.to_string());
+            for alike in found.chunk_by(|a, b| a.1 == b.1) {
+                let change = ChangeRow {
+                    revision: 0,
+                    at_ms: now,
+                    who: "hub".to_owned(),
+                    why: "changed at the node".to_owned(),
+                    origin: SET_BACK.to_owned(),
+                    selector: String::new(),
+                    setting: alike[0].1,
+                };
+                let nodes = alike.iter().map(|(node, _)| node.clone());
+                self.order(change, nodes.collect()).await?;
             }
         }
         Ok(())
     }
 
-    fn list_drift(&self, found: &[Drift]) {
-        let found = (found.iter()).map(|drift| (drift.node.clone(), drift.clone()));
-        self.drift.lock().extend(found);
-    }
-
-    /// Orders the desired setting of these nodes again; it is the same for all of them.
-    async fn set_back(&self, drifted: &mut [Drift], now: Millis) -> Result<(), StoreError> {
-        let change = ChangeRow {
-            revision: 0,
-            at_ms: now,
-            who: "hub".to_owned(),
-            why: "changed at the node".to_owned(),
-            origin: SET_BACK.to_owned(),
-            selector: String::new(),
-            setting: drifted[0].desired,
-        };
-        let nodes = drifted.iter().map(|d| (d.node.clone(), d.in_force));
-        self.order(change, nodes.collect()).await?;
-        // An order removes the drift; the nodes stay listed until they have the value again.
-        drifted.iter_mut().for_each(|drift| drift.set_back += 1);
-        self.list_drift(drifted);
-        Ok(())
-    }
-
     /// The nodes that have drifted.
     pub(crate) fn drift(&self) -> Vec<Drift> {
-        self.drift.lock().values().cloned().collect()
+        let nodes = self.drifted_ms.lock().clone();
+        let drift = |(node, since_ms): (String, Millis)| {
+            let settings = self.fleet.settings(&node)?;
+            Some(Drift {
+                since_ms,
+                desired: self.desires.get(&node)?.setting,
+                in_force: settings.setting(),
+                why: settings.target_off(),
+                set_back: self.set_back_times(&node),
+                node,
+            })
+        };
+        nodes.into_iter().filter_map(drift).collect()
     }
 }

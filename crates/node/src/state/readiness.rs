@@ -79,12 +79,9 @@ pub(crate) fn service_state(
         };
         own && fault.fault.effect == HealthState::NotReady && fault.lasted >= stuck_after
     });
-    let reasons: Vec<_> = (health.status().reasons.iter())
-        .map(|(part, reason)| format!("{part}: {reason}"))
-        .collect();
     ServiceState {
         ready: health.is_ready(),
-        reasons: reasons.join("; "),
+        reasons: health.status().text(),
         stuck: lost
             .or_else(|| stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason))),
     }

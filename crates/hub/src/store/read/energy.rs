@@ -98,12 +98,6 @@ pub struct EnergyGroup {
     pub skip_rate: f64,
     /// Energy, joules: exact sums of what the nodes report, in whole microjoules.
     pub joules: f64,
-    /// The GPU's part of it.
-    pub gpu_joules: f64,
-    /// The processor's part of it.
-    pub cpu_joules: f64,
-    /// The part of memory, input and output.
-    pub io_mem_joules: f64,
     /// Energy that the avoided calls would have cost, joules: always an estimate, summed over the nodes' reports.
     pub saved_joules_estimated: f64,
     /// Avoided calls that the estimate leaves out, because their node did not know the cost of a call.

@@ -1,8 +1,8 @@
 //! Reads clips, events, report counts and invalid reports.
 
 use super::audit::AuditCounts;
+use crate::ingest::Counts;
 use crate::store::row::{json_text, read, read_all};
-use crate::store::tables::ReportCountsRow;
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
@@ -256,18 +256,11 @@ impl Store {
         let text =
             "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
         let rows = self.query(text, vec![node.into()]).await?;
-        let Some(row) = rows.into_iter().next() else {
+        let Some(mut row) = rows.into_iter().next() else {
             return Ok(None);
         };
-        let row: ReportCountsRow = read(row)?;
-        Ok(Some(ReportCounts {
-            first_ms: row.first_ms,
-            last_ms: row.last_ms,
-            stored: row.stored,
-            set_aside: row.set_aside,
-            refused: row.refused,
-            missing: row.counts.missing(),
-            resets: row.resets,
-        }))
+        let missing = read::<Counts>(row.clone())?.missing();
+        row.insert("missing".to_owned(), missing.into());
+        read(row).map(Some)
     }
 }

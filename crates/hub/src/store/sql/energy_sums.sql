@@ -19,9 +19,6 @@ SELECT CASE $1
        COALESCE(SUM(CAST(t.avoided_calls AS DOUBLE PRECISION))
            / NULLIF(SUM(CAST(t.frames AS DOUBLE PRECISION)), 0), 0) AS skip_rate,
        COALESCE(SUM(CAST(t.energy_uj AS DOUBLE PRECISION)), 0) / 1000000 AS joules,
-       COALESCE(SUM(CAST(t.gpu_uj AS DOUBLE PRECISION)), 0) / 1000000 AS gpu_joules,
-       COALESCE(SUM(CAST(t.cpu_uj AS DOUBLE PRECISION)), 0) / 1000000 AS cpu_joules,
-       COALESCE(SUM(CAST(t.io_mem_uj AS DOUBLE PRECISION)), 0) / 1000000 AS io_mem_joules,
        COALESCE(SUM(CAST(t.avoided_uj AS DOUBLE PRECISION)), 0) / 1000000 AS saved_joules_estimated,
        COALESCE(SUM(CAST(t.audit_uj AS DOUBLE PRECISION)), 0) / 1000000 AS audit_joules,
        SUM(CAST(t.audit_frames AS DOUBLE PRECISION)) AS audit_frames,

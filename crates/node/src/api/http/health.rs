@@ -106,11 +106,8 @@ pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let reasons = shared.board.readiness.health().status().reasons;
-    let words: Vec<_> = (reasons.iter())
-        .map(|(part, reason)| format!("{part}: {reason}"))
-        .collect();
     let status = StatusCode::SERVICE_UNAVAILABLE;
-    let problem = Problem::new(status, words.join("; "));
+    let reasons = shared.board.readiness.health().status().text();
+    let problem = Problem::new(status, reasons);
     http::response(status, &NotReady { problem, readiness })
 }

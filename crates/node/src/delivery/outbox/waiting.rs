@@ -3,7 +3,7 @@
 use super::OutboxCounts;
 use super::disk::Disk;
 use super::table::{Answered, Counters, REFUSED, StoredReport, Table, TableError};
-use albireo_service::clock::Now;
+use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
 };
@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use uuid::Uuid;
 
 /// The time for which acknowledged reports are kept in case a hub loses them, if there is room and a disk.
-const KEPT_MS: i64 = 7 * 86_400_000;
+const KEPT_MS: i64 = 7 * DAY_MS;
 
 /// The maximum number of reports rescued to memory from a file that cannot be written.
 const MOST_RESCUED: usize = 2000;

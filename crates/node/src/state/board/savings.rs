@@ -4,11 +4,10 @@
 //! node that began today counts from its start.
 
 use super::PowerSnapshot;
+use albireo_service::clock::DAY_MS;
 use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use serde::Serialize;
 use utoipa::ToSchema;
-
-const DAY_MS: i64 = 86_400_000;
 
 /// Energy of the whole node over a time.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
