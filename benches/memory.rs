@@ -8,9 +8,9 @@
 //! cargo bench --bench memory -- --model MODEL.onnx --head yolox
 //! ```
 //!
-//! Every camera sends JPEG pictures of 1280x720 at 30 frames per second, in clips of 40 s. The detector runs on every frame
-//! (`vanilla`), the case that needs most memory. With `--skip 30` it runs on one frame of 30, a lighter load. Several
-//! programs take turns within one run.
+//! Every camera sends JPEG pictures of 1280x720 at 30 frames per second, in clips of 40 s. The detector runs on every
+//! frame (`vanilla`), the case that needs most memory. With `--skip 30` it runs on one frame of 30, a lighter load.
+//! Several programs take turns within one run.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 

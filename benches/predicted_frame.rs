@@ -1,14 +1,14 @@
-//! Measures a frame that needs no detector, end to end. A picture of about 36 kB is sent to a node and to a bare Zenoh echo
-//! in a separate process, which answers with a message as long as the node's. Both take turns within one run with a node
-//! that has the default audit: its detector checks one predicted frame of 50 afterwards. The last nodes answer at once
-//! while their detectors of 10, 110 and 265 ms run all the time.
+//! Measures a frame that needs no detector, end to end. A picture of about 36 kB is sent to a node and to a bare Zenoh
+//! echo in a separate process, which answers with a message as long as the node's. Both take turns within one run with
+//! a node that has the default audit: its detector checks one predicted frame of 50 afterwards. The last nodes answer
+//! at once while their detectors of 10, 110 and 265 ms run all the time.
 //!
 //! ```text
 //! cargo bench --bench predicted_frame [-- ROUNDS]
 //! ```
 //!
-//! Prints the time from the put to the arrival of the answer (median and 99th percentile) at 30 frames per second, and the
-//! processor time per frame of the answering process at 1,000 frames per second.
+//! Prints the time from the put to the arrival of the answer (median and 99th percentile) at 30 frames per second, and
+//! the processor time per frame of the answering process at 1,000 frames per second.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
@@ -80,8 +80,8 @@ impl Answerer {
         )
     }
 
-    /// A node that answers at once. Its detector finds nothing and keeps one core busy: it is called again as soon as it
-    /// is free.
+    /// A node that answers at once. Its detector finds nothing and keeps one core busy: it is called again as soon as
+    /// it is free.
     fn at_once(folder: &std::path::Path, model: &str) -> Self {
         let models = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/models");
         let model = format!("{models}/{model}.onnx");

@@ -1,14 +1,14 @@
-//! Compares three ways to send frames of 1920x1080 at 30 frames per second from a sender on the node's machine: raw pixels
-//! in shared memory, raw pixels as bytes over TCP, and a JPEG file of about 36 kB. They take turns within one run. Nearly
-//! every frame is a `P` frame, whose pixels are not needed.
+//! Compares three ways to send frames of 1920x1080 at 30 frames per second from a sender on the node's machine: raw
+//! pixels in shared memory, raw pixels as bytes over TCP, and a JPEG file of about 36 kB. They take turns within one
+//! run. Nearly every frame is a `P` frame, whose pixels are not needed.
 //!
 //! ```text
 //! cargo bench --bench shared_memory [-- ROUNDS]
 //! ```
 //!
-//! Prints per frame: the time in which the sender copies the picture's bytes into the send buffer; the time from there to
-//! the arrival of the detections, without and with that copy (median and 99th percentile); the processor time of node and
-//! sender. A camera that writes its pictures into shared memory needs no copy.
+//! Prints per frame: the time in which the sender copies the picture's bytes into the send buffer; the time from there
+//! to the arrival of the detections, without and with that copy (median and 99th percentile); the processor time of
+//! node and sender. A camera that writes its pictures into shared memory needs no copy.
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 

@@ -1,45 +1,45 @@
-//! What the user may choose.
+//! Defines the command line.
 
 use albireo_vision::detector::{DetectorConfig, ExecutionProvider, GpuConfig};
 use anyhow::{Context, bail};
 use std::path::{Path, PathBuf};
 
-/// Measures what one GPU does for the node, and writes a page of it. `make gpu` calls it.
+/// Measures the node on one GPU and writes a page with the results. `make gpu` calls it.
 #[derive(clap::Parser)]
 #[command(name = "cargo bench --bench gpu --")]
 pub(crate) struct Arguments {
-    /// What runs the models; `cpu` is a trial of this script and marked as such.
+    /// Provider that runs the models; `cpu` is a trial of this script and marked as such.
     #[arg(long, value_enum, default_value_t = ExecutionProvider::Cuda)]
     pub provider: ExecutionProvider,
-    /// ONNX file of a detector; may be given several times. Without it YOLOX-Nano.
+    /// ONNX file of a detector; repeatable. Default: YOLOX-Nano.
     #[arg(long = "model", value_name = "FILE")]
     models: Vec<PathBuf>,
-    /// ONNX file of the detector that cameras are put on; may be given several times. It should have learned what is in the
-    /// pictures, or nothing is tracked and nothing can be skipped. Without it YOLOX-Nano.
+    /// ONNX file of the detector for the trials with cameras; repeatable. It must detect the objects in the pictures,
+    /// or nothing is tracked and nothing can be skipped. Default: YOLOX-Nano.
     #[arg(long = "camera-model", value_name = "FILE")]
     camera_models: Vec<PathBuf>,
-    /// Which GPU, as CUDA and NVML number them.
+    /// Number of the GPU in CUDA and NVML.
     #[arg(long, default_value_t = 0)]
     pub device: u32,
-    /// Runs of each kind in a table of times.
+    /// Runs per entry in a table of times.
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..))]
     pub runs: u16,
-    /// Seconds for which cameras send in each trial, after one that does not count.
+    /// Seconds for which cameras send in each trial, after one second of warm-up.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..))]
     pub seconds: u16,
-    /// The most cameras that are tried.
+    /// Largest number of cameras to try.
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u16).range(1..))]
     pub most_cameras: u16,
-    /// The page that is written.
+    /// Output file of the page.
     #[arg(long, value_name = "FILE", default_value = "benches/gpu.md")]
     pub out: PathBuf,
-    /// Today, for the page.
+    /// Date for the page.
     #[arg(long, default_value = "undated")]
     pub date: String,
-    /// `cargo bench` says so; changes nothing.
+    /// Passed by `cargo bench`; has no effect.
     #[arg(long, hide = true)]
     bench: bool,
-    /// Makes this program the one that measures the ways into a session, which needs an ONNX Runtime of its own.
+    /// Measures the ways into a session of this model, in a process with a separate ONNX Runtime.
     #[arg(long, hide = true)]
     pub ways_of: Option<PathBuf>,
 }
@@ -50,12 +50,12 @@ impl Arguments {
         or_default(&self.models)
     }
 
-    /// The detectors that cameras are put on.
+    /// The detectors for the trials with cameras.
     pub(crate) fn camera_models(&self) -> anyhow::Result<Vec<PathBuf>> {
         or_default(&self.camera_models)
     }
 
-    /// A detector that runs as asked or not at all. What TensorRT cannot run of a model goes to CUDA.
+    /// A detector that fails if the provider is missing. CUDA runs the parts of a model that TensorRT cannot.
     pub(crate) fn detector(&self, model: &Path, engines: Option<&Path>) -> DetectorConfig {
         let mut providers = vec![self.provider];
         if self.provider == ExecutionProvider::TensorRt {
@@ -75,7 +75,7 @@ impl Arguments {
         }
     }
 
-    /// Whether the figures are of a GPU.
+    /// Returns `true` if the figures are those of a GPU.
     pub(crate) fn is_gpu(&self) -> bool {
         self.provider != ExecutionProvider::Cpu
     }
@@ -92,19 +92,19 @@ fn or_default(models: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     Ok(models)
 }
 
-/// A file's name for tables.
+/// The name of a file, for tables.
 pub(crate) fn name_of(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
 }
 
-/// What an error says of a model, with the file's name instead of its path on this machine.
+/// The text of an error with the model's file name instead of its path on this machine.
 pub(crate) fn without_folder(said: impl std::fmt::Display, model: &Path) -> String {
     said.to_string()
         .replace(&model.display().to_string(), &name_of(model))
 }
 
-/// The ONNX Runtime library: that of `ORT_DYLIB_PATH`, a file or a folder, else of `.cache/onnxruntime`.
+/// The ONNX Runtime library from the file or folder in `ORT_DYLIB_PATH`, else from `.cache/onnxruntime`.
 pub(crate) fn library() -> anyhow::Result<PathBuf> {
     let named = std::env::var_os("ORT_DYLIB_PATH").filter(|name| !name.is_empty());
     let place = named.map_or_else(|| PathBuf::from(".cache/onnxruntime"), PathBuf::from);

@@ -1,4 +1,4 @@
-//! Cameras that one detector carries at 30 frames per second, policy by policy, with the energy of each.
+//! Measures how many cameras one detector carries at 30 frames per second under each policy, with the energy of each.
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::card::{Card, Energy};
@@ -12,23 +12,24 @@ use std::time::{Duration, Instant};
 
 const POLICIES: [&str; 3] = ["vanilla", "albireo", "expected-loss"];
 
-/// What is carried: so large a part of the frames is answered, so few are answered without the detector that was needed, and
-/// 99 % of the answers come within this many milliseconds: three frames.
+/// The limits within which cameras count as carried: at least this share of the frames is answered, at most this share
+/// of the answers lacks a required detector run, and 99 % of the answers arrive within this many milliseconds (three
+/// frames).
 const ANSWERED: f64 = 0.99;
 const DEGRADED: f64 = 0.01;
 const LATEST_MS: f64 = 100.0;
 
-/// Answers that are still on their way when the last frame is sent.
+/// The wait for the last answers after the last frame is sent.
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
 
-/// One number of cameras under one policy.
+/// A trial with one number of cameras under one policy.
 struct Trial {
     cameras: usize,
     provider: String,
-    /// Shares of the frames that were to be sent.
+    /// The shares of the frames that were due.
     sent: f64,
     answered: f64,
-    /// Shares of the answers.
+    /// The shares of the answers.
     degraded: f64,
     skipped: f64,
     p50: Option<f64>,
@@ -38,7 +39,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// Why this many are not carried.
+    /// The reason for which this many cameras are not carried, if any.
     fn why_not(&self) -> Option<String> {
         if self.sent < ANSWERED {
             return Some(format!(
@@ -57,7 +58,7 @@ impl Trial {
     }
 }
 
-/// The table, a row a model and policy.
+/// Writes the table, with one row per model and policy.
 pub(crate) async fn write(
     page: &mut Page,
     arguments: &Arguments,
@@ -78,7 +79,7 @@ pub(crate) async fn write(
     for model in arguments.camera_models()? {
         let detector = DetectorConfig {
             batch_size: batch(arguments, &model, engines),
-            // As the node has it: a frame that waits longer is of no use.
+            // The node's timeout: a frame that waits longer is of no use.
             timeout_ms: 10_000,
             ..arguments.detector(&model, Some(engines))
         };
@@ -174,7 +175,7 @@ fn row(model: &Path, policy: &str, best: Option<&(Trial, usize)>, limit: &str) -
     row
 }
 
-/// The largest number of cameras that is carried, with the pictures per run, and what ended it.
+/// Finds the largest number of cameras that is carried, with the pictures per run and the reason for the limit.
 async fn most(
     arguments: &Arguments,
     detector: &DetectorConfig,
@@ -214,7 +215,7 @@ async fn most(
         } else {
             (carried + too_many) / 2
         };
-        // Within an eighth is near enough.
+        // An eighth is precise enough.
         if carried >= most || cameras <= carried || too_many - carried <= 1 + carried / 8 {
             break;
         }
@@ -286,7 +287,7 @@ async fn trial(
     Ok(Trial {
         cameras,
         provider,
-        // Ticks that were missed make it longer.
+        // Missed ticks make the run longer.
         sent: (f64::from(arguments.seconds) / took).min(1.0),
         answered: answers.len() as f64 / sent,
         degraded: degraded / all,

@@ -1,5 +1,5 @@
-//! The card by NVML: what it is, and the energy it uses while something goes on, by its own counter and by its power added
-//! up.
+//! Reads the card through NVML: its description, and the energy that it uses during a measurement, by its energy
+//! counter and by integrating its power.
 
 use anyhow::{Context, anyhow};
 use nvml_wrapper::Nvml;
@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Time between two looks at the power.
+/// The time between two readings of the power.
 const EVERY: Duration = Duration::from_millis(20);
 
 #[derive(Clone)]
@@ -18,24 +18,24 @@ pub(crate) struct Card {
     device: u32,
 }
 
-/// What was used in a while.
+/// The energy used during a measurement.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Energy {
-    /// By the card's energy counter, joules.
+    /// The energy by the card's counter, in joules.
     pub counter: Option<f64>,
-    /// By its power, looked at every 20 ms and added up, joules.
+    /// The integral of its power, read every 20 ms, in joules.
     pub integrated: Option<f64>,
-    /// How long it was.
+    /// The duration of the measurement.
     pub seconds: f64,
 }
 
 impl Energy {
-    /// The counter's joules, else the power's.
+    /// The joules of the counter, or else of the power.
     pub(crate) fn joules(self) -> Option<f64> {
         self.counter.or(self.integrated)
     }
 
-    /// Mean watts.
+    /// The mean power in watts.
     pub(crate) fn watts(self) -> Option<f64> {
         self.joules().map(|joules| joules / self.seconds)
     }
@@ -43,7 +43,7 @@ impl Energy {
 
 impl Card {
     /// # Errors
-    /// Without NVIDIA's driver, or when it has no such card.
+    /// If there is no NVIDIA driver, or no card of this number.
     pub(crate) fn open(device: u32) -> anyhow::Result<Self> {
         let library = OsStr::new("libnvidia-ml.so.1");
         let nvml = Nvml::builder()
@@ -58,7 +58,7 @@ impl Card {
         })
     }
 
-    /// Its name, memory and driver.
+    /// The card's name, memory and driver.
     pub(crate) fn description(&self) -> anyhow::Result<String> {
         let card = self.nvml.device_by_index(self.device)?;
         let memory = card.memory_info()?;
@@ -80,7 +80,7 @@ impl Card {
         Some(f64::from(card.power_usage().ok()?) * 1e-3)
     }
 
-    /// Begins to measure.
+    /// Starts a measurement.
     pub(crate) fn measure(&self) -> Measuring {
         let (card, over) = (self.clone(), Arc::new(AtomicBool::new(false)));
         let (begun, before) = (Instant::now(), self.counter());
@@ -106,7 +106,7 @@ impl Card {
     }
 }
 
-/// Ends with [`end`](Self::end).
+/// A running measurement, which [`end`](Self::end) stops.
 pub(crate) struct Measuring {
     card: Card,
     begun: Instant,

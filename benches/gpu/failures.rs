@@ -1,4 +1,4 @@
-//! What the program says when a provider is missing, and when memory runs out.
+//! Records the messages of the program when a provider is missing and when memory runs out.
 
 use super::arguments::Arguments;
 use super::page::Page;
@@ -12,10 +12,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Arena that is too small for any model, MiB.
+/// An arena that is too small for any model, in MiB.
 const TOO_SMALL: u32 = 1;
 
-/// The rows: what was done, and what was said.
+/// Writes a row per failure, with its cause and the message.
 pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
     eprintln!("refusals");
     let model = arguments.models()?.swap_remove(0);
@@ -89,7 +89,7 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
     Ok(())
 }
 
-/// What opening a detector says.
+/// The message from opening a detector.
 fn opened(config: &DetectorConfig) -> String {
     match DetectorNetwork::open(config) {
         Ok(network) => format!(
@@ -100,7 +100,7 @@ fn opened(config: &DetectorConfig) -> String {
     }
 }
 
-/// The tests' model that can run out of memory: dark pictures are answered, and bright ones ask for more than there is.
+/// Runs the tests' model that can run out of memory: bright pictures need more than there is, dark ones do not.
 async fn out_of_memory_while_it_runs(config: &DetectorConfig) -> anyhow::Result<String> {
     let config = DetectorConfig {
         model: fixture("hungry.onnx"),

@@ -1,5 +1,6 @@
-//! What one GPU does for the node: provider, stages, batches, ways into a session, cameras with their energy, starts, and what
-//! is said when it fails. Writes `benches/gpu.md`. Run by `make gpu`; with `--provider cpu` a trial of this script.
+//! Measures the node on one GPU: provider, stages, batches, ways into a session, cameras with their energy, starts, and
+//! the messages on failure. Writes `benches/gpu.md`. Run by `make gpu`; `--provider cpu` makes it a trial of this
+//! script.
 
 mod arguments;
 mod cameras;
@@ -22,17 +23,17 @@ use page::Page;
 use std::path::Path;
 use std::process::ExitCode;
 
-/// Pictures of the demonstration's road that are taken.
+/// The number of pictures used from the demonstration's road.
 const PICTURES: usize = 60;
 
-/// What a page of a trial begins with; nothing else is overwritten by one.
+/// The mark on a trial's page. A trial overwrites no page without it.
 const TRIAL: &str = "**CPU provider: a trial of the script, not a GPU's figures.**";
 
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // In one line: a parent process reads the last one.
+            // On one line, because a parent process reads the last line.
             eprintln!("{error:#}");
             ExitCode::FAILURE
         }
@@ -59,7 +60,7 @@ async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let engines = tempfile::tempdir()?;
     let first = arguments.models()?.swap_remove(0);
-    // Refused in words before anything is measured.
+    // Fails with a message before anything is measured.
     let network = DetectorNetwork::open(&arguments.detector(&first, Some(engines.path())))?;
     let used = network.provider();
     drop(network);
@@ -89,7 +90,7 @@ async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The pictures that are shown to detectors.
+/// The pictures for the detectors.
 fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
     let mut source = Pictures::of_archive(Path::new("demo/road.tar"), node::RATE)?;
     let mut frames = Vec::new();
@@ -104,7 +105,7 @@ fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
     Ok(frames)
 }
 
-/// What the page is of, and how it is made.
+/// Writes the subject of the page and the command that makes it.
 fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> anyhow::Result<()> {
     page.lines("# What a GPU does for the node");
     if arguments.is_gpu() {

@@ -1,4 +1,4 @@
-//! A node in a process of its own, and cameras that send to it.
+//! Runs a node in a separate process, and cameras that send to it.
 
 use super::arguments::Arguments;
 use albireo_vision::detector::DetectorConfig;
@@ -16,28 +16,28 @@ use zenoh::Session;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-/// Frames per second of every camera.
+/// The frames per second of every camera.
 pub(crate) const RATE: f64 = 30.0;
 
 const NODE: &str = "gpu";
 
-/// Building an engine takes TensorRT minutes.
+/// The time limit of a start. TensorRT takes minutes to build an engine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(1200);
 
-/// An answer that came.
+/// A received answer.
 pub(crate) struct Answer {
     pub camera: usize,
     pub message: DetectionsMessage,
     pub at: Instant,
 }
 
-/// A node that runs, and a session to it.
+/// A running node and a session to it.
 pub(crate) struct Node {
     process: Child,
     session: Session,
     http: u16,
     answers: Arc<Mutex<Vec<Answer>>>,
-    /// When its process was started.
+    /// The start time of its process.
     pub started: Instant,
 }
 
@@ -48,18 +48,18 @@ impl Drop for Node {
     }
 }
 
-/// What a node is started with.
+/// The settings of a node.
 pub(crate) struct Settings<'a> {
     pub detector: DetectorConfig,
     pub policy: &'a str,
     pub cameras: usize,
-    /// Where CUDA and TensorRT keep what they have built.
+    /// The folder of the caches of CUDA and TensorRT.
     pub caches: &'a Path,
     pub folder: &'a Path,
 }
 
 impl Node {
-    /// Starts it; it connects to this process, so that nothing is waited for that it does not itself wait for.
+    /// Starts a node. It connects to this process, so that the start includes no wait but the node's own.
     pub(crate) async fn start(settings: &Settings<'_>) -> anyhow::Result<Self> {
         let (port, http) = (free_port()?, free_port()?);
         let session = listening(port).await?;
@@ -107,7 +107,7 @@ impl Node {
         })
     }
 
-    /// Waits until the node is ready; which provider its detector really has.
+    /// Waits until the node is ready. Returns the provider that its detector really uses.
     pub(crate) async fn ready(&mut self, folder: &Path) -> anyhow::Result<String> {
         let url = format!("http://127.0.0.1:{}/readyz", self.http);
         let begun = Instant::now();
@@ -131,7 +131,8 @@ impl Node {
         }
     }
 
-    /// Sends the frames of one camera until `frames` are sent or `until` says so; when each was put, by its number.
+    /// Sends the frames of one camera until `frames` are sent or `until` returns `true`. Returns the time of each put,
+    /// by frame number.
     pub(crate) async fn send(
         &self,
         camera: usize,
@@ -148,7 +149,7 @@ impl Node {
         let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
         clock.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut put = Vec::new();
-        // There and back, so that nothing jumps where the pictures begin again; no two cameras see the same.
+        // Forwards and backwards, so that the objects never jump. Each camera starts at a different picture.
         let there_and_back = 2 * (pictures.len() - 1).max(1);
         while (put.len() as u64) < frames && !until() {
             clock.tick().await;
@@ -170,12 +171,12 @@ impl Node {
         Ok(put)
     }
 
-    /// Takes the answers that have come.
+    /// Removes and returns the answers so far.
     pub(crate) fn answers(&self) -> Vec<Answer> {
         std::mem::take(&mut *self.answers.lock())
     }
 
-    /// When the first answer came that the detector had a part in.
+    /// The arrival time of the first answer that contains a detector result.
     pub(crate) fn first_detection(&self) -> Option<Instant> {
         let answers = self.answers.lock();
         let detected =
@@ -221,7 +222,7 @@ fn zenoh_failed(error: zenoh::Error) -> anyhow::Error {
     anyhow!("Zenoh: {error}")
 }
 
-/// Whether the model takes several pictures in a run: as many as are worth it.
+/// The number of pictures per run: 8 if the model accepts several, else 1.
 pub(crate) fn batch(arguments: &Arguments, model: &Path, engines: &Path) -> usize {
     let config = DetectorConfig {
         batch_size: 8,

@@ -1,18 +1,18 @@
-//! The page that is written: Markdown.
+//! Builds the page, in Markdown.
 
 use std::fmt::Display;
 
-/// Where a figure was not measured.
+/// The mark for a figure that was not measured.
 pub(crate) const NONE: &str = "–";
 
-/// Columns of a paragraph.
+/// The width of a paragraph, in columns.
 const WIDTH: usize = 130;
 
 #[derive(Default)]
 pub(crate) struct Page(String);
 
 impl Page {
-    /// A paragraph, with an empty line after it.
+    /// Adds a paragraph and an empty line.
     pub(crate) fn text(&mut self, text: impl Display) {
         let mut length = 0;
         for word in text.to_string().split_whitespace() {
@@ -30,7 +30,7 @@ impl Page {
         self.0 += "\n\n";
     }
 
-    /// Lines as they are, with an empty line after them.
+    /// Adds unwrapped lines and an empty line.
     pub(crate) fn lines(&mut self, lines: impl Display) {
         self.0 += &format!("{lines}\n\n");
     }
@@ -63,18 +63,18 @@ impl Page {
     }
 }
 
-/// What an error says may have line breaks and the table's own sign in it.
+/// Makes a text fit a table cell: an error may contain line breaks and `|`.
 fn in_a_cell(text: &str) -> String {
     let words: Vec<_> = text.split_whitespace().collect();
     words.join(" ").replace('|', "\\|")
 }
 
-/// Milliseconds in a table; nothing where there are none.
+/// Formats milliseconds for a table, or [`NONE`].
 pub(crate) fn ms(value: Option<f64>) -> String {
     value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.3}"))
 }
 
-/// The value at `share` of the sorted ones, nearest rank.
+/// The percentile at `share`, by nearest rank.
 pub(crate) fn percentile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

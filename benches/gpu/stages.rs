@@ -1,4 +1,4 @@
-//! Milliseconds per frame by stage, and frames per second with several cameras in one run.
+//! Measures the milliseconds per frame by stage, and the frames per second with several cameras in one run.
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::page::{NONE, Page, median, ms};
@@ -11,10 +11,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Pictures in one run of the model.
+/// The numbers of pictures in one run of the model.
 const BATCHES: [usize; 4] = [1, 2, 4, 8];
 
-/// Both tables, a row a model.
+/// Writes both tables, with one row per model.
 pub(crate) async fn write(
     page: &mut Page,
     arguments: &Arguments,
@@ -51,7 +51,7 @@ pub(crate) async fn write(
                 }
             }
         }
-        // All but the first say the same.
+        // The others repeat the first.
         row.push(refusals.into_iter().next().unwrap_or_default());
         batches.push(row);
     }
@@ -128,7 +128,7 @@ fn one_by_one(
         });
     let mut row = vec![
         name_of(&config.model),
-        // What the session says, not what was asked for.
+        // The provider that the session reports, which may differ from the requested one.
         network.provider().as_str().to_owned(),
         network.input_format().size.to_string(),
         element.to_string(),
@@ -138,7 +138,7 @@ fn one_by_one(
     Ok(row)
 }
 
-/// Decodes as the node does for that model, without a screen.
+/// Decodes like the node for this model, without a screen.
 fn decode_for(
     network: &DetectorNetwork,
     encoded: &EncodedPicture,
@@ -163,7 +163,7 @@ async fn together(
     let detector = DetectorHandle::start(config).await?;
     let target =
         |frame: &EncodedPicture| decoding_target(detector.preparation().format(), None, frame.size);
-    // Decoded before: what is measured is the detector.
+    // Decodes in advance, because only the detector is measured.
     let mut pictures = Vec::new();
     for frame in frames {
         let mut picture = Picture::default();

@@ -1,4 +1,5 @@
-//! From the start of the process to the first detection that arrives, with empty caches and with full ones.
+//! Measures the time from the start of the process to the arrival of the first detection, with empty and with full
+//! caches.
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::node::{Node, PATIENCE, Settings};
@@ -9,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Starts with full caches.
+/// The number of starts with full caches.
 const WARM: usize = 3;
 
 pub(crate) async fn write(
@@ -68,7 +69,7 @@ async fn start(
     .await?;
     let (started, mut provider) = (node.started, None);
     let first = loop {
-        // Two seconds of frames at a time, so that a node that ended is noticed.
+        // Sends 2 s of frames at a time, to notice a node that has exited.
         let until = || node.first_detection().is_some();
         node.send(0, Arc::clone(pictures), 60, until).await?;
         if let Some(first) = node.first_detection() {
@@ -77,7 +78,7 @@ async fn start(
         if started.elapsed() > PATIENCE {
             bail!("no detection within {} s", PATIENCE.as_secs());
         }
-        // Says why, if the node has ended.
+        // Reports the reason if the node has exited.
         let ready = tokio::time::timeout(Duration::from_millis(100), node.ready(folder.path()));
         if let Ok(ready) = ready.await {
             provider = Some(ready?);

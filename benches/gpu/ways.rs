@@ -1,5 +1,6 @@
-//! The ways into a session and out of it: plain, bound, on the device, as a CUDA graph; and copies alone, with pinned memory
-//! and without. In a process of its own: one may have one ONNX Runtime, the node's code keeps it, and a way that crashes takes only this with it.
+//! Compares the ways into a session and out of it: plain, bound, on the device, as a CUDA graph. Also measures copies
+//! alone, with and without pinned memory. All runs in a separate process: a process can have only one ONNX Runtime,
+//! which the node's code keeps, and a crash ends only that process.
 
 mod process;
 
@@ -13,32 +14,32 @@ use std::process::Stdio;
 use std::time::Duration;
 use tokio::process::Command;
 
-/// Runs of each way that do not count: memory is laid out, a graph recorded.
+/// Uncounted first runs of each way, which allocate memory and record a graph.
 const WARM_UP: usize = 5;
 
-/// Building the engines of all ways takes TensorRT minutes.
+/// The time limit of the process. TensorRT takes minutes to build the engines of all ways.
 const PATIENCE: Duration = Duration::from_secs(1800);
 
-/// What the node does.
+/// The way that the node uses.
 const PLAIN: &str = "plain";
 
-/// Another way is worth it where it takes so large a part of the plain one's time, or less.
+/// The largest ratio of a way's time to the plain one's at which the way is worth its effort.
 const WORTH_IT: f64 = 0.95;
 
-/// Inputs that take turns.
+/// The number of inputs, which take turns.
 const INPUTS: usize = 3;
 
-/// What is measured of one model.
+/// The measurements of one model.
 #[derive(Default, Serialize, Deserialize)]
 struct Measured {
-    /// Whether every node of the graph is on the provider, in words.
+    /// A text that states whether the provider runs every node of the graph.
     all_nodes: String,
     ways: Vec<Way>,
     copies: Vec<Copy>,
 }
 
 impl Measured {
-    /// The time of `way` as a part of the plain one's, turn by turn.
+    /// The median ratio of the time of `way` to the plain one's, turn by turn.
     fn beside_plain(&self, way: &Way) -> Option<f64> {
         let plain = self.ways.iter().find(|way| way.name == PLAIN)?;
         let ratios = way.times.iter().zip(&plain.times);
@@ -49,23 +50,23 @@ impl Measured {
 #[derive(Serialize, Deserialize)]
 struct Way {
     name: String,
-    /// Milliseconds of each run.
+    /// The milliseconds of each run.
     times: Vec<f64>,
-    /// The largest difference of an output from the plain way's.
+    /// The largest difference between its outputs and those of the plain way.
     difference: f64,
-    /// Why there is none.
+    /// The reason for which there are no times.
     why_not: Option<String>,
 }
 
 #[derive(Serialize, Deserialize)]
 struct Copy {
-    /// What is copied; empty for the same over pinned memory.
+    /// The copied data; empty for the same data in pinned memory.
     name: String,
     bytes: usize,
     times: Vec<f64>,
 }
 
-/// Both tables of all models.
+/// Writes both tables for all models.
 pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
     let (mut ways, mut copies) = (Vec::new(), Vec::new());
     for model in arguments.models()? {
@@ -88,7 +89,7 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
                 continue;
             }
             let mut cell = format!("{} ({})", ms(middle), ms(late));
-            // Half precision adds up in another order.
+            // Half precision gives slightly different sums in another order.
             if way.difference > 1e-2 {
                 cell += &format!(", **differs by {:.3}**", way.difference);
             } else if way.name != PLAIN

@@ -1,5 +1,5 @@
-//! Measures the time of a frame by stage and the cost of the queue in front of the detector. With `--python`, compares it
-//! with the same path in Python. Run with `cargo bench --bench stages`; `-- --help` lists options.
+//! Measures the time of a frame by stage and the cost of the queue in front of the detector. With `--python`, compares
+//! it with the same path in Python. Run with `cargo bench --bench stages`; `-- --help` lists options.
 
 mod arguments;
 mod ours;

@@ -1,6 +1,6 @@
-//! Feeds untrusted input to every parser. Each function must return for any bytes. A panic, an overflow, unbounded memory
-//! or a value that changes when it is written and read again is a fault. The result is `true` for valid bytes, which
-//! exposes a corpus whose inputs are all rejected.
+//! Feeds untrusted input to every parser. Each function must return for any bytes. A panic, an overflow, unbounded
+//! memory or a value that changes when it is written and read again is a fault. The result is `true` for valid bytes,
+//! which exposes a corpus whose inputs are all rejected.
 
 use albireo_core::geometry::PictureSize;
 use albireo_hub::config::HubConfig;
@@ -249,8 +249,8 @@ pub fn tegrastats(data: &[u8]) -> bool {
     tegrastats_rails(&String::from_utf8_lossy(data)).is_some()
 }
 
-/// Names in Zenoh keys. The keys of an accepted name are valid in Zenoh and have no wildcard. The name is one chunk and can
-/// be read back.
+/// Names in Zenoh keys. The keys of an accepted name are valid in Zenoh and have no wildcard. The name is one chunk and
+/// can be read back.
 pub fn names(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));

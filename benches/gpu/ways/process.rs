@@ -1,4 +1,4 @@
-//! The process of its own: opens the sessions, runs them in turns, and prints what it measured.
+//! Runs in the separate process: opens the sessions, runs them in turns, and prints the measurements.
 
 use super::{Copy, INPUTS, Measured, PLAIN, WARM_UP, Way};
 use crate::arguments::{Arguments, library};
@@ -17,7 +17,7 @@ use ort::value::{
 use std::path::Path;
 use std::time::Instant;
 
-/// Measures and prints.
+/// Measures the ways of `model` and prints the result.
 pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
     let environment = ort::init_from(library()?)?
         .with_name("ways")
@@ -46,7 +46,7 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A batch that is left open is one.
+/// Sets an open batch dimension to 1.
 fn closed(shape: &[i64]) -> anyhow::Result<Vec<i64>> {
     let mut shape = shape.to_vec();
     if let Some(batch) = shape.first_mut().filter(|batch| **batch == -1) {
@@ -65,7 +65,8 @@ struct Sessions<'a> {
 }
 
 impl Sessions<'_> {
-    /// As the node opens them; as a `graph`, or only if `every_node` is on the provider.
+    /// Opens a session like the node, as a CUDA graph with `graph`. With `every_node`, fails unless the provider runs
+    /// all nodes.
     fn open(&self, graph: bool, every_node: bool) -> ort::Result<Session> {
         let threads =
             std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1));
@@ -99,7 +100,7 @@ impl Sessions<'_> {
         builder.commit_from_file(self.model)
     }
 
-    /// Where the session's device has memory, and where copies are fast: the processor's own in a trial.
+    /// The allocators of device memory and of pinned memory; in a trial both are those of the processor.
     fn allocators(&self, session: &Session) -> ort::Result<[Allocator; 2]> {
         if !self.arguments.is_gpu() {
             return Ok([Allocator::default(), Allocator::default()]);
@@ -120,7 +121,7 @@ impl Sessions<'_> {
 trait Element:
     PrimitiveTensorElementType + Clone + std::marker::Copy + std::fmt::Debug + 'static
 {
-    /// Of a number from 0 to 1.
+    /// Converts a number from 0 to 1.
     fn of(value: f32) -> Self;
 }
 
@@ -142,7 +143,7 @@ impl Element for u8 {
     }
 }
 
-/// A way to run a session: the outputs, and how long it took until they lay there.
+/// A way to run a session. Returns the outputs and the time until they were in the processor's memory.
 type Run<'a, T> = Box<dyn FnMut(&[T]) -> ort::Result<(Vec<Vec<f32>>, f64)> + 'a>;
 
 fn measure<T: Element>(
@@ -245,7 +246,7 @@ fn measure<T: Element>(
     Ok(measured)
 }
 
-/// What the node does.
+/// Runs a session like the node.
 fn plain<T: Element>(
     mut session: Session,
     shape: Vec<i64>,
@@ -260,7 +261,7 @@ fn plain<T: Element>(
     }
 }
 
-/// Input and outputs bound where the processor has them.
+/// Binds input and outputs in the processor's memory.
 fn bound<'a, T: Element>(mut session: Session, shape: &[i64]) -> ort::Result<Run<'a, T>> {
     let mut binding = session.create_binding()?;
     let mut host = Tensor::<T>::new(&Allocator::default(), shape)?;
@@ -279,13 +280,13 @@ fn bound<'a, T: Element>(mut session: Session, shape: &[i64]) -> ort::Result<Run
     }))
 }
 
-/// An output on the device, and where the processor has it.
+/// An output on the device and its copy in the processor's memory.
 struct Output {
     device: DynTensor,
     host: DynTensor,
 }
 
-/// Input and outputs on the device at addresses that never change.
+/// Binds input and outputs on the device at fixed addresses.
 fn on_the_device<'a, T: Element>(
     sessions: &Sessions<'_>,
     session: Session,
@@ -295,13 +296,13 @@ fn on_the_device<'a, T: Element>(
     let shapes = output_shapes(sessions, shape, example)?;
     let [on_device, _] = sessions.allocators(&session)?;
     let mut device = Tensor::<T>::new(&on_device, shape)?;
-    // Copied from memory of ONNX Runtime's own: `ort` 2.0.0-rc.15 copies a borrowed tensor by a copy of it, for which it
-    // waits on the lock that it holds.
+    // Copies from memory that ONNX Runtime allocated: to copy a borrowed tensor, `ort` 2.0.0-rc.15 first makes a copy,
+    // for which it waits on the lock that it holds.
     let mut near = Tensor::<T>::new(&Allocator::default(), shape)?;
     near.try_extract_tensor_mut::<T>()?
         .1
         .copy_from_slice(example);
-    // A graph is recorded with what lies here.
+    // A graph is recorded with this input.
     near.copy_into(&mut device)?;
     let mut binding: IoBinding = session.create_binding()?;
     let (input_name, output_names) = names(&session)?;
@@ -331,7 +332,7 @@ fn on_the_device<'a, T: Element>(
     }))
 }
 
-/// Elements and shapes of the outputs, as a run has them.
+/// The elements and shapes of the outputs, found by a run.
 fn output_shapes<T: Element>(
     sessions: &Sessions<'_>,
     shape: &[i64],
@@ -365,7 +366,7 @@ fn values<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> ort::Result<V
     Ok(output.try_extract_tensor::<f32>()?.1.to_vec())
 }
 
-/// The largest difference of two lists of outputs, relative to numbers above one.
+/// The largest difference between two lists of outputs, relative for numbers above 1.
 fn difference(expected: &[Vec<f32>], found: &[Vec<f32>]) -> f64 {
     if expected.len() != found.len() {
         return f64::INFINITY;
@@ -383,7 +384,7 @@ fn difference(expected: &[Vec<f32>], found: &[Vec<f32>]) -> f64 {
     largest
 }
 
-/// Milliseconds to copy this many bytes.
+/// Measures the milliseconds to copy `bytes` bytes.
 fn copy(
     host: &Allocator,
     device: &Allocator,
@@ -393,7 +394,7 @@ fn copy(
 ) -> ort::Result<Vec<f64>> {
     let mut near = Tensor::<u8>::new(host, [bytes])?;
     let mut far = Tensor::<u8>::new(device, [bytes])?;
-    // Memory that was never written may not be there yet.
+    // The system may not have mapped memory that was never written.
     let mut written = Tensor::<u8>::new(&Allocator::default(), [bytes])?;
     written.try_extract_tensor_mut::<u8>()?.1.fill(1);
     written.copy_into(&mut near)?;

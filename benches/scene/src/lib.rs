@@ -1,5 +1,5 @@
-//! Shares fixtures between benches and tests: slowly moving boxes with noise and some misses, as a detector reports them;
-//! pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
+//! Shares fixtures between benches and tests: slowly moving boxes with noise and some misses, as a detector reports
+//! them; pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
 
 mod pictures;
 

@@ -22,8 +22,8 @@ const STRIPE: f32 = 6.0;
 /// The minimum number of frames between two turns of a box.
 const CROSSING: u64 = 60;
 
-/// A scene computed from the frame number. Each box moves back and forth in a separate lane, so that none hides another,
-/// and is out of sight for a fifth of the time.
+/// A scene computed from the frame number. Each box moves back and forth in a separate lane, so that none hides
+/// another, and is out of sight for a fifth of the time.
 #[derive(Clone, Copy, Debug)]
 pub struct BoxScene {
     size: PictureSize,
