@@ -15,11 +15,13 @@ pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
 }
 
 /// Reads a time of at most 11 days, seconds.
+#[cfg(feature = "eval")]
 pub(super) fn above_zero(text: &str) -> Result<f64, String> {
     number(text, |value| value > 0.0 && value <= 1e6, "above 0")
 }
 
 /// Reads a time of at most 11 days, seconds, that may be 0.
+#[cfg(feature = "eval")]
 pub(super) fn not_negative(text: &str) -> Result<f64, String> {
     number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
 }
