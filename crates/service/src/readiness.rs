@@ -221,7 +221,13 @@ impl Readiness {
     }
 
     fn set(&self, key: &Key, fault: Option<Fault>) {
-        put(&mut self.0.faults.lock(), key.clone(), fault);
+        let mut faults = self.0.faults.lock();
+        // Parts report after each transaction or message that they work: nothing changed then.
+        if fault.is_none() && !faults.contains_key(key) {
+            return;
+        }
+        put(&mut faults, key.clone(), fault);
+        drop(faults);
         drop(self.health());
     }
 }
