@@ -2,8 +2,8 @@
 # Runs every test that can run here and ends with one line that counts them: "N passed, N failed, N skipped".
 #
 # A test that needs more than the clone and Rust is marked #[ignore = "needs A and B"]. First all other tests run without
-# any of these needs, as in a fresh clone. Its output lists the marked tests and their needs; those whose needs are met run
-# next, and the rest are skipped.
+# any of these needs, as in a fresh clone. That run's output lists the marked tests and their needs; those whose needs are
+# met run next, and the rest are skipped.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 

@@ -89,7 +89,9 @@ impl Run {
         );
         let text = match verdict {
             Verdict::Passed => "all gates passed".to_owned(),
-            Verdict::NotMeasured => format!("too few nodes to measure; {silent}"),
+            Verdict::NotMeasured => {
+                format!("the nodes applied the value and are alive, too few to measure; {silent}")
+            }
             _ if lost || !alive => format!("{verdict}: {silent}"),
             _ => format!("{verdict}: {}", named(&results, verdict)),
         };
