@@ -2,8 +2,11 @@
 
 use super::{Picture, PixelLayout};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::{U8, U8x3};
+use fast_image_resize::{
+    FilterType, ImageBufferError, PixelTrait, ResizeAlg, ResizeError, ResizeOptions, Resizer,
+};
 use serde::{Deserialize, Serialize};
 
 /// The order of the colour planes that a network expects.
@@ -145,9 +148,12 @@ pub enum LetterboxError {
         /// The number of bytes it has.
         actual: usize,
     },
+    /// The resizer got a buffer that does not fit its size.
+    #[error("the picture could not be resized: {0}")]
+    Buffer(#[from] ImageBufferError),
     /// The resizer failed.
     #[error("the picture could not be resized: {0}")]
-    Resize(String),
+    Resize(#[from] ResizeError),
 }
 
 /// The position of the resized picture in the input.
@@ -243,30 +249,29 @@ impl Letterbox {
     }
 
     fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), LetterboxError> {
-        let refused = |reason: String| LetterboxError::Resize(reason);
-        let pixel_type = match picture.layout {
-            PixelLayout::Rgb8 => PixelType::U8x3,
-            PixelLayout::Gray8 => PixelType::U8,
+        let resize = match picture.layout {
+            PixelLayout::Rgb8 => resize::<U8x3>,
+            PixelLayout::Gray8 => resize::<U8>,
         };
-        let PictureSize { width, height } = picture.size;
-        let source = ImageRef::new(width, height, &picture.pixels, pixel_type)
-            .map_err(|error| refused(error.to_string()))?;
-        let bytes = placement.width as usize * placement.height as usize;
-        self.resized.resize(bytes * picture.layout.channels(), 0);
-        let mut target = Image::from_slice_u8(
-            placement.width,
-            placement.height,
-            &mut self.resized,
-            pixel_type,
-        )
-        .map_err(|error| refused(error.to_string()))?;
-        // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
-        let options =
-            ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
-        self.resizer
-            .resize(&source, &mut target, &options)
-            .map_err(|error| refused(error.to_string()))
+        let pixels = placement.width as usize * placement.height as usize;
+        self.resized.resize(pixels * picture.layout.channels(), 0);
+        resize(&mut self.resizer, picture, placement, &mut self.resized)
     }
+}
+
+/// Resizes `picture` to the size of `placement`. The type of a pixel is known here, so that only its code is compiled.
+fn resize<P: PixelTrait>(
+    resizer: &mut Resizer,
+    picture: &Picture,
+    placement: Placement,
+    resized: &mut [u8],
+) -> Result<(), LetterboxError> {
+    let PictureSize { width, height } = picture.size;
+    let source = TypedImageRef::<P>::from_buffer(width, height, &picture.pixels)?;
+    let mut target = TypedImage::<P>::from_buffer(placement.width, placement.height, resized)?;
+    // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
+    let options = ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
+    Ok(resizer.resize_typed(&source, &mut target, &options)?)
 }
 
 /// Converts interleaved bytes to float32: to planes if values of a colour are `STEP` = 1 apart, else interleaved.
