@@ -110,41 +110,32 @@ mod tests {
     use parking_lot::Mutex;
     use std::sync::Arc;
 
-    #[derive(Clone, Default)]
-    struct Recorder(Arc<Mutex<Vec<String>>>);
-
-    impl Recorder {
-        fn count(&self, message: &str) -> usize {
-            let recorded = self.0.lock();
-            recorded
-                .iter()
-                .filter(|one| one.starts_with(message))
-                .count()
-        }
+    /// A service whose state the test sets, and what it sends to the service manager.
+    struct Service {
+        state: Arc<Mutex<ServiceState>>,
+        sent: Arc<Mutex<Vec<String>>>,
     }
 
-    fn watch(
-        read: ServiceState,
-    ) -> (
-        Recorder,
-        Arc<Mutex<ServiceState>>,
-        CancellationToken,
-        tokio::task::JoinHandle<()>,
-    ) {
-        let (recorded, read, shutdown) = (
-            Recorder::default(),
-            Arc::new(Mutex::new(read)),
-            CancellationToken::new(),
-        );
-        let (messages, state, stop) = (recorded.0.clone(), Arc::clone(&read), shutdown.clone());
-        let task = tokio::spawn(async move {
-            let period = Some(Duration::from_secs(1));
-            let send = |sent: &[NotifyState<'_>]| {
-                messages.lock().extend(sent.iter().map(ToString::to_string));
-            };
-            watch_state(send, period, || state.lock().clone(), stop).await;
-        });
-        (recorded, read, shutdown, task)
+    impl Service {
+        fn start(state: ServiceState) -> Self {
+            let state = Arc::new(Mutex::new(state));
+            let sent = Arc::<Mutex<Vec<String>>>::default();
+            let (read, messages) = (Arc::clone(&state), Arc::clone(&sent));
+            tokio::spawn(async move {
+                let period = Some(Duration::from_secs(1));
+                let send = |sent: &[NotifyState<'_>]| {
+                    messages.lock().extend(sent.iter().map(ToString::to_string));
+                };
+                let forever = CancellationToken::new();
+                watch_state(send, period, || read.lock().clone(), forever).await;
+            });
+            Self { state, sent }
+        }
+
+        fn count(&self, message: &str) -> usize {
+            let sent = self.sent.lock();
+            sent.iter().filter(|one| one.starts_with(message)).count()
+        }
     }
 
     fn well() -> ServiceState {
@@ -155,52 +146,36 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_healthy_service_reports_ready_once_and_feeds_the_watchdog() {
-        let (recorded, _look, shutdown, task) = watch(well());
-        tokio::time::sleep(Duration::from_millis(10_500)).await;
-        assert_eq!(recorded.count("READY=1"), 1);
-        assert_eq!(recorded.count("WATCHDOG=1"), 11);
-        assert!(recorded.count("STATUS=every part works") > 0);
-        shutdown.cancel();
-        task.await.unwrap();
-        assert_eq!(recorded.count("STOPPING=1"), 1);
-    }
-
-    #[tokio::test(start_paused = true)]
     async fn a_waiting_service_feeds_the_watchdog_and_reports_ready_after_30_seconds() {
         let waits = ServiceState {
             reasons: "zenoh: no\nrouter".to_owned(),
             ..ServiceState::default()
         };
-        let (recorded, read, shutdown, task) = watch(waits);
+        let service = Service::start(waits);
         tokio::time::sleep(Duration::from_millis(29_500)).await;
         assert_eq!(
-            (recorded.count("READY=1"), recorded.count("WATCHDOG=1")),
+            (service.count("READY=1"), service.count("WATCHDOG=1")),
             (0, 30)
         );
-        assert!(recorded.count("STATUS=not ready: zenoh: no router") > 0);
+        assert!(service.count("STATUS=not ready: zenoh: no router") > 0);
         tokio::time::sleep(Duration::from_secs(1)).await;
-        assert_eq!(recorded.count("READY=1"), 1);
-        *read.lock() = well();
+        assert_eq!(service.count("READY=1"), 1);
+        *service.state.lock() = well();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        assert_eq!(recorded.count("READY=1"), 1);
-        shutdown.cancel();
-        task.await.unwrap();
+        assert_eq!(service.count("READY=1"), 1);
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_stuck_service_does_not_feed_the_watchdog_until_it_recovers() {
-        let (recorded, read, shutdown, task) = watch(well());
+        let service = Service::start(well());
         tokio::time::sleep(Duration::from_millis(2_500)).await;
-        read.lock().stuck = Some("the detector".to_owned());
-        let fed = recorded.count("WATCHDOG=1");
+        service.state.lock().stuck = Some("the detector".to_owned());
+        let fed = service.count("WATCHDOG=1");
         tokio::time::sleep(Duration::from_secs(5)).await;
-        assert_eq!(recorded.count("WATCHDOG=1"), fed);
-        assert!(recorded.count("STATUS=stuck: the detector") > 0);
-        read.lock().stuck = None;
+        assert_eq!(service.count("WATCHDOG=1"), fed);
+        assert!(service.count("STATUS=stuck: the detector") > 0);
+        service.state.lock().stuck = None;
         tokio::time::sleep(Duration::from_secs(2)).await;
-        assert_eq!(recorded.count("WATCHDOG=1"), fed + 2);
-        shutdown.cancel();
-        task.await.unwrap();
+        assert_eq!(service.count("WATCHDOG=1"), fed + 2);
     }
 }

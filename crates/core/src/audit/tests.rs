@@ -2,6 +2,7 @@ use super::rate::{design_effect, wilson};
 use super::*;
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
+use crate::policy::tests::random;
 use crate::policy::{BoxSource, OutputBox};
 use proptest::prelude::*;
 
@@ -125,7 +126,8 @@ fn one_frame_with_twenty_boxes_is_no_certainty() {
 }
 
 /// The numbers of boxes and of shown boxes per frame. Crowds and misses are correlated over time, as on roads.
-fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> {
+fn road(frames: usize) -> Vec<(usize, usize)> {
+    let mut random = random(1);
     let mut bad = false;
     (0..frames)
         .map(|_| {
@@ -143,14 +145,7 @@ fn road(random: &mut impl FnMut() -> f64, frames: usize) -> Vec<(usize, usize)> 
 
 #[test]
 fn intervals_cover_the_full_comparison_at_their_rate() {
-    let mut state = 1u64;
-    let mut random = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
-    let frames = road(&mut random, 5_000);
+    let frames = road(5_000);
     let all: (usize, usize) = frames
         .iter()
         .fold((0, 0), |sum, frame| (sum.0 + frame.0, sum.1 + frame.1));

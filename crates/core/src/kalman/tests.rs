@@ -152,26 +152,6 @@ proptest! {
 }
 
 #[test]
-fn tau_of_a_new_object_and_in_the_steady_state_are_as_published() {
-    let size = PictureSize::new(1280, 720);
-    let model = FilterModel::new(&FilterParameters::default(), size);
-    let here = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
-    let mut filter = Filter::new(&model, here);
-    assert!((filter.tau() - 2.5e-4).abs() < 1e-15);
-    filter.predict(&model);
-    assert!((filter.tau() - 3.765e-4).abs() < 1e-15);
-    for _ in 0..100 {
-        filter.update(&model, here);
-        filter.predict(&model);
-    }
-    let tau = filter.tau();
-    assert!((tau - 1.91e-4).abs() < 0.005e-4, "{tau}");
-    filter.update(&model, here);
-    let tau = filter.tau();
-    assert!((tau - 4.54e-5).abs() < 0.005e-5, "{tau}");
-}
-
-#[test]
 fn measurement_noise_is_pixels_over_the_padded_longer_side() {
     let mut noise = FilterParameters::default().measurement;
     for (width, height, padded) in [(1242, 375, 1248.0), (480, 640, 640.0)] {

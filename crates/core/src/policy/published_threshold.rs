@@ -90,45 +90,6 @@ mod tests {
     }
 
     #[test]
-    fn the_filter_of_the_paper_ignores_the_size() {
-        let models = SIZES.map(|size| FilterModel::new(&AlbireoSettings::paper().filter, size));
-        assert!(models.windows(2).all(|pair| pair[0] == pair[1]));
-    }
-
-    /// The derivation: with P, Q and R times one number, τ is times that number and the gains are the same.
-    #[test]
-    fn scaling_all_noise_scales_tau_and_moves_no_box() {
-        let picture = PictureSize::new(1280, 720);
-        let model = FilterModel::new(&FilterParameters::default(), picture);
-        // A power of four: exact in the arithmetic, so that equality can be asked for.
-        let times = |deviations: crate::kalman::Deviations| crate::kalman::Deviations {
-            center: deviations.center * 4.0,
-            size: deviations.size * 4.0,
-            center_velocity: deviations.center_velocity * 4.0,
-            size_velocity: deviations.size_velocity * 4.0,
-            acceleration: deviations.acceleration * 4.0,
-        };
-        let scaled = FilterModel {
-            process: times(model.process),
-            initial: times(model.initial),
-            measurement: model.measurement * 4.0,
-        };
-        let first = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
-        let (mut one, mut other) = (Filter::new(&model, first), Filter::new(&scaled, first));
-        for step in 0..40 {
-            one.predict(&model);
-            other.predict(&scaled);
-            if step % 3 != 0 {
-                let seen = BoundingBox::new(0.5 + 0.01 * f64::from(step), 0.5, 0.1, 0.12);
-                one.update(&model, seen);
-                other.update(&scaled, seen);
-            }
-            assert_eq!(one.bounding_box(), other.bounding_box());
-            assert_eq!((4.0 * one.tau()).to_bits(), other.tau().to_bits());
-        }
-    }
-
-    #[test]
     fn the_equivalent_lets_the_published_filter_predict_for_as_many_frames() {
         let frames = |model: &FilterModel, u: f64| {
             let taus = curve(model);

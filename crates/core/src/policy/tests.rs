@@ -2,12 +2,11 @@
 
 mod camera;
 
-pub(crate) use camera::{PICTURE, seen};
-pub(super) use camera::{Run, built, head, records, ride};
+pub(crate) use camera::{PICTURE, random, seen};
+pub(super) use camera::{Run, built, head, records, ride, textured, useful};
 
 use super::config::known_policies;
 use super::*;
-use crate::detection::ClassId;
 use proptest::prelude::*;
 
 /// The fate of a frame.
@@ -19,43 +18,40 @@ struct Event {
     small_picture: bool,
     screen: Option<bool>,
     grey: Option<u8>,
-    detections: Option<Vec<(f64, f64, bool)>>,
+    detections: Option<Vec<Detection>>,
     reset: bool,
 }
 
-fn events() -> impl Strategy<Value = Vec<Event>> {
-    let step = prop_oneof![8 => Just(1u32), 2 => 2..12u32, 1 => Just(5000u32)];
-    let detection = (0.0..1.0, 0.5..1.0, prop::bool::weighted(0.05));
-    let event = (
-        step,
-        prop::option::weighted(0.05, 0..3usize),
-        prop::bool::weighted(0.05),
-        prop::option::weighted(0.8, any::<bool>()),
-        prop::option::weighted(0.8, prop_oneof![Just(0u8), Just(200u8)]),
-        prop::option::weighted(0.8, prop::collection::vec(detection, 0..4)),
-        prop::bool::weighted(0.02),
-    );
-    let event = event.prop_map(
-        |(step, given_up, small_picture, screen, grey, detections, reset)| Event {
-            step,
-            given_up,
-            small_picture,
-            screen,
-            grey,
-            detections,
-            reset,
-        },
-    );
-    prop::collection::vec(event, 1..60)
+prop_compose! {
+    pub(super) fn detection()(
+        x in 0.0..1.0,
+        y in 0.2..0.8,
+        confidence in 0.5..1.0,
+        hostile in prop::bool::weighted(0.05),
+    ) -> Detection {
+        Detection {
+            bounding_box: BoundingBox::new(x, y, if hostile { f64::NAN } else { 0.2 }, 0.2),
+            ..seen(x, confidence)
+        }
+    }
 }
 
-fn detections(found: &[(f64, f64, bool)]) -> Vec<Detection> {
-    let detection = |&(x, confidence, hostile): &(f64, f64, bool)| Detection {
-        bounding_box: BoundingBox::new(x, 0.5, if hostile { f64::NAN } else { 0.1 }, 0.1),
-        class: ClassId(0),
-        confidence,
-    };
-    found.iter().map(detection).collect()
+prop_compose! {
+    fn event()(
+        step in prop_oneof![8 => Just(1u32), 2 => 2..12u32, 1 => Just(5000u32)],
+        given_up in prop::option::weighted(0.05, 0..3usize),
+        small_picture in prop::bool::weighted(0.05),
+        screen in prop::option::weighted(0.8, any::<bool>()),
+        grey in prop::option::weighted(0.8, prop_oneof![Just(0u8), Just(200u8)]),
+        detections in prop::option::weighted(0.8, prop::collection::vec(detection(), 0..4)),
+        reset in prop::bool::weighted(0.02),
+    ) -> Event {
+        Event { step, given_up, small_picture, screen, grey, detections, reset }
+    }
+}
+
+fn events() -> impl Strategy<Value = Vec<Event>> {
+    prop::collection::vec(event(), 1..60)
 }
 
 /// Plays one frame; returns its outcome unless it was abandoned, and how often the detector answered.
@@ -64,8 +60,16 @@ fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>,
         true => PictureSize::new(64, 36),
         false => PICTURE,
     };
-    let found = event.detections.as_deref().map(detections);
     let grey = [event.grey.unwrap_or_default(); 128];
+    let grey = event.grey.map(|_| GreyPicture {
+        size: PictureSize::new(16, 8),
+        pixels: &grey,
+    });
+    let mut known = FrameEvidence {
+        empty: event.screen,
+        grey,
+        detections: event.detections.as_deref(),
+    };
     let mut answers = 0;
     let mut answered = 0;
     let head = FrameHead {
@@ -78,19 +82,9 @@ fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>,
         if event.given_up == Some(answers) {
             return (None, answered);
         }
-        let evidence = match need {
-            Need::Nothing => None,
-            Need::Screen => event.screen.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture | Need::SmallGreyPicture { .. } => event.grey.map(|_| {
-                Evidence::GreyPicture(GreyPicture {
-                    size: PictureSize::new(16, 8),
-                    pixels: &grey,
-                })
-            }),
-            Need::Detections => found.as_deref().map(Evidence::Detections),
-        };
-        answered += usize::from(matches!(evidence, Some(Evidence::Detections(_))));
-        need = policy.answer(evidence.unwrap_or(Evidence::Unavailable));
+        let Ok(evidence) = known.evidence(need);
+        answered += usize::from(matches!(evidence, Evidence::Detections(_)));
+        need = policy.answer(evidence);
         answers += 1;
         assert!(answers <= 3, "too many requests");
     }
@@ -126,13 +120,12 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     }
 }
 
-/// Every policy under every profile, with the threshold `u` if it has one.
-fn all_policies(u: f64) -> impl Iterator<Item = PolicyConfig> {
-    known_policies().flat_map(move |name| {
+/// Every policy under every profile.
+fn all_policies() -> impl Iterator<Item = PolicyConfig> {
+    known_policies().flat_map(|name| {
         [Profile::Paper, Profile::Reference].map(|profile| PolicyConfig {
             name: name.to_owned(),
             profile,
-            u,
             ..PolicyConfig::default()
         })
     })
@@ -142,8 +135,11 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn gaps_failures_and_hostile_numbers_leave_every_policy_coherent(script in events()) {
-        for config in all_policies(PolicyConfig::default().u) {
+    fn gaps_failures_and_hostile_numbers_leave_every_policy_coherent(
+        script in events(),
+        share in 0.0..1.0f64,
+    ) {
+        for mut config in all_policies() {
             let mut policy = config.build().unwrap();
             let mut index = 0;
             for event in &script {
@@ -156,12 +152,18 @@ proptest! {
                     check(&config.name, &outcome, answered);
                 }
             }
-            // After a reset a policy decides like a new one.
+            // After a reset a policy decides like a new one with its threshold.
+            if let Some(knob) = policy.knob() {
+                let value = useful(knob, share);
+                policy.set_knob(value).unwrap();
+                config.set_argument(&value.to_string()).unwrap();
+            }
             policy.reset();
             let mut fresh = config.build().unwrap();
             for (index, event) in (0u64..).zip(&script) {
                 let again = play(&mut *policy, index, event);
                 prop_assert_eq!(again, play(&mut *fresh, index, event), "{}", config.name);
+                prop_assert_eq!(records(&*policy), records(&*fresh), "{}", config.name);
             }
         }
     }
@@ -173,14 +175,13 @@ proptest! {
     #[test]
     fn without_pictures_flow_changes_no_bit_of_the_decisions(
         events in events(),
-        knob in 0.0..1.0f64,
+        share in 0.0..1.0f64,
     ) {
         let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker"];
         for name in names {
             let [mut off, mut flow] =
                 ["", "+flow"].map(|suffix| built(&format!("{name}{suffix}"), Profile::Paper));
-            let range = off.knob().unwrap();
-            let value = range.useful_minimum + knob * (range.useful_maximum - range.useful_minimum);
+            let value = useful(off.knob().unwrap(), share);
             off.set_knob(value).unwrap();
             flow.set_knob(value).unwrap();
             let mut index = 0;
@@ -198,7 +199,7 @@ proptest! {
 #[test]
 fn a_knob_has_its_configured_value_and_rejects_values_out_of_range() {
     for name in known_policies() {
-        let config = PolicyConfig {
+        let mut config = PolicyConfig {
             name: name.to_owned(),
             ..PolicyConfig::default()
         };
@@ -214,10 +215,108 @@ fn a_knob_has_its_configured_value_and_rejects_values_out_of_range() {
         for bad in [below, above].concat() {
             assert!(policy.set_knob(bad).is_err(), "{name}: {bad}");
             assert_eq!(policy.knob_value(), Some(knob.default), "{name}");
+            config.set_argument(&bad.to_string()).unwrap();
+            assert!(config.build().is_err(), "{name}: {bad}");
         }
         for good in [knob.minimum, knob.maximum] {
             policy.set_knob(good).unwrap();
             assert_eq!(policy.knob_value(), Some(good), "{name}");
         }
     }
+}
+
+#[test]
+fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
+    for (asked, boxes) in [
+        ("vanilla", 0),
+        ("erd-only", 0),
+        ("statues", 1),
+        ("fixed-skip", 1),
+        ("ctd:0.5", 1),
+        ("albireo", 1),
+        ("kill-only", 1),
+        ("expected-loss:0", 1),
+        ("even-skip-in-tracker", 1),
+    ] {
+        for profile in [Profile::Paper, Profile::Reference] {
+            let what = format!("{asked} {profile:?}");
+            let found = [seen(0.5, 0.9)];
+            let mut run = Run::new(asked, profile);
+            for _ in 0..10 {
+                run.see(&found);
+            }
+            let mut waited = 0;
+            while !run.outcome.degraded {
+                run.blind();
+                waited += 1;
+                assert!(waited < 20, "{what} never asks the detector");
+            }
+            let of = |record: &ObjectRecord| (record.id, record.misses, record.since_update);
+            let before: Vec<_> = run.records().iter().map(of).collect();
+            for blind in 1..3 {
+                assert_eq!(run.blind(), FrameState::P, "{what}");
+                assert!(run.outcome.degraded, "{what}");
+                assert_eq!(run.outcome.boxes.len(), boxes, "{what}");
+                // No miss is counted.
+                let since = before
+                    .iter()
+                    .map(|&(id, misses, since)| (id, misses, since + blind));
+                let records = run.records();
+                assert!(records.iter().map(of).eq(since), "{what}: {records:?}");
+            }
+            assert!(!run.see(&found).is_skipped(), "{what}");
+            assert!(!run.outcome.degraded, "{what}");
+            let after: Vec<_> = run.records().iter().map(of).collect();
+            let expected: Vec<_> = before
+                .iter()
+                .map(|&(id, misses, _)| (id, misses, 0))
+                .collect();
+            assert_eq!(after, expected, "{what}");
+        }
+    }
+}
+
+#[test]
+fn an_empty_scene_skips_the_detector_and_without_the_screen_it_runs() {
+    let found = [seen(0.5, 0.9)];
+    let unscreened = FrameEvidence::detections(&found);
+    let empty = FrameEvidence {
+        empty: Some(true),
+        ..unscreened
+    };
+    for (name, cause) in [
+        ("albireo", CallCause::NoObjects),
+        ("kill+erd", CallCause::NoObjects),
+        ("kill+erd-10d", CallCause::NoObjects),
+        ("erd-only", CallCause::NoObjects),
+        ("expected-loss", CallCause::Start),
+    ] {
+        let mut run = Run::new(name, Profile::Paper);
+        for _ in 0..40 {
+            assert_eq!(run.frame(1, empty), FrameState::E, "{name}");
+            assert_eq!(run.needs, [Need::Screen], "{name}");
+            let outcome = Outcome {
+                state: FrameState::E,
+                ..Outcome::default()
+            };
+            assert_eq!(run.outcome, outcome, "{name}");
+        }
+        for (known, state, cause) in [
+            (
+                FrameEvidence::in_view(&found),
+                FrameState::EI,
+                CallCause::Screen,
+            ),
+            (unscreened, FrameState::I, cause),
+        ] {
+            run.policy.reset();
+            assert_eq!(run.frame(1, known), state, "{name}");
+            assert_eq!(run.needs, [Need::Screen, Need::Detections], "{name}");
+            assert_eq!(run.outcome.cause, Some(cause), "{name}");
+            assert_eq!(run.outcome.boxes.len(), 1, "{name}");
+        }
+    }
+    let mut run = Run::new("kill-only", Profile::Paper);
+    assert_eq!(run.frame(1, empty), FrameState::I);
+    assert_eq!(run.needs, [Need::Detections]);
 }

@@ -80,12 +80,4 @@ mod tests {
         }
         assert_eq!(run.policy.rejected_detections(), 3);
     }
-
-    #[test]
-    fn without_the_detector_the_frame_is_empty_and_degraded() {
-        let mut run = Run::new("vanilla", Profile::Paper);
-        run.see(&[seen(0.1, 0.9)]);
-        assert_eq!(run.blind(), FrameState::P);
-        assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
-    }
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::audit::{AuditSquares, AuditSums};
+use crate::policy::tests::random;
 use crate::policy::{Albireo, ExpectedLoss, PolicyConfig};
 use proptest::prelude::*;
 
@@ -10,44 +11,29 @@ const RANGE: KnobRange = KnobRange {
     most: 2.0,
 };
 
-/// A camera with a detector, and what they consume.
-#[derive(Clone)]
+/// A camera with a detector that consumes 9 W when it is always busy, on a board that consumes 4 W.
 struct Plant {
-    rate: f64,
+    /// Frames per second.
+    rate: u64,
     /// Share of frames with the detector at a knob of 0.3.
     busy: f64,
     steepness: f64,
     detector_ms: f64,
-    idle_watts: f64,
-    /// Watts of a detector that is always busy.
-    detector_watts: f64,
-    random: u64,
+    random: Box<dyn FnMut() -> f64>,
     /// Frames until the next detector call.
     until_call: f64,
-    owed: f64,
 }
 
 impl Plant {
     fn new(seed: u64) -> Self {
         Self {
-            rate: 15.0,
+            rate: 15,
             busy: 0.6,
             steepness: 0.22,
             detector_ms: 40.0,
-            idle_watts: 4.0,
-            detector_watts: 9.0,
-            random: seed,
+            random: Box::new(random(seed)),
             until_call: 1.0,
-            owed: 0.0,
         }
-    }
-
-    fn unit(&mut self) -> f64 {
-        self.random = self
-            .random
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.random >> 11) as f64 / (1u64 << 53) as f64
     }
 
     fn share(&self, knob: f64) -> f64 {
@@ -56,28 +42,22 @@ impl Plant {
 
     /// Plays a second with the knob at this value. The pauses between calls vary as they do on roads.
     fn second(&mut self, knob: f64) -> Measured {
-        self.owed += self.rate;
-        let frames = self.owed.floor();
-        self.owed -= frames;
         let mut calls = 0;
-        for _ in 0..frames as u64 {
+        for _ in 0..self.rate {
             self.until_call -= 1.0;
             if self.until_call <= 0.0 {
                 calls += 1;
                 let pause = 1.0 / self.share(knob);
-                self.until_call += pause * (0.6 + 0.8 * self.unit());
+                self.until_call += pause * (0.6 + 0.8 * (self.random)());
             }
         }
-        let calls = calls.min(frames as u64);
-        let detector_ms = calls as f64 * self.detector_ms;
-        let noise = 1.0 + 0.04 * (self.unit() - 0.5);
+        let busy = (calls as f64 * self.detector_ms / 1000.0).min(1.0);
+        let noise = 1.0 + 0.04 * ((self.random)() - 0.5);
         Measured {
             seconds: 1.0,
-            frames: frames as u64,
-            skipped: frames as u64 - calls,
-            watts: Some(
-                (self.idle_watts + self.detector_watts * (detector_ms / 1000.0).min(1.0)) * noise,
-            ),
+            frames: self.rate,
+            skipped: self.rate - calls,
+            watts: Some((4.0 + 9.0 * busy) * noise),
             audit: AuditSums::default(),
         }
     }
@@ -120,11 +100,11 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
         let mut controller = TargetController::new(target, RANGE, 0.05).unwrap();
         settles(&mut controller, &mut plant, "at the start");
         let scenes = [
-            (0.75, 40.0, 15.0, "a dense scene"),
-            (0.45, 40.0, 15.0, "an empty scene"),
-            (0.45, 48.0, 15.0, "a slow detector"),
-            (0.6, 30.0, 15.0, "a fast detector"),
-            (0.6, 30.0, 20.0, "more frames"),
+            (0.75, 40.0, 15, "a dense scene"),
+            (0.45, 40.0, 15, "an empty scene"),
+            (0.45, 48.0, 15, "a slow detector"),
+            (0.6, 30.0, 15, "a fast detector"),
+            (0.6, 30.0, 20, "more frames"),
         ];
         for (busy, detector_ms, rate, what) in scenes {
             (plant.busy, plant.detector_ms, plant.rate) = (busy, detector_ms, rate);
@@ -136,7 +116,7 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
 #[test]
 fn three_frames_per_second_settle_slower_without_oscillation() {
     let mut plant = Plant::new(71);
-    plant.rate = 3.0;
+    plant.rate = 3;
     let mut controller = TargetController::new(Target::SkipRate(0.5), RANGE, 0.05).unwrap();
     for busy in [0.6, 0.75] {
         plant.busy = busy;
@@ -258,8 +238,8 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
     let recall = (at_default - 0.05 * (knob / 0.3).ln()).clamp(0.0, 1.0);
     let mut sums = AuditSums::default();
     // One frame of five boxes every three seconds.
-    if plant.unit() < 1.0 / 3.0 {
-        let shown = (0..5).filter(|_| plant.unit() < recall).count() as u64;
+    if (plant.random)() < 1.0 / 3.0 {
+        let shown = (0..5).filter(|_| (plant.random)() < recall).count() as u64;
         sums.frames = 1;
         sums.detected = 5;
         sums.paired = shown;
@@ -273,29 +253,40 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
     sums
 }
 
-#[test]
-fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
-    let mut plant = Plant::new(71);
-    let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
-    let mut hour = |missed_of_ten: u64| {
-        let knob = controller.knob();
-        let mut last = None;
-        for second in 0..3600 {
+/// Lets `seconds` pass with an audit of which so many tenths are missed; returns every state.
+fn run_audited(
+    controller: &mut TargetController,
+    plant: &mut Plant,
+    seconds: u32,
+    at_default: f64,
+    missed_of_ten: u32,
+) -> Vec<TargetState> {
+    (0..seconds)
+        .map(|second| {
             let knob = controller.knob();
-            let mut audit = audited(&mut plant, knob, 0.99);
+            let mut audit = audited(plant, knob, at_default);
             if audit.frames > 0 && second % 10 < missed_of_ten {
                 audit = AuditSums::default();
                 audit.add_missed(5);
             }
-            last = Some(controller.step(&Measured {
+            controller.step(&Measured {
                 audit,
                 ..plant.second(knob)
-            }));
-        }
-        (controller.knob() / knob, last.unwrap().status)
-    };
-    assert_eq!(hour(4), (1.0, TargetStatus::Measuring));
-    let (turned, _) = hour(0);
+            })
+        })
+        .collect()
+}
+
+#[test]
+fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
+    let mut plant = Plant::new(71);
+    let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
+    let before = controller.knob();
+    let states = run_audited(&mut controller, &mut plant, 3600, 0.99, 4);
+    assert_eq!(states.last().unwrap().status, TargetStatus::Measuring);
+    assert_eq!(controller.knob() / before, 1.0);
+    run_audited(&mut controller, &mut plant, 3600, 0.99, 0);
+    let turned = controller.knob() / before;
     assert!(turned > 1.5, "{turned}");
 }
 
@@ -304,19 +295,7 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let target = Target::Recall(0.85);
     let mut plant = Plant::new(61);
     let mut controller = TargetController::new(target, RANGE, 2.0).unwrap();
-    let hours = |controller: &mut TargetController, plant: &mut Plant, at_default: f64| {
-        let mut states = Vec::new();
-        for _ in 0..3 * 3600 {
-            let knob = controller.knob();
-            let measured = Measured {
-                audit: audited(plant, knob, at_default),
-                ..plant.second(knob)
-            };
-            states.push(controller.step(&measured));
-        }
-        states
-    };
-    let states = hours(&mut controller, &mut plant, 0.90);
+    let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.90, 0);
     // After the first of three hours.
     let kept = &states[3600..];
     let of_truth = |state: &TargetState| 0.90 - 0.05 * (state.knob / 0.3).ln();
@@ -326,19 +305,15 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     assert!(below < kept.len() / 10, "{below} of {}", kept.len());
     assert!(kept.last().unwrap().boxes.unwrap() > 100);
 
-    let states = hours(&mut controller, &mut plant, 0.70);
+    let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.70, 0);
     let last = states.last().unwrap();
     assert_eq!(last.status, TargetStatus::CannotBeMet, "{last:?}");
     assert!((last.knob - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
     // Nothing is drawn any more: the status reports it, and the knob stays.
     plant.busy = 0.3;
-    for _ in 0..700 {
-        let measured = plant.second(controller.knob());
-        controller.step(&measured);
-    }
-    let measured = plant.second(controller.knob());
-    assert_eq!(controller.step(&measured).status, TargetStatus::NoAudit);
+    let states = run(&mut controller, &mut plant, 701);
+    assert_eq!(states[700].status, TargetStatus::NoAudit);
 }
 
 #[test]

@@ -242,7 +242,6 @@ mod tests {
     #[serde(deny_unknown_fields, default)]
     struct Small {
         http: SmallHttp,
-        mode: Mode,
         camera: Vec<SmallCamera>,
     }
 
@@ -254,13 +253,6 @@ mod tests {
     }
 
     #[derive(serde::Deserialize, Default)]
-    #[serde(rename_all = "lowercase")]
-    enum Mode {
-        #[default]
-        Fast,
-    }
-
-    #[derive(serde::Deserialize, Default)]
     #[serde(deny_unknown_fields, default)]
     struct SmallCamera {
         name: String,
@@ -269,9 +261,6 @@ mod tests {
 
     impl Configuration for Small {
         const SECTIONS: &'static [&'static str] = &["HTTP"];
-        const REMOVED: &'static str = "\
-http.backlog: the system's own is used
-mode = slow: there is one mode";
 
         fn findings(&self) -> Vec<Finding> {
             let mut findings = Vec::new();
@@ -292,15 +281,10 @@ mode = slow: there is one mode";
 
     #[test]
     fn all_errors_in_a_file_are_reported_at_once_in_plain_words() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("small.toml");
         let text = "[http]\ntimeout = \"long\"\nloud = 1\nprot = 8080\n[[camera]]\nring = \"two\"\n\
                     [[camera]]\nname = \"a b\"\nrung = 3\n";
-        std::fs::write(&file, text).unwrap();
-        let Err(error) = load::<Small>(Some(&file)) else {
-            panic!("it can be used");
-        };
-        let mut reported: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
+        let (_, findings) = examine_text::<Small>(text);
+        let mut reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
         reported.sort();
         assert_eq!(
             reported,
@@ -313,25 +297,6 @@ mode = slow: there is one mode";
                 "http.port: must not be 0",
                 "http.prot: unknown key `prot`; did you mean `port`?",
                 "http.timeout: must be a number, not string \"long\"",
-            ]
-        );
-    }
-
-    #[test]
-    fn a_removed_key_or_value_is_rejected_with_the_reason() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("small.toml");
-        std::fs::write(&file, "mode = \"slow\"\n[http]\nport = 1\nbacklog = 5\n").unwrap();
-        let Err(error) = load::<Small>(Some(&file)) else {
-            panic!("it can be used");
-        };
-        let mut found: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
-        found.sort();
-        assert_eq!(
-            found,
-            [
-                "http.backlog: was removed: the system's own is used",
-                "mode: was removed: there is one mode",
             ]
         );
     }

@@ -16,16 +16,18 @@ struct Bench {
     watching: JoinHandle<Result<(), TaskFailed>>,
 }
 
+fn supervisor() -> Supervisor {
+    let (readiness, tally) = (Readiness::default(), TaskTally::default());
+    Supervisor::new(readiness, tally, CancellationToken::new())
+}
+
 /// Supervises a task that runs `what` with the number of its start, counted from 0.
 fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     what: impl Fn(u32, CancellationToken) -> F + Clone + Send + Sync + 'static,
 ) -> Bench {
-    let (readiness, tally, shutdown) = (
-        Readiness::default(),
-        TaskTally::default(),
-        CancellationToken::new(),
-    );
-    let mut supervisor = Supervisor::new(readiness.clone(), tally.clone(), shutdown.clone());
+    let mut supervisor = supervisor();
+    let (readiness, tally) = (supervisor.readiness.clone(), supervisor.tally.clone());
+    let shutdown = supervisor.shutdown.clone();
     let (started, starts) = unbounded_channel();
     let (number, stop) = (AtomicU32::new(0), shutdown.clone());
     supervisor.restarting("camera/front", HealthState::NotReady, move || {
@@ -126,9 +128,8 @@ async fn a_task_that_ends_before_the_shutdown_counts_as_failed() {
 
 #[tokio::test]
 async fn watch_returns_the_failure_of_an_essential_task() {
-    let (readiness, shutdown) = (Readiness::default(), CancellationToken::new());
-    let mut supervisor = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
-    let stop = shutdown.clone();
+    let mut supervisor = supervisor();
+    let stop = supervisor.shutdown.clone();
     supervisor.essential("http", async move { stop.cancelled().await });
     supervisor.essential("ingest", async { the_disk_is_gone() });
     let failed = supervisor.watch().await.unwrap_err();
@@ -136,40 +137,27 @@ async fn watch_returns_the_failure_of_an_essential_task() {
         (failed.task.as_str(), failed.reason.as_str()),
         ("ingest", "panicked: the disk is gone")
     );
-    assert!(!readiness.health().is_ready());
+    assert!(!supervisor.readiness.health().is_ready());
     assert_eq!(supervisor.still_running(), ["http"]);
-    shutdown.cancel();
+    supervisor.shutdown.cancel();
     supervisor.finish().await;
     assert!(supervisor.still_running().is_empty());
 }
 
 #[tokio::test]
 async fn an_until_shutdown_task_does_not_delay_shutdown_and_fails_if_it_ends_early() {
-    let shutdown = CancellationToken::new();
-    let mut supervisor =
-        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
-    supervisor.until_shutdown("uplink", std::future::pending::<()>());
-    shutdown.cancel();
-    assert_eq!(supervisor.watch().await, Ok(()));
-    supervisor.finish().await;
-    let shutdown = CancellationToken::new();
-    let mut supervisor =
-        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
-    supervisor.until_shutdown("uplink", async {});
-    let failed = supervisor.watch().await.unwrap_err();
+    let mut stopped = supervisor();
+    stopped.until_shutdown("uplink", std::future::pending::<()>());
+    stopped.shutdown.cancel();
+    assert_eq!(stopped.watch().await, Ok(()));
+    stopped.finish().await;
+    let mut ended = supervisor();
+    ended.until_shutdown("uplink", async {});
+    let failed = ended.watch().await.unwrap_err();
     assert_eq!(
         (failed.task.as_str(), failed.reason.as_str()),
         ("uplink", "ended before the shutdown")
     );
-}
-
-#[tokio::test]
-async fn watch_without_tasks_returns_on_shutdown() {
-    let shutdown = CancellationToken::new();
-    let mut supervisor =
-        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
-    shutdown.cancel();
-    assert_eq!(supervisor.watch().await, Ok(()));
 }
 
 fn the_disk_is_gone() {

@@ -4,13 +4,13 @@ use super::*;
 use albireo_core::geometry::PictureSize;
 use albireo_eval::error::EvalError;
 use bytes::Bytes;
+use clap::Parser;
 use std::sync::Mutex;
 
-/// Pictures of one byte, numbered; with `halves`, cut into two clips.
+/// Pictures of one byte, numbered. Eight of them are cut into two clips.
 struct Numbers {
     length: u8,
     at: u8,
-    halves: bool,
 }
 
 impl FrameSource for Numbers {
@@ -19,7 +19,7 @@ impl FrameSource for Numbers {
     }
     fn clip(&self) -> Option<&str> {
         let first = self.at <= self.length / 2;
-        self.halves.then_some(if first { "day" } else { "night" })
+        (self.length == 8).then_some(if first { "day" } else { "night" })
     }
     fn rate(&self) -> f64 {
         10.0
@@ -45,11 +45,18 @@ impl FrameSource for Numbers {
 }
 
 fn numbers(length: u8) -> Box<dyn FrameSource> {
-    Box::new(Numbers {
-        length,
-        at: 0,
-        halves: false,
-    })
+    Box::new(Numbers { length, at: 0 })
+}
+
+#[derive(Parser)]
+struct Command {
+    #[command(flatten)]
+    options: PublishOptions,
+}
+
+fn options(arguments: &str) -> PublishOptions {
+    let words = arguments.split_whitespace();
+    Command::parse_from(["play"].into_iter().chain(words)).options
 }
 
 /// Everything sent, with the time since the start.
@@ -85,12 +92,10 @@ fn at_once(_: u64) -> Duration {
 
 #[tokio::test(start_paused = true)]
 async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
-    for (rate, period) in [(None, 100), (Some(Rate::PerSecond(4.0)), 250)] {
+    for (rate, period) in [("", 100), ("--rate 4", 250)] {
         let options = PublishOptions {
-            rate,
-            no_clip: true,
             first_sequence: 7,
-            ..PublishOptions::default()
+            ..options(rate)
         };
         let (frames, sent) = played(5, options, at_once).await;
         assert_eq!((sent.frames, sent.bytes, sent.behind), (5, 5, 0));
@@ -105,7 +110,6 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
             assert_eq!(frame.attachment.seq, Some(7 + number as u64));
             let after = frame.attachment.t_ns.unwrap() - first_time;
             assert!(after.abs_diff(expected.as_nanos() as u64) < 1000);
-            assert_eq!(frame.attachment.clip, None);
             // A raw picture gives its size.
             assert_eq!(frame.attachment.width, Some(1));
         }
@@ -125,104 +129,46 @@ async fn what_was_missed_is_not_made_up_for_in_a_burst() {
     assert_eq!(sent.behind, 1);
 }
 
-#[tokio::test(start_paused = true)]
-async fn a_loop_begins_a_clip_with_each_pass_and_stops_when_enough_is_sent() {
-    let options = PublishOptions {
-        repeat: true,
-        frames: Some(7),
-        clip: Some("drive".to_owned()),
-        ..PublishOptions::default()
-    };
-    let (frames, sent) = played(3, options, at_once).await;
-    let clips: Vec<_> = frames
-        .iter()
-        .map(|(_, frame)| frame.attachment.clip.as_deref().unwrap())
-        .collect();
-    let [one, two, three] = ["drive-0001", "drive-0002", "drive-0003"];
-    assert_eq!(clips, [one, one, one, two, two, two, three]);
-    assert_eq!(sent.clips, 3);
-    let sequence: Vec<_> = frames.iter().map(|(_, f)| f.attachment.seq).collect();
-    assert_eq!(sequence, (0..7).map(Some).collect::<Vec<_>>());
-}
+/// The length of the source, the options, and the number of frames in each clip.
+const CLIPS: &str = "
+3 --loop --frames 7 --clip drive: 3 drive-0001, 3 drive-0002, 1 drive-0003
+7 --clip c --clip-seconds 0.3: 3 c-0001, 3 c-0002, 1 c-0003
+7 --clip c --clip-seconds 0.3 --rate max: 3 c-0001, 3 c-0002, 1 c-0003
+2 --clip c: 2 c
+8 --frames 10: 4 day, 4 night
+8 --frames 10 --loop: 4 day-0001, 4 night-0002, 2 day-0003
+8 --frames 10 --clip drive: 4 drive-0001, 4 drive-0002
+8 --frames 10 --loop --no-clip: 10 none
+";
 
 #[tokio::test(start_paused = true)]
-async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
-    for rate in [None, Some(Rate::Unpaced)] {
-        let options = PublishOptions {
-            rate,
-            clip: Some("c".to_owned()),
-            clip_seconds: Some(0.3),
-            ..PublishOptions::default()
-        };
-        let (frames, sent) = played(7, options, at_once).await;
-        let lengths: Vec<usize> = frames
-            .chunk_by(|a, b| a.1.attachment.clip == b.1.attachment.clip)
-            .map(<[_]>::len)
+async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
+    for case in CLIPS.trim().lines() {
+        let (played_with, expected) = case.split_once(": ").unwrap();
+        let (length, arguments) = played_with.split_once(' ').unwrap();
+        let length = length.parse().unwrap();
+        let (frames, sent) = played(length, options(arguments), at_once).await;
+        let sequence = frames.iter().map(|(_, frame)| frame.attachment.seq);
+        assert!(sequence.eq((0..sent.frames).map(Some)), "{case}");
+        let clips: Vec<_> = (frames.iter())
+            .map(|(_, frame)| frame.attachment.clip.as_deref())
             .collect();
-        assert_eq!(lengths, [3, 3, 1]);
-        assert_eq!(sent.clips, 3);
-    }
-    let one = PublishOptions {
-        clip: Some("c".to_owned()),
-        ..PublishOptions::default()
-    };
-    let (frames, _) = played(2, one, at_once).await;
-    assert_eq!(frames[1].1.attachment.clip.as_deref(), Some("c"));
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_clips_of_a_source_are_kept_apart() {
-    for (clip, no_clip, repeat, expected) in [
-        (None, false, false, ["day", "night", ""]),
-        (None, false, true, ["day-0001", "night-0002", "day-0003"]),
-        (
-            Some("drive"),
-            false,
-            false,
-            ["drive-0001", "drive-0002", ""],
-        ),
-        (None, true, true, ["", "", ""]),
-    ] {
-        let options = PublishOptions {
-            repeat,
-            frames: Some(10),
-            clip: clip.map(str::to_owned),
-            no_clip,
-            ..PublishOptions::default()
-        };
-        let source = Box::new(Numbers {
-            length: 8,
-            at: 0,
-            halves: true,
-        });
-        let clips = Mutex::new(Vec::new());
-        let send = |frame: OutgoingFrame| {
-            let clip = frame.attachment.clip.unwrap_or_default();
-            clips.lock().unwrap().push(clip);
-            async { Ok(None) }
-        };
-        let running = CancellationToken::new();
-        let played = play(source, &options, send, |_| {}, &running);
-        played.await.unwrap();
-        let [one, two, three] = expected;
-        let rest = if repeat { vec![three; 2] } else { Vec::new() };
-        assert_eq!(
-            clips.into_inner().unwrap(),
-            [vec![one; 4], vec![two; 4], rest].concat()
-        );
+        let found: Vec<_> = clips
+            .chunk_by(|a, b| a == b)
+            .map(|clip| format!("{} {}", clip.len(), clip[0].unwrap_or("none")))
+            .collect();
+        assert_eq!(found.join(", "), expected);
+        let begun = clips[0].map_or(0, |_| found.len() as u64);
+        assert_eq!(sent.clips, begun, "{case}");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn shutdown_ends_a_play_that_would_never_end() {
     let shutdown = CancellationToken::new();
-    let options = PublishOptions {
-        repeat: true,
-        ..PublishOptions::default()
-    };
     let sent = play(
         numbers(3),
-        &options,
+        &options("--loop"),
         |_| async { Ok(None) },
         |sent| {
             if sent.frames == 20 {
@@ -238,14 +184,10 @@ async fn shutdown_ends_a_play_that_would_never_end() {
 
 #[tokio::test(start_paused = true)]
 async fn an_empty_source_is_no_endless_loop() {
-    let options = PublishOptions {
-        repeat: true,
-        ..PublishOptions::default()
-    };
     let shutdown = CancellationToken::new();
     let error = play(
         numbers(0),
-        &options,
+        &options("--loop"),
         |_| async { Ok(None) },
         |_| {},
         &shutdown,

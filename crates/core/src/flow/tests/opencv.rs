@@ -40,52 +40,27 @@ fn pyramid(file: &Path) -> Pyramid {
     pyramid
 }
 
-#[derive(Debug, Default)]
-struct Tally {
-    points: usize,
-    /// Points that only OpenCV trusts.
-    theirs: usize,
-    /// Points that only we trust.
-    ours: usize,
-    /// The differences at points that both trust, px.
-    differences: Vec<f32>,
-}
-
-/// Compares all points of a folder.
-fn compare(folder: &Path, settings: TrackerSettings) -> Tally {
+/// Where OpenCV and we find each point of a folder's pictures; `None` if tracking back does not return to it.
+fn tracked(folder: &Path) -> Vec<[Option<[f32; 2]>; 2]> {
     let text = std::fs::read_to_string(folder.join("points.json")).unwrap();
     let fixture: Fixture = serde_json::from_str(&text).unwrap();
-    let mut tracker = Tracker::new(settings);
-    let mut tally = Tally::default();
+    let mut tracker = Tracker::new(TrackerSettings::default());
+    let mut points = Vec::new();
     for pair in &fixture.pairs {
         let before = pyramid(&folder.join(&pair.before));
         let after = pyramid(&folder.join(&pair.after));
         for &[x, y, found_x, found_y, their_return] in &pair.points {
-            let shift = tracker.track(&before, &after, [x, y], [0.0; 2]);
-            let found = shift.map(|[u, v]| [x + u, y + v]);
-            let back = found.and_then(|found| tracker.track(&after, &before, found, [0.0; 2]));
-            let our_return = (shift.zip(back)).map(|(a, b)| (a[0] + b[0]).hypot(a[1] + b[1]));
-            let ours = our_return.is_some_and(|distance| distance <= 1.0);
             let theirs = (0.0..=1.0).contains(&their_return);
-            tally.points += 1;
-            match (theirs, found.filter(|_| ours)) {
-                (true, Some([x, y])) => {
-                    let difference = (x - found_x).hypot(y - found_y);
-                    tally.differences.push(difference);
-                }
-                (true, None) => tally.theirs += 1,
-                (false, Some(_)) => tally.ours += 1,
-                (false, None) => {}
-            }
+            let shift = tracker.track(&before, &after, [x, y], [0.0; 2]);
+            let ours = shift.map(|[u, v]| [x + u, y + v]).filter(|&found| {
+                let back = tracker.track(&after, &before, found, [0.0; 2]);
+                let off = |[u, v]: [f32; 2]| (found[0] + u - x).hypot(found[1] + v - y);
+                back.is_some_and(|back| off(back) <= 1.0)
+            });
+            points.push([theirs.then_some([found_x, found_y]), ours]);
         }
     }
-    tally.differences.sort_by(f32::total_cmp);
-    tally
-}
-
-fn share_above(tally: &Tally, limit: f32) -> f64 {
-    let above = tally.differences.iter().filter(|d| **d > limit).count();
-    above as f64 / tally.differences.len() as f64
+    points
 }
 
 #[test]
@@ -94,25 +69,31 @@ fn points_move_as_in_opencv() {
     let by_hand = given.is_some();
     let folder = given
         .unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/flow"));
-    let tally = compare(&folder, TrackerSettings::default());
-    let both = tally.differences.len();
-    let at = |share: f64| tally.differences[((both - 1) as f64 * share) as usize];
+    let points = tracked(&folder);
+    let mut differences: Vec<_> = (points.iter())
+        .filter_map(|[theirs, ours]| theirs.zip(*ours))
+        .map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]))
+        .collect();
+    differences.sort_by(f32::total_cmp);
+    let both = differences.len();
+    let trusted = |by: usize| points.iter().filter(|point| point[by].is_some()).count();
+    let [theirs, ours] = [0, 1].map(|by| trusted(by) - both);
+    let at = |share: f64| differences[((both - 1) as f64 * share) as usize];
+    let above = differences.iter().filter(|d| **d > 0.1).count() as f64 / both as f64;
     println!(
-        "{} points, {both} trusted by both, {} by OpenCV alone, {} by us alone; difference median {:.4}, 99 % \
-         {:.4}, 99.9 % {:.4}, largest {:.4} px; above 0.1 px: {:.3} %",
-        tally.points,
-        tally.theirs,
-        tally.ours,
+        "{} points, {both} trusted by both, {theirs} by OpenCV alone, {ours} by us alone; difference median {:.4}, \
+         99 % {:.4}, 99.9 % {:.4}, largest {:.4} px; above 0.1 px: {:.3} %",
+        points.len(),
         at(0.5),
         at(0.99),
         at(0.999),
         at(1.0),
-        100.0 * share_above(&tally, 0.1),
+        100.0 * above,
     );
     if by_hand {
         return;
     }
     assert!(both > 600, "{both}");
-    assert!(tally.theirs + tally.ours <= tally.points / 50);
-    assert!(share_above(&tally, 0.1) < 0.005);
+    assert!(theirs + ours <= points.len() / 50);
+    assert!(above < 0.005);
 }

@@ -28,61 +28,48 @@ fn confirmed(x: f64) -> ObjectStates {
     objects
 }
 
-#[test]
-fn the_third_detection_confirms_an_object() {
+/// Number, confirmation and misses of an object after frames that detect it (`d`, or `u` if unsure), miss it (`m`) or
+/// only predict it (`p`).
+fn after(frames: &str) -> Option<(u64, bool, u32)> {
     let mut objects = objects();
-    for expected in [false, false, true] {
-        frame(&mut objects, &[seen(0.5)]);
-        assert_eq!(objects.states()[0].confirmed, expected);
-        assert_eq!(objects.sightings()[0].confirmed, expected);
-        assert_eq!(objects.sightings()[0].object, Some(ObjectId(0)));
-    }
-}
-
-#[test]
-fn a_tentative_object_is_removed_at_its_first_miss_and_its_number_is_not_reused() {
-    let mut objects = objects();
-    frame(&mut objects, &[seen(0.5)]);
-    frame(&mut objects, &[]);
-    assert!(objects.states().is_empty());
-    frame(&mut objects, &[seen(0.5)]);
-    assert_eq!(objects.states()[0].id, ObjectId(1));
-}
-
-#[test]
-fn a_confirmed_object_is_rescued_twice_and_removed_at_the_third_miss() {
-    let mut objects = confirmed(0.5);
-    for rescues in [1, 2] {
-        frame(&mut objects, &[]);
-        assert_eq!(objects.states()[0].misses, rescues);
-        // Frames without the detector neither count nor reset the count.
-        objects.predict(PICTURE, 1);
-        assert_eq!(objects.states()[0].misses, rescues);
-    }
-    frame(&mut objects, &[]);
-    assert!(objects.states().is_empty());
-}
-
-#[test]
-fn a_detection_resets_the_count_of_rescues() {
-    let mut objects = confirmed(0.5);
-    for _ in 0..3 {
-        frame(&mut objects, &[]);
-        frame(&mut objects, &[]);
-        frame(&mut objects, &[seen(0.5)]);
-        assert_eq!(objects.states()[0].misses, 0);
-        assert_eq!(objects.states()[0].id, ObjectId(0));
-    }
-}
-
-#[test]
-fn an_unsure_object_is_not_rescued() {
-    let mut objects = confirmed(0.5);
     let mut unsure = seen(0.5);
     unsure.confidence = 0.49;
-    frame(&mut objects, &[unsure]);
-    frame(&mut objects, &[]);
-    assert!(objects.states().is_empty());
+    for kind in frames.chars() {
+        match kind {
+            'd' => frame(&mut objects, &[seen(0.5)]),
+            'u' => frame(&mut objects, &[unsure]),
+            'm' => frame(&mut objects, &[]),
+            _ => objects.predict(PICTURE, 1),
+        }
+    }
+    let state = objects.states().first()?;
+    Some((state.id.0, state.confirmed, state.misses))
+}
+
+#[test]
+fn three_detections_confirm_an_object_which_is_then_rescued_twice() {
+    for (frames, expected) in [
+        ("d", Some((0, false, 0))),
+        ("dd", Some((0, false, 0))),
+        ("ddd", Some((0, true, 0))),
+        // A tentative object is removed at its first miss, and its number is not used again.
+        ("dm", None),
+        ("dmd", Some((1, false, 0))),
+        // Frames without the detector neither count nor reset the count.
+        ("dddm", Some((0, true, 1))),
+        ("dddmp", Some((0, true, 1))),
+        ("dddmpm", Some((0, true, 2))),
+        ("dddmpmp", Some((0, true, 2))),
+        ("dddmpmpm", None),
+        // A detection resets the count.
+        ("dddmmd", Some((0, true, 0))),
+        ("dddmmdmmdmm", Some((0, true, 2))),
+        // An unsure object is not rescued.
+        ("dddu", Some((0, true, 0))),
+        ("dddum", None),
+    ] {
+        assert_eq!(after(frames), expected, "{frames}");
+    }
 }
 
 #[test]
@@ -128,18 +115,6 @@ fn sides_stay_at_least_one_pixel_long() {
         }
     }
     assert_eq!(objects.states().len(), 1);
-}
-
-#[test]
-fn lost_frames_are_predicted_frames() {
-    let mut at_once = confirmed(0.5);
-    let mut one_by_one = at_once.clone();
-    at_once.predict(PICTURE, 5);
-    for _ in 0..5 {
-        one_by_one.predict(PICTURE, 1);
-    }
-    assert_eq!(at_once.states(), one_by_one.states());
-    assert_eq!(at_once.states()[0].since_update, 5);
 }
 
 #[test]

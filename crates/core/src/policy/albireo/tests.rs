@@ -1,9 +1,8 @@
 //! The policy beyond the golden traces: the profile of the paper, gaps and failures.
 
 use super::*;
-use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::tests::{Run, seen};
+use crate::policy::tests::{Run, head, records, seen};
 use crate::policy::{BoxSource, FrameEvidence, decide};
 
 fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
@@ -13,8 +12,14 @@ fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
 /// A run of the paper's profile that never skips, with one confirmed object.
 fn watching(settings: AlbireoSettings) -> Run<Albireo> {
     let mut run = start(settings, 1e-9);
-    for state in [FrameState::EI, FrameState::I, FrameState::I] {
+    for (state, cause, confirmed) in [
+        (FrameState::EI, CallCause::Screen, false),
+        (FrameState::I, CallCause::NewObject, false),
+        (FrameState::I, CallCause::NewObject, true),
+    ] {
         assert_eq!(run.see(&[seen(0.5, 0.9)]), state);
+        assert_eq!(run.outcome.cause, Some(cause));
+        assert_eq!(run.outcome.boxes[0].confirmed, confirmed);
     }
     run
 }
@@ -24,6 +29,7 @@ fn in_the_paper_detector_frames_report_the_detectors_boxes_and_rescues() {
     let mut run = watching(AlbireoSettings::paper());
     let found = [seen(0.8, 0.6), seen(0.503, 0.7)];
     assert_eq!(run.see(&found), FrameState::I);
+    assert_eq!(run.outcome.cause, Some(CallCause::Uncertain));
     let boxes = &run.outcome.boxes;
     assert_eq!(boxes.len(), 2);
     for (reported, found) in boxes.iter().zip(&found) {
@@ -88,41 +94,6 @@ fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
 }
 
 #[test]
-fn a_scene_the_screen_calls_empty_skips_the_detector() {
-    let mut run = start(AlbireoSettings::paper(), 3e-4);
-    let empty = FrameEvidence {
-        empty: Some(true),
-        ..FrameEvidence::default()
-    };
-    assert_eq!(run.frame(1, empty), FrameState::E);
-    assert_eq!(run.needs, [Need::Screen]);
-    assert_eq!((run.outcome.tau_max, run.outcome.active), (None, 0));
-}
-
-#[test]
-fn without_the_screen_the_detector_runs_and_the_frame_does_not_count_as_screened() {
-    let mut run = start(AlbireoSettings::paper(), 3e-4);
-    let found = [seen(0.5, 0.9)];
-    let state = run.frame(1, FrameEvidence::detections(&found));
-    assert_eq!(state, FrameState::I);
-    assert_eq!(run.needs, [Need::Screen, Need::Detections]);
-}
-
-#[test]
-fn without_the_detector_frames_are_predicted_and_no_miss_is_counted() {
-    let mut run = watching(AlbireoSettings::paper());
-    for _ in 0..5 {
-        assert_eq!(run.blind(), FrameState::P);
-        assert!(run.outcome.degraded);
-        assert_eq!(run.outcome.boxes[0].source, BoxSource::Predicted);
-        assert_eq!(run.records()[0].misses, 0);
-    }
-    assert_eq!(run.records()[0].since_update, 5);
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
-    assert!(!run.outcome.degraded);
-}
-
-#[test]
 fn the_age_limit_calls_the_detector_at_t_max() {
     let mut settings = AlbireoSettings::paper();
     settings.periodic_cap = u32::MAX;
@@ -133,6 +104,7 @@ fn the_age_limit_calls_the_detector_at_t_max() {
         assert!(!run.outcome.degraded);
     }
     assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
+    assert_eq!(run.outcome.cause, Some(CallCause::ObjectCap));
 }
 
 #[test]
@@ -150,6 +122,8 @@ fn the_periodic_cap_counts_as_configured() {
         while run.index < 17 {
             let index = run.index;
             if run.see(&[seen(0.5, 0.9)]) == FrameState::I {
+                let cause = run.outcome.cause;
+                assert_eq!(cause, Some(CallCause::PeriodicCap), "{counts:?}");
                 called.push(index);
             }
         }
@@ -199,7 +173,8 @@ fn gaps_predictions_and_abandoned_frames_leave_the_same_objects() {
     assert_eq!(gap.outcome, abandoned.outcome);
     assert_eq!(gap.records(), predicted.records());
     assert_eq!(gap.records(), abandoned.records());
-    assert_eq!(gap.records()[0].since_infer, 4);
+    let record = gap.records()[0];
+    assert_eq!((record.since_infer, record.since_update), (4, 4));
 }
 
 #[test]
@@ -212,17 +187,6 @@ fn a_new_threshold_applies_from_the_next_frame() {
     run.policy.finish(&mut run.outcome);
     assert_eq!(run.outcome.state, FrameState::I);
     assert_eq!(run.begin(1), Need::Nothing);
-}
-
-#[test]
-fn a_reset_forgets_the_objects_and_keeps_the_threshold() {
-    let mut run = watching(AlbireoSettings::paper());
-    run.policy.set_knob(5e-4).unwrap();
-    run.policy.reset();
-    assert!(run.records().is_empty());
-    assert_eq!(run.policy.knob_value(), Some(5e-4));
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::EI);
-    assert_eq!(run.records()[0].id.0, 0);
 }
 
 #[test]
@@ -252,41 +216,35 @@ fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) 
             .wrapping_add(1);
         (random >> 40) as f64 / (1 << 24) as f64
     };
-    let frame = |index: u64, next: &mut dyn FnMut() -> f64| -> Vec<Detection> {
-        let mut found = Vec::new();
-        for car in 0..6_u64 {
-            let age = (index + 47 * car) % 120;
-            let missed = next() < 0.1;
-            let mut jitter = || 0.004 * (next() - 0.5);
-            let at = BoundingBox::new(
-                0.1 + 0.007 * age as f64 + jitter(),
-                0.3 + 0.08 * car as f64 + jitter(),
-                0.06 + jitter(),
-                0.08 + jitter(),
-            );
-            if age < 100 && !missed {
-                found.push(Detection {
-                    bounding_box: at.pixel_corners(size).normalise(size),
-                    class: ClassId(0),
-                    confidence: 0.9,
-                });
-            }
-        }
-        found
-    };
-    (0..600)
+    (0..600_u64)
         .map(|index| {
-            let found = frame(index, &mut next);
+            let mut found = Vec::new();
+            for car in 0..6_u64 {
+                let age = (index + 47 * car) % 120;
+                let missed = next() < 0.1;
+                let mut jitter = || 0.004 * (next() - 0.5);
+                let at = BoundingBox::new(
+                    0.1 + 0.007 * age as f64 + jitter(),
+                    0.3 + 0.08 * car as f64 + jitter(),
+                    0.06 + jitter(),
+                    0.08 + jitter(),
+                );
+                if age < 100 && !missed {
+                    found.push(Detection {
+                        bounding_box: at.pixel_corners(size).normalise(size),
+                        ..seen(0.5, 0.9)
+                    });
+                }
+            }
             let head = FrameHead {
-                index,
-                step: 1,
                 picture: size,
+                ..head(index)
             };
             let mut known = FrameEvidence::in_view(&found);
             let Ok(()) = decide(&mut policy, head, &mut known, &mut outcome);
-            let mut numbers = Vec::new();
-            policy.objects(&mut |object| numbers.push(object.id.0));
-            (outcome.state, numbers)
+            let objects = records(&policy);
+            let ids: Vec<_> = objects.iter().map(|object| object.id.0).collect();
+            (outcome.state, ids)
         })
         .collect()
 }
@@ -313,49 +271,4 @@ fn decisions_do_not_depend_on_the_picture_size() {
     let published =
         |size| decided_in_pictures_of(size, AlbireoSettings::reference(), Albireo::KNOB.default);
     assert_ne!(published(sizes[0]), published(sizes[1]));
-}
-
-#[test]
-fn exactly_the_frames_with_a_detector_call_have_a_cause() {
-    let found = [seen(0.5, 0.9)];
-    let causes = |settings: AlbireoSettings, u: f64| -> Vec<Option<CallCause>> {
-        let mut run = start(settings, u);
-        let mut causes = Vec::new();
-        for _ in 0..80 {
-            let state = run.see(&found);
-            assert_eq!(run.outcome.cause.is_none(), state.is_skipped());
-            causes.push(run.outcome.cause);
-        }
-        causes
-    };
-    let usual = causes(AlbireoSettings::paper(), 3e-4);
-    assert_eq!(usual[0], Some(CallCause::Screen));
-    assert_eq!(usual[1], Some(CallCause::NewObject));
-    let mut confirmed = usual[10..].iter().flatten().peekable();
-    assert!(confirmed.peek().is_some());
-    assert!(confirmed.all(|cause| *cause == CallCause::Uncertain));
-    // At u = 1 nothing is too uncertain: only the caps call the detector.
-    let first = |causes: &[Option<CallCause>]| causes[1..].iter().flatten().next().copied();
-    let aged = causes(AlbireoSettings::paper(), 1.0);
-    assert_eq!(first(&aged), Some(CallCause::ObjectCap));
-    let no_age = AlbireoSettings {
-        t_max: 1000,
-        periodic_cap: 10,
-        ..AlbireoSettings::paper()
-    };
-    assert_eq!(first(&causes(no_age, 1.0)), Some(CallCause::PeriodicCap));
-}
-
-#[test]
-fn an_unanswered_call_keeps_its_cause() {
-    let mut run = watching(AlbireoSettings::paper());
-    while !run.outcome.degraded {
-        run.blind();
-    }
-    assert!(run.outcome.cause.is_some());
-    let mut blind = start(AlbireoSettings::paper(), 3e-4);
-    let state = blind.frame(1, FrameEvidence::detections(&[]));
-    assert_eq!(state, FrameState::I);
-    assert_eq!(blind.needs, [Need::Screen, Need::Detections]);
-    assert_eq!(blind.outcome.cause, Some(CallCause::NoObjects));
 }

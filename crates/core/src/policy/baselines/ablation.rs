@@ -50,12 +50,9 @@ impl Ablation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{BoundingBox, PictureSize};
-    use crate::kalman::{Filter, FilterModel};
-    use crate::policy::FrameEvidence;
-    use crate::policy::FrameState::{AI, E, EI, I, P};
+    use crate::policy::FrameState::{AI, I, P};
+    use crate::policy::Profile;
     use crate::policy::tests::{Run, seen};
-    use crate::policy::{Need, Profile};
 
     const ABLATIONS: [Ablation; 3] = [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d];
 
@@ -71,23 +68,6 @@ mod tests {
                 assert_eq!(run.see(&[]), if full { AI } else { I }, "{name}");
                 assert_eq!(run.records().len(), usize::from(full), "{name}");
             }
-        }
-    }
-
-    #[test]
-    fn kill_only_does_not_use_the_screen() {
-        let mut run = Run::new("kill-only", Profile::Paper);
-        let empty = FrameEvidence {
-            empty: Some(true),
-            ..FrameEvidence::detections(&[])
-        };
-        assert_eq!(run.frame(1, empty), I);
-        assert_eq!(run.needs, [Need::Detections]);
-        for name in ["kill+erd", "kill+erd-10d"] {
-            let mut run = Run::new(name, Profile::Paper);
-            assert_eq!(run.frame(1, empty), E);
-            assert_eq!(run.needs, [Need::Screen]);
-            assert_eq!(run.see(&[]), EI);
         }
     }
 
@@ -114,24 +94,5 @@ mod tests {
             };
             assert_eq!(settings.filter.motion, expected);
         }
-    }
-
-    #[test]
-    fn eight_dimensions_keep_the_size_and_accelerate_the_centre() {
-        let mut settings = AlbireoSettings::paper();
-        Ablation::KillErd.apply(&mut settings);
-        let model = FilterModel::new(&settings.filter, PictureSize::new(640, 480));
-        let mut filter = Filter::new(&model, BoundingBox::new(0.1, 0.5, 0.1, 0.1));
-        for step in 1..20_i32 {
-            filter.predict(&model);
-            let grown = 0.1 + 0.005 * f64::from(step);
-            let moved = 0.1 + 0.001 * f64::from(step * step);
-            filter.update(&model, BoundingBox::new(moved, 0.5, grown, grown));
-        }
-        let before = filter.bounding_box();
-        filter.predict(&model);
-        let after = filter.bounding_box();
-        assert_eq!((before.width, before.height), (after.width, after.height));
-        assert!(after.center_x > before.center_x && filter.mean()[8] > 0.0);
     }
 }

@@ -127,18 +127,4 @@ mod tests {
             assert!(run.outcome.boxes.is_empty() && !run.outcome.degraded);
         }
     }
-
-    #[test]
-    fn without_the_screen_the_detector_runs_and_the_frame_is_not_screened() {
-        let found = [seen(0.5, 0.9)];
-        let mut run = Run::new("erd-only", Profile::Paper);
-        assert_eq!(
-            run.frame(1, FrameEvidence::detections(&found)),
-            FrameState::I
-        );
-        assert_eq!(run.outcome.cause, Some(CallCause::NoObjects));
-        assert_eq!(run.outcome.boxes.len(), 1);
-        assert_eq!(run.blind(), FrameState::P);
-        assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
-    }
 }

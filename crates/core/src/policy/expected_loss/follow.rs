@@ -290,39 +290,16 @@ mod tests {
 
     #[test]
     fn parts_that_enter_at_the_border_belong_to_the_object() {
-        for (what, from, to, sides, longer) in [
-            (
-                "entering at the left",
-                [0.0, 0.1],
-                [0.04, 0.15],
-                [0.0, 0.15],
-                0.04,
-            ),
-            (
-                "entering at the right",
-                [1.8, 1.995],
-                [1.7, 1.9],
-                [1.7, 1.995],
-                0.095,
-            ),
-            ("leaving", [0.0, 0.1], [-0.03, 0.07], [-0.03, 0.07], 0.0),
-            (
-                "far from the border",
-                [0.1, 0.2],
-                [0.15, 0.25],
-                [0.15, 0.25],
-                0.0,
-            ),
+        for (what, from, to, sides) in [
+            ("at the left", [0.0, 0.1], [0.04, 0.15], [0.0, 0.15]),
+            ("at the right", [1.8, 1.995], [1.7, 1.9], [1.7, 1.995]),
+            ("leaving", [0.0, 0.1], [-0.03, 0.07], [-0.03, 0.07]),
+            ("far inside", [0.1, 0.2], [0.15, 0.25], [0.15, 0.25]),
             // No farther out than the border.
-            (
-                "coming back",
-                [-0.05, 0.05],
-                [0.02, 0.12],
-                [0.0, 0.12],
-                0.02,
-            ),
+            ("coming back", [-0.05, 0.05], [0.02, 0.12], [0.0, 0.12]),
         ] {
             let (found, by) = border_shift(from, to);
+            let longer = (sides[1] - sides[0]) - (to[1] - to[0]);
             let off = [found[0] - sides[0], found[1] - sides[1], by - longer];
             assert!(
                 off.iter().all(|off| off.abs() < 1e-12),

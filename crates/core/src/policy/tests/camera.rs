@@ -1,9 +1,18 @@
 //! A camera for the policies' tests: it plays frames one by one and provides evidence on request.
 
 use super::*;
-use std::convert::Infallible;
 
 pub(crate) const PICTURE: PictureSize = PictureSize::new(1280, 720);
+
+/// Random numbers from 0 to 1.
+pub(crate) fn random(mut state: u64) -> impl FnMut() -> f64 {
+    move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
 
 /// A detection at `x`, in the middle of the picture's height.
 pub(crate) fn seen(x: f64, confidence: f64) -> Detection {
@@ -33,26 +42,15 @@ pub(in crate::policy) fn built(asked: &str, profile: Profile) -> Box<dyn Policy>
     config.build().unwrap()
 }
 
+/// The value of `knob` at this share of its useful range.
+pub(in crate::policy) fn useful(knob: Knob, share: f64) -> f64 {
+    knob.useful_minimum + share * (knob.useful_maximum - knob.useful_minimum)
+}
+
 pub(in crate::policy) fn records<P: Policy + ?Sized>(policy: &P) -> Vec<ObjectRecord> {
     let mut records = Vec::new();
     policy.objects(&mut |record| records.push(*record));
     records
-}
-
-/// Evidence that records the requests.
-struct Noted<'a> {
-    known: FrameEvidence<'a>,
-    needs: &'a mut Vec<Need>,
-}
-
-impl EvidenceAtHand for Noted<'_> {
-    type Error = Infallible;
-
-    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Infallible> {
-        self.needs.push(need);
-        assert!(self.needs.len() <= 3, "{:?}", self.needs);
-        self.known.evidence(need)
-    }
 }
 
 /// A policy with a frame counter.
@@ -68,10 +66,6 @@ impl Run {
     /// The policy `asked` for, `NAME[:ARGUMENT]`.
     pub(in crate::policy) fn new(asked: &str, profile: Profile) -> Self {
         Self::with(built(asked, profile))
-    }
-
-    pub(in crate::policy) fn of(config: &PolicyConfig) -> Self {
-        Self::with(config.build().unwrap())
     }
 }
 
@@ -102,16 +96,18 @@ impl<P: Policy + ?Sized> Run<P> {
     }
 
     /// Plays a whole frame, `step` after the previous one.
-    pub(in crate::policy) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
+    pub(in crate::policy) fn frame(
+        &mut self,
+        step: u32,
+        mut known: FrameEvidence<'_>,
+    ) -> FrameState {
         self.needs.clear();
         let head = self.head(step);
-        let mut noted = Noted {
-            known,
-            needs: &mut self.needs,
-        };
         let mut need = self.policy.begin(head);
         while need != Need::Nothing {
-            let Ok(evidence) = noted.evidence(need);
+            self.needs.push(need);
+            assert!(self.needs.len() <= 3, "{:?}", self.needs);
+            let Ok(evidence) = known.evidence(need);
             need = self.policy.answer(evidence);
         }
         self.policy.finish(&mut self.outcome);
@@ -145,14 +141,15 @@ impl<P: Policy + ?Sized> Run<P> {
 const GREY: PictureSize = PictureSize::new(320, 180);
 
 /// A textured world that has moved to the right by this many pixels.
-fn textured(shift: f64) -> Vec<u8> {
-    let value = |index: usize| {
-        let (x, y) = ((index % 320) as f64 - shift, (index / 320) as f64);
+pub(in crate::policy) fn textured(size: PictureSize, shift: f64) -> Vec<u8> {
+    let value = |index: u32| {
+        let (x, y) = (index % size.width, index / size.width);
+        let (x, y) = (f64::from(x) - shift, f64::from(y));
         let waves = [(0.31, 0.11), (-0.17, 0.29), (0.07, -0.41), (0.53, 0.23)];
         let sum: f64 = waves.iter().map(|(a, b)| (a * x + b * y).sin()).sum();
         (128.0 + 28.0 * sum) as u8
     };
-    (0..320 * 180).map(value).collect()
+    (0..size.width * size.height).map(value).collect()
 }
 
 /// The result of a [`ride`].
@@ -174,7 +171,7 @@ pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> Ride {
     for index in 0..12 {
         let shift = 3.0 * index as f64;
         let pixels = match index < hidden {
-            true => textured(shift),
+            true => textured(GREY, shift),
             false => vec![60; 320 * 180],
         };
         let found = [Detection {

@@ -1,4 +1,4 @@
-//! Compares the search with a slow one, also on shapes that are difficult for a search by rows.
+//! Compares the search with a slow one.
 
 use super::*;
 use proptest::prelude::*;
@@ -59,29 +59,6 @@ proptest! {
             prop_assert_eq!(exceeds, expected > size);
         }
     }
-}
-
-/// The largest region of a drawing in which `#` has changed.
-fn largest(drawing: &str) -> u64 {
-    let rows: Vec<_> = drawing.split_whitespace().collect();
-    let width = rows[0].len();
-    let after: Vec<u8> = rows.concat().bytes().map(|b| u8::from(b == b'#')).collect();
-    let before = vec![0; after.len()];
-    ChangedRegion::default().search(width, &before, &after, 1, u64::MAX)
-}
-
-#[test]
-fn arms_that_join_further_down_are_one_region() {
-    assert_eq!(largest("#.#.# #.#.# #####"), 11);
-    assert_eq!(largest("##### #.... #.### #.#.# ###.#"), 17);
-    // Two regions that are merged, and then merged with a third that is older than either.
-    assert_eq!(largest("#.#.#.# #.###.# #..#..# #######"), 19);
-}
-
-#[test]
-fn corners_and_the_ends_of_rows_do_not_touch() {
-    assert_eq!(largest("#.#.# .#.#. #.#.#"), 1);
-    assert_eq!(largest("..## ##.. ..##"), 2);
 }
 
 #[test]

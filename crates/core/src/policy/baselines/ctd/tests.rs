@@ -95,52 +95,9 @@ fn a_straying_prediction_calls_the_detector_sooner_at_a_higher_threshold() {
 }
 
 #[test]
-fn a_missed_object_is_kept_until_its_count_runs_out() {
-    for profile in [Profile::Paper, Profile::Reference] {
-        let mut run = standing("0.5", profile);
-        let counted = |run: &Run| run.records().first().map(|record| record.since_update);
-        // Eight skipped frames and the ninth, whose miss counts once more.
-        assert!((0..8).all(|_| run.see(&[]) == P));
-        assert_eq!(run.see(&[]), I);
-        assert_eq!(counted(&run), Some(10));
-        let sources: Vec<_> = run.reported().iter().map(|b| b.0).collect();
-        assert_eq!(sources, [BoxSource::Rescued]);
-        while run.see(&[]) == P {
-            assert_eq!(run.records()[0].id.0, 0);
-        }
-        assert!(run.records().is_empty());
-    }
-}
-
-#[test]
-fn a_tentative_object_is_removed_by_its_first_miss() {
-    let mut run = Run::new("ctd:0.5", Profile::Reference);
-    run.see(&[seen(0.5, 0.9)]);
-    while run.see(&[seen(0.2, 0.9)]) == P {}
-    let ids: Vec<_> = run.records().iter().map(|record| record.id.0).collect();
-    assert_eq!(ids, [1]);
-}
-
-#[test]
 fn without_objects_every_frame_asks_the_detector() {
     let mut run = Run::new("ctd", Profile::Paper);
     for _ in 0..5 {
         assert_eq!(run.see(&[]), I);
     }
-}
-
-#[test]
-fn without_the_detector_frames_are_predicted_and_the_next_frame_asks_again() {
-    let mut run = standing("0.5", Profile::Paper);
-    for _ in 0..8 {
-        assert_eq!(run.blind(), P);
-        assert!(!run.outcome.degraded);
-    }
-    for _ in 0..2 {
-        assert_eq!(run.blind(), P);
-        assert!(run.outcome.degraded);
-        assert_eq!(run.outcome.boxes.len(), 1);
-    }
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), I);
-    assert_eq!(run.records()[0].id.0, 0);
 }

@@ -59,25 +59,22 @@ fn an_unchanged_picture_repeats_the_last_boxes() {
 
 #[test]
 fn a_change_of_more_pixels_than_the_component_size_runs_the_detector() {
-    for (asked, width, height, expected) in [
-        ("statues:25", 5, 5, P),
-        ("statues:25", 13, 2, I),
-        ("statues", 25, 3, P),
-        ("statues:75", 19, 4, I),
-        ("statues:500", 50, 10, P),
-        ("statues:500", 51, 10, I),
+    for (asked, width, height, value, expected) in [
+        ("statues:25", 5, 5, 200, P),
+        ("statues:25", 13, 2, 200, I),
+        ("statues", 25, 3, 200, P),
+        ("statues:75", 19, 4, 200, I),
+        ("statues:500", 50, 10, 200, P),
+        ("statues:500", 51, 10, 200, I),
+        // A pixel has changed from a difference of 30 on, up or down.
+        ("statues", 20, 20, 129, P),
+        ("statues", 20, 20, 130, I),
+        ("statues", 20, 20, 71, P),
+        ("statues", 20, 20, 70, I),
     ] {
         let mut run = watching(asked);
-        let state = see(&mut run, &picture(width, height, 200), 0.7);
-        assert_eq!(state, expected, "{asked}: {width}x{height}");
-    }
-}
-
-#[test]
-fn a_pixel_has_changed_from_a_difference_of_30_on_up_or_down() {
-    for (value, expected) in [(129, P), (130, I), (71, P), (70, I)] {
-        let mut run = watching("statues");
-        assert_eq!(see(&mut run, &picture(20, 20, value), 0.7), expected);
+        let state = see(&mut run, &picture(width, height, value), 0.7);
+        assert_eq!(state, expected, "{asked}: {width}x{height} of {value}");
     }
 }
 
