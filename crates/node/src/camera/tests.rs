@@ -6,11 +6,11 @@ use crate::camera::clip::tests::report;
 use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::Outlet;
-use crate::config::{CameraConfig, NodeConfig};
+use crate::config::NodeConfig;
 use crate::input::{Frame, Pushed};
 use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, LatePolicy, MinConfidence, PolicyConfig};
+use albireo_core::policy::{FrameState, LatePolicy, MinConfidence};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
@@ -35,25 +35,18 @@ struct Bench {
 }
 
 impl Bench {
-    async fn new(policy: PolicyConfig, clip: ClipConfig) -> Self {
-        let audit = AuditConfig { share: 0.0 };
-        Self::audited(policy, clip, audit).await
-    }
-
-    async fn audited(policy: PolicyConfig, clip: ClipConfig, audit: AuditConfig) -> Self {
-        let config = NodeConfig {
-            cameras: vec![CameraConfig::named("front")],
-            policy,
+    /// A camera under a policy, of whose skipped frames this share is audited.
+    async fn new(policy: &str, share: f64) -> Self {
+        let audit = AuditConfig { share };
+        let mut config = NodeConfig {
             audit,
             ..NodeConfig::default()
         };
+        config.policy.select(policy).unwrap();
+        config.cameras[0].ring = 64;
         let board = Board::open(&config).unwrap();
         let camera = Arc::clone(board.camera("front").unwrap());
-        let settings = CameraConfig {
-            ring: 64,
-            ..CameraConfig::named("front")
-        };
-        let receiver = FrameReceiver::new(Arc::clone(&camera), &settings, FrameLimits::default());
+        let receiver = FrameReceiver::new(Arc::clone(&camera), &config.cameras[0], config.frame);
         let receiver = Arc::new(receiver);
         let detector = DetectorHandle::start(&DetectorConfig {
             model: Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -67,7 +60,7 @@ impl Bench {
         let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let audit = Arc::new(CameraAudit::new(audit, Arc::clone(&camera)));
-        let tracker = ClipTracker::new(clip, energy.clone(), audit.share());
+        let tracker = ClipTracker::new(ClipConfig::default(), energy.clone(), audit.share());
         let size = PictureSize::new(640, 360);
         let scene = BoxScene::new(5, size);
         let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
@@ -169,17 +162,10 @@ async fn silent_outlet(camera: &Arc<CameraBoard>) -> Outlet {
     outlet.await.unwrap()
 }
 
-fn vanilla() -> PolicyConfig {
-    PolicyConfig {
-        name: "vanilla".to_owned(),
-        ..PolicyConfig::default()
-    }
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_clip_does_not_end_by_silence_while_frames_wait() {
-    let bench = Bench::new(vanilla(), ClipConfig::default()).await;
+    let bench = Bench::new("vanilla", 0.0).await;
     // The detector was slow, so ten seconds of frames wait: the first is older than the silence that ends a clip.
     let now = Instant::now();
     for i in 0..10 {
@@ -196,11 +182,7 @@ async fn a_clip_does_not_end_by_silence_while_frames_wait() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first() {
-    let policy = PolicyConfig {
-        name: "fixed-skip".to_owned(),
-        ..PolicyConfig::default()
-    };
-    let bench = Bench::new(policy, ClipConfig::default()).await;
+    let bench = Bench::new("fixed-skip", 0.0).await;
     // The first frame of a stream always calls the detector. The second stream's first frame is missing.
     bench.put(0, 0, Instant::now());
     bench.put(1, 0, Instant::now());
@@ -213,7 +195,7 @@ async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first(
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn an_overtaken_frame_is_late_and_a_frame_dropped_between_clips_counts_for_the_next() {
-    let bench = Bench::new(vanilla(), ClipConfig::default()).await;
+    let bench = Bench::new("vanilla", 0.0).await;
     let receiver = &bench.receiver;
     receiver.count_dropped(|dropped| &mut dropped.undecodable, 3, &"broken");
     for index in [1, 0, 2, 2, 3] {
@@ -233,10 +215,7 @@ async fn an_overtaken_frame_is_late_and_a_frame_dropped_between_clips_counts_for
 /// Plays a drive; returns its published messages without their latencies, and the audit of the clip report, which must agree
 /// with the board.
 async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
-    let mut config = PolicyConfig::default();
-    config.select(policy).unwrap();
-    let audit = AuditConfig { share };
-    let mut bench = Bench::audited(config, ClipConfig::default(), audit).await;
+    let mut bench = Bench::new(policy, share).await;
     let board = Arc::clone(&bench.board);
     let mut events = board.subscribe();
     let stop = CancellationToken::new();

@@ -27,13 +27,8 @@ fn setting(name: &str) -> Option<u64> {
 /// Runs a seed; returns an error if the final state is wrong.
 type Simulation = fn(u64, bool) -> Result<Run, String>;
 
-fn delivery(seed: u64, verbose: bool) -> Result<Run, String> {
-    World::new(seed, verbose).run()
-}
-
-fn settings(seed: u64, verbose: bool) -> Result<Run, String> {
-    Settings::new(seed, verbose).run()
-}
+const DELIVERY: Simulation = |seed, verbose| World::new(seed, verbose).run();
+const SETTINGS: Simulation = |seed, verbose| Settings::new(seed, verbose).run();
 
 /// Runs a seed; an error names the command that reproduces it.
 fn run(simulation: Simulation, seed: u64, verbose: bool) -> Result<Run, String> {
@@ -74,10 +69,9 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
         *faults.entry(fault).or_default() += times;
     }
     println!(
-        "{} seeds in {:.0} s, {:.0} node-hours, {} {what}, {} seeds failed; faults: {faults:?}",
+        "{} seeds in {:.0} s, {} {what}, {} seeds failed; faults: {faults:?}",
         runs.len(),
         began.elapsed().as_secs_f64(),
-        runs.iter().map(|run| run.node_hours).sum::<f64>(),
         runs.iter().map(|run| run.made).sum::<u64>(),
         wrong.len()
     );
@@ -86,27 +80,27 @@ fn run_seeds(simulation: Simulation, what: &str, share: u64) {
 
 #[test]
 fn no_seed_loses_or_duplicates_a_report() {
-    run_seeds(delivery, "reports", 1);
+    run_seeds(DELIVERY, "reports", 1);
 }
 
 #[test]
 fn no_seed_forgets_a_change_or_a_return() {
     // A seed takes ten times as long as one of delivery.
-    run_seeds(settings, "orders and rollouts", 10);
+    run_seeds(SETTINGS, "orders and rollouts", 10);
 }
 
 #[test]
 fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
     // Revisions were reused after a restore; a rollout stopped just as the hub was killed never ended.
     for seed in [6, 1185] {
-        let ran = run(settings, seed, false);
+        let ran = run(SETTINGS, seed, false);
         assert_eq!(ran.err(), None);
     }
 }
 
 #[test]
 fn one_seed_gives_one_run() {
-    for simulation in [delivery, settings] {
+    for simulation in [DELIVERY, SETTINGS] {
         for seed in 0..5 {
             let [once, twice] = [(), ()].map(|()| run(simulation, seed, false).unwrap());
             assert!(once.trace == twice.trace, "seed {seed}");

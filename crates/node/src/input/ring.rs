@@ -155,29 +155,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn one_item_always_fits() {
-        let ring = self::ring(8, false);
-        assert_eq!(ring.put(5000), Pushed::Queued);
-        assert_eq!(ring.put(1), Pushed::Full(1));
-        let ring = self::ring(0, true);
-        assert_eq!(ring.put(1), Pushed::Queued);
-        assert_eq!(ring.put(2), Pushed::Replaced(1));
-        assert_eq!(ring.take(), Some(2));
-    }
-
-    #[test]
-    fn a_closed_ring_returns_its_items_and_accepts_again_when_opened() {
-        let ring = ring(4, true);
-        ring.put(1);
-        ring.put(2);
-        assert_eq!(ring.close().collect::<Vec<_>>(), [1, 2]);
-        assert_eq!(ring.put(3), Pushed::Closed(3));
-        ring.open();
-        assert_eq!(ring.put(4), Pushed::Queued);
-        assert_eq!((ring.take(), ring.take()), (Some(4), None));
-    }
-
     #[tokio::test]
     async fn a_waiter_is_woken_and_a_cancelled_wait_loses_nothing() {
         let ring = Arc::new(ring(2, true));
@@ -198,13 +175,17 @@ mod tests {
         Push(u32),
         Take,
         Close,
+        Open,
     }
 
     fn act() -> impl Strategy<Value = Act> {
         prop_oneof![
             8 => (1..600_u32).prop_map(Act::Push),
+            // A single item may be larger than the limit.
+            1 => (900..5000_u32).prop_map(Act::Push),
             6 => Just(Act::Take),
             1 => Just(Act::Close),
+            2 => Just(Act::Open),
         ]
     }
 
@@ -212,7 +193,7 @@ mod tests {
         #[test]
         fn in_any_order_a_ring_is_a_bounded_queue_that_loses_no_item(
             acts in proptest::collection::vec(act(), 1..80),
-            items in 1..4_usize,
+            items in 0..4_usize,
             newest_wins: bool,
         ) {
             let ring = ring(items, newest_wins);
@@ -239,6 +220,10 @@ mod tests {
                     Act::Close => {
                         closed = true;
                         prop_assert!(ring.close().eq(queue.drain(..)));
+                    }
+                    Act::Open => {
+                        closed = false;
+                        ring.open();
                     }
                 }
                 prop_assert_eq!(ring.waiting(), queue.len());

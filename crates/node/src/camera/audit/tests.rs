@@ -1,5 +1,5 @@
 use super::*;
-use crate::config::{CameraConfig, NodeConfig};
+use crate::config::NodeConfig;
 use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
@@ -7,10 +7,7 @@ use albireo_wire::AuditReport;
 use std::sync::Arc;
 
 fn audit() -> (Arc<Board>, CameraAudit) {
-    let config = NodeConfig {
-        cameras: vec![CameraConfig::named("front")],
-        ..NodeConfig::default()
-    };
+    let config = NodeConfig::default();
     let board = Board::open(&config).unwrap();
     let camera = Arc::clone(board.camera("front").unwrap());
     let audit = CameraAudit::new(config.audit, camera);

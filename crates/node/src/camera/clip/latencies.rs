@@ -28,15 +28,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_exact_nearest_ranks() {
+    fn percentiles_are_exact_nearest_ranks_and_zeros_without_latencies() {
         let found = percentiles((1..=200_u8).rev().map(f32::from).collect());
         assert_eq!((found.p50, found.p95, found.p99), (100.0, 190.0, 198.0));
         assert_eq!(found.count, 200);
         assert!((found.mean - 100.5).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_clip_without_latencies_has_zeros_and_no_nan() {
         assert_eq!(percentiles(Vec::new()), Percentiles::default());
     }
 }

@@ -5,7 +5,7 @@ use crate::camera::evidence::Times;
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
-use albireo_power::PowerHandle;
+use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value};
 use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -15,6 +15,25 @@ use tokio::time::Instant;
 pub(crate) async fn report(closed: Clip) -> ClipReport {
     let energy = closed.energy().await;
     closed.into_report(energy)
+}
+
+/// A meter of the whole machine whose reading at a time is what a function returns; `None`: no new one.
+pub(crate) struct FakeMeter<F>(pub(crate) F);
+
+impl<F: FnMut(Instant) -> Option<Value> + Send> Meter for FakeMeter<F> {
+    fn source(&self) -> &str {
+        "fake"
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        let reading = |total| Reading {
+            at: Some(now),
+            values: [Some(total), None, None, None],
+            total_from: "input_rail".into(),
+            rails: Vec::new(),
+        };
+        Ok((self.0)(now).map(reading).into_iter().collect())
+    }
 }
 
 pub(super) fn ms(ms: u64) -> Duration {

@@ -6,7 +6,6 @@ use albireo_scene::BoxScene;
 use albireo_vision::detector::DetectorConfig;
 use albireo_vision::picture::FrameLimits;
 use albireo_vision::screen::ScreenConfig;
-use bytes::Bytes;
 use futures_util::FutureExt;
 use std::path::Path;
 
@@ -38,21 +37,6 @@ fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let screen = CameraScreen::new(&ScreenConfig::default(), None);
     let never = CancellationToken::new();
     LiveEvidence::new(detector.clone(), screen, slot, pixels, never)
-}
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn a_broken_picture_fails_only_its_own_frame() {
-    let [first, ..] = pictures();
-    let broken = EncodedPicture {
-        bytes: Bytes::copy_from_slice(&first.bytes[..first.bytes.len() / 2]),
-        ..first.clone()
-    };
-    let mut evidence = evidence().await;
-    assert!(evidence.detect(&broken).await.is_err());
-    evidence.next_frame();
-    assert!(evidence.detect(&first).await.unwrap().is_some());
-    assert!(evidence.times().latency.decode.unwrap() > 0.0);
 }
 
 #[tokio::test]
@@ -115,7 +99,9 @@ async fn a_frame_is_charged_only_its_share_of_the_detector_run() {
     let took = detected.unwrap().unwrap().took;
     let run = evidence.times().detector_run.unwrap();
     assert_eq!(run.used, took);
-    assert!(evidence.times().latency.detector.unwrap() >= milliseconds(took));
+    let latency = evidence.times().latency;
+    assert!(latency.detector.unwrap() >= milliseconds(took));
+    assert!(latency.decode.unwrap() > 0.0);
     evidence.next_frame();
     assert_eq!(evidence.times().detector_run, None);
 }

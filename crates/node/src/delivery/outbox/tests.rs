@@ -1,6 +1,6 @@
 use super::disk::FILE;
 use super::table::MEMORY_BYTES;
-use super::waiting::{BATCH_BYTES, Waiting};
+use super::waiting::BATCH_BYTES;
 use super::*;
 use albireo_wire::{LARGEST_REPORT_BYTES, RefusedReport, VERSION};
 use futures_util::FutureExt;
@@ -141,7 +141,7 @@ fn clips(batch: &ReportBatch) -> Vec<&str> {
     batch.reports.iter().map(|r| r.clip.as_str()).collect()
 }
 
-fn counts(batch: &ReportBatch) -> Vec<Option<u64>> {
+fn counts_of(batch: &ReportBatch) -> Vec<Option<u64>> {
     batch.reports.iter().map(|r| r.count).collect()
 }
 
@@ -165,13 +165,13 @@ fn the_count_of_reports_continues_after_a_restart_even_if_all_were_acknowledged(
     let outbox = bench.open();
     keep(&outbox, 0..3);
     let sent = batch(&outbox).unwrap();
-    assert_eq!(counts(&sent), [Some(1), Some(2), Some(3)]);
+    assert_eq!(counts_of(&sent), [Some(1), Some(2), Some(3)]);
     assert_eq!(acknowledge(&outbox, &sent), 3);
     assert!(batch(&outbox).is_none());
     drop(outbox);
     let outbox = bench.open();
     keep(&outbox, 3..4);
-    assert_eq!(counts(&batch(&outbox).unwrap()), [Some(4)]);
+    assert_eq!(counts_of(&batch(&outbox).unwrap()), [Some(4)]);
 }
 
 #[test]
@@ -267,25 +267,22 @@ fn at(days: i64) -> Now {
 
 #[test]
 fn no_clock_step_loses_a_report() {
-    let bench = Bench::new();
     for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
-        let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
-        let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
-        waiting.open(at(0)).unwrap();
-        let reports: Vec<_> = (0..20).map(report).collect();
+        let bench = Bench::new();
+        let outbox = bench.open();
         let days = [0, steps[0], steps[1], 0];
-        for (report, day) in reports.iter().zip(days.iter().cycle()) {
-            waiting.insert(&mut [report.clone()], at(*day));
+        for (clip, day) in (0..20).zip(days.iter().cycle()) {
+            outbox.insert(&mut [report(clip)], at(*day));
         }
         // An acknowledgement at one time removes nothing else at another time.
-        let mut sent = waiting.batch("n", true, at(steps[0])).unwrap();
+        let mut sent = outbox.batch("n", true, at(steps[0])).unwrap();
         sent.reports.truncate(4);
         for day in steps {
-            waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
+            outbox.answered(&sent, &ReportAnswer::new(HUB), at(day));
         }
-        let status = waiting.counts().status;
+        let status = outbox.counts().status;
         assert_eq!((status.waiting, status.lost), (16, 0));
-        let left = waiting.batch("n", true, at(steps[1])).unwrap();
+        let left = outbox.batch("n", true, at(steps[1])).unwrap();
         assert_eq!(left.reports.len(), 16);
     }
 }
@@ -293,30 +290,17 @@ fn no_clock_step_loses_a_report() {
 #[test]
 fn acknowledged_reports_are_kept_for_a_week() {
     let bench = Bench::new();
-    let disk = StateFile::new(&bench.state());
-    let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20).unwrap();
-    waiting.open(at(0)).unwrap();
+    let outbox = bench.open();
     for day in 0..20_i64 {
-        waiting.insert(&mut [report(day.unsigned_abs())], at(day));
-        let sent = waiting.batch("n", true, at(day)).unwrap();
-        waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
+        outbox.insert(&mut [report(day.unsigned_abs())], at(day));
+        let sent = outbox.batch("n", true, at(day)).unwrap();
+        outbox.answered(&sent, &ReportAnswer::new(HUB), at(day));
     }
     // A hub with another database asks for all stored reports.
-    waiting.insert(&mut [report(20)], at(19));
-    let sent = waiting.batch("n", true, at(19)).unwrap();
-    waiting.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
-    assert_eq!(waiting.counts().again, 8);
-}
-
-#[test]
-fn a_second_node_with_the_same_state_directory_refuses_to_start() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
-    let error = error.to_string();
-    assert!(error.contains("in use by another node"), "{error}");
-    drop(outbox);
-    bench.open();
+    outbox.insert(&mut [report(20)], at(19));
+    let sent = outbox.batch("n", true, at(19)).unwrap();
+    outbox.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
+    assert_eq!(outbox.counts().again, 8);
 }
 
 #[test]
@@ -330,7 +314,7 @@ fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
     ] {
         let bench = Bench::new();
         std::fs::create_dir(bench.state()).unwrap();
-        let db = rusqlite::Connection::open(bench.file()).unwrap();
+        let db = Connection::open(bench.file()).unwrap();
         db.execute_batch(statements).unwrap();
         drop(db);
         let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
@@ -358,23 +342,72 @@ fn a_damaged_file_and_a_garbage_file_are_set_aside() {
 }
 
 #[test]
-fn a_disk_that_vanishes_and_returns_keeps_the_reports_in_between() {
-    let bench = Bench::new();
+fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
+    for (fault, reason) in [
+        ("full", "no storage space"),
+        ("gone", "cannot be used"),
+        // Reopening the file does not help.
+        ("locked", "locked"),
+        ("read-only", "readonly"),
+    ] {
+        let bench = Bench::new();
+        let outbox = bench.open();
+        keep(&outbox, 0..3);
+        let sent = batch(&outbox).unwrap();
+        let other = Connection::open(bench.file()).unwrap();
+        match fault {
+            "full" => bench.fill_disk(true),
+            "gone" => bench.take_disk(),
+            "locked" => other.execute_batch("BEGIN IMMEDIATE").unwrap(),
+            _ => {
+                let waiting = outbox.0.waiting.lock();
+                let db = waiting.file().connection();
+                db.pragma_update(None, "query_only", true).unwrap();
+            }
+        }
+        keep(&outbox, 3..60);
+        // A file that is only read-only works again at the first retry.
+        let retries = if fault == "read-only" { 0 } else { 20 };
+        for _ in 0..retries {
+            outbox.retry_disk(Now::system());
+        }
+        let counts = outbox.counts();
+        assert!(!counts.status.durable, "{fault}");
+        assert_eq!(counts.status.waiting, 60, "{fault}");
+        let failing = counts.failing.unwrap();
+        assert!(failing.contains(reason), "{fault}: {failing}");
+        // Reports on the disk are sent too.
+        assert_eq!(batch(&outbox).unwrap().reports.len(), 60, "{fault}");
+        assert_eq!(acknowledge(&outbox, &sent), 3, "{fault}");
+        assert_eq!(outbox.counts().status.waiting, 57, "{fault}");
+        assert_eq!(clips(&batch(&outbox).unwrap())[0], "window-3", "{fault}");
+        match fault {
+            "full" => bench.fill_disk(false),
+            "gone" => bench.return_disk(&outbox),
+            "locked" => other.execute_batch("ROLLBACK").unwrap(),
+            _ => {}
+        }
+        outbox.retry_disk(Now::system());
+        let counts = outbox.counts();
+        assert!(counts.status.durable, "{fault}: {counts:?}");
+        drop(outbox);
+        let kept = counts_of(&batch(&bench.open()).unwrap());
+        assert!(kept.into_iter().eq((4..=60_u64).map(Some)), "{fault}");
+    }
+}
+
+#[test]
+fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
+    let (bench, other) = (Bench::new(), Bench::new());
     let outbox = bench.open();
-    keep(&outbox, 0..2);
-    bench.take_disk();
-    keep(&outbox, 2..4);
-    let counts = outbox.counts();
-    assert!(!counts.status.durable && counts.failing.is_some());
-    assert_eq!(counts.status.waiting, 4);
-    bench.return_disk(&outbox);
-    let counts = outbox.counts();
-    assert!(counts.status.durable, "{counts:?}");
-    drop(outbox);
-    let outbox = bench.open();
-    assert_eq!(outbox.counts().status.waiting, 4);
-    let kept = super::tests::counts(&batch(&outbox).unwrap());
-    assert_eq!(kept, [Some(1), Some(2), Some(3), Some(4)]);
+    keep(&other.open(), 10..12);
+    std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
+    keep(&outbox, 3..4);
+    std::fs::rename(other.state(), bench.state()).unwrap();
+    outbox.retry_disk(Now::system());
+    let mut sent = drain(&outbox);
+    sent.sort();
+    assert_eq!(sent, ["window-10", "window-11", "window-3"]);
 }
 
 #[test]
@@ -395,32 +428,6 @@ fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let of = |clip: &str| sent.reports.iter().find(|report| report.clip == clip);
     assert_eq!(of("window-3").unwrap().count, None);
     assert_eq!(of("window-4").unwrap().count, Some(4));
-}
-
-#[test]
-fn reports_acknowledged_while_the_disk_was_away_are_not_resent() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..2);
-    let sent = batch(&outbox).unwrap();
-    bench.take_disk();
-    keep(&outbox, 2..3);
-    assert_eq!(acknowledge(&outbox, &sent), 2);
-    assert_eq!(clips(&batch(&outbox).unwrap()), ["window-2"]);
-    assert_eq!(outbox.counts().status.waiting, 1);
-    bench.return_disk(&outbox);
-    assert_eq!(drain(&outbox), ["window-2"]);
-    // Another disk with other reports replaces it.
-    let other = Bench::new();
-    keep(&other.open(), 10..12);
-    std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
-    keep(&outbox, 3..4);
-    std::fs::remove_dir_all(bench.state()).ok();
-    std::fs::rename(other.state(), bench.state()).unwrap();
-    outbox.retry_disk(Now::system());
-    let mut sent = drain(&outbox);
-    sent.sort();
-    assert_eq!(sent, ["window-10", "window-11", "window-3"]);
 }
 
 #[test]
@@ -462,71 +469,6 @@ fn without_a_state_directory_reports_wait_in_bounded_memory() {
 }
 
 #[test]
-fn on_a_full_disk_reports_stay_in_memory_until_there_is_space() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..2);
-    bench.fill_disk(true);
-    keep(&outbox, 2..60);
-    assert_eq!(outbox.counts().status.waiting, 60);
-    // Reports on the disk are sent too, even after retries that find the disk still full.
-    for _ in 0..20 {
-        assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
-        outbox.retry_disk(Now::system());
-        let status = outbox.counts().status;
-        assert_eq!((status.durable, status.waiting), (false, 60));
-    }
-    let reason = outbox.counts().failing.unwrap();
-    assert!(reason.contains("no storage space"), "{reason}");
-    bench.fill_disk(false);
-    outbox.retry_disk(Now::system());
-    let counts = outbox.counts();
-    assert!(counts.status.durable);
-    assert_eq!(drain(&outbox).len(), 60);
-}
-
-#[test]
-fn with_a_read_only_disk_reports_on_it_and_in_memory_are_delivered() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..3);
-    // Another connection holds the write lock: reopening the file does not help.
-    let other = rusqlite::Connection::open(bench.file()).unwrap();
-    other.execute_batch("BEGIN IMMEDIATE").unwrap();
-    keep(&outbox, 3..5);
-    let mut sent = batch(&outbox).unwrap();
-    assert_eq!(sent.reports.len(), 5);
-    sent.reports.truncate(4);
-    assert_eq!(acknowledge(&outbox, &sent), 4);
-    assert_eq!(outbox.counts().status.waiting, 1);
-    assert_eq!(clips(&batch(&outbox).unwrap()), ["window-4"]);
-    other.execute_batch("ROLLBACK").unwrap();
-    outbox.retry_disk(Now::system());
-    let counts = outbox.counts();
-    assert!(counts.status.durable && counts.status.waiting == 1);
-    drop(outbox);
-    assert_eq!(drain(&bench.open()), ["window-4"]);
-}
-
-#[test]
-fn a_file_that_has_become_read_only_is_read_and_reopened() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..2);
-    {
-        let waiting = outbox.0.waiting.lock();
-        let db = waiting.file().connection();
-        db.pragma_update(None, "query_only", true).unwrap();
-    }
-    keep(&outbox, 2..3);
-    assert!(outbox.counts().failing.unwrap().contains("readonly"));
-    assert_eq!(batch(&outbox).unwrap().reports.len(), 3);
-    outbox.retry_disk(Now::system());
-    let counts = outbox.counts();
-    assert!(counts.status.durable, "{counts:?}");
-}
-
-#[test]
 fn a_batch_from_memory_is_bounded_like_one_from_disk() {
     let bench = Bench::new();
     for outbox in [bench.open(), in_memory()] {
@@ -544,44 +486,29 @@ fn a_batch_from_memory_is_bounded_like_one_from_disk() {
 }
 
 #[test]
-fn a_report_no_hub_would_accept_is_counted_and_the_rest_is_sent() {
-    let bench = Bench::new();
-    for outbox in [bench.open(), in_memory()] {
+fn a_report_that_cannot_be_sent_is_counted_and_the_rest_is_sent() {
+    let (bench, unreadable) = (Bench::new(), Bench::new());
+    keep(&unreadable.open(), 0..3);
+    let db = Connection::open(unreadable.file()).unwrap();
+    let spoilt = "UPDATE report SET json = x'00' WHERE count = 2";
+    db.execute(spoilt, []).unwrap();
+    drop(db);
+    let too_large = |outbox: Outbox| {
         for clip in 0..3 {
             let bytes = if clip == 1 { LARGEST_REPORT_BYTES } else { 9 };
             keep_large(&outbox, clip, bytes);
         }
-        assert_eq!(drain(&outbox), ["window-0", "window-2"]);
-        let counts = outbox.counts();
-        assert_eq!((counts.status.undeliverable, counts.status.waiting), (1, 0));
-    }
-}
-
-#[test]
-fn an_unreadable_stored_report_is_counted_and_the_rest_is_sent() {
-    let bench = Bench::new();
-    keep(&bench.open(), 0..3);
-    let db = rusqlite::Connection::open(bench.file()).unwrap();
-    db.execute("UPDATE report SET json = x'00' WHERE count = 2", [])
-        .unwrap();
-    drop(db);
-    let outbox = bench.open();
-    assert_eq!(drain(&outbox), ["window-0", "window-2"]);
-    assert_eq!(outbox.counts().status.undeliverable, 1);
-}
-
-#[test]
-fn a_copy_of_the_state_delivers_the_same_ids() {
-    let bench = Bench::new();
-    keep(&bench.open(), 0..3);
-    let copy = Bench::new();
-    std::fs::create_dir(copy.state()).unwrap();
-    std::fs::copy(bench.file(), copy.file()).unwrap();
-    let ids = |outbox: &Outbox| -> Vec<Uuid> {
-        let batch = outbox.batch("n", true, Now::system()).unwrap();
-        batch.reports.iter().map(|report| report.id).collect()
+        outbox
     };
-    assert_eq!(ids(&bench.open()), ids(&copy.open()));
+    for (case, outbox) in [
+        ("unreadable", unreadable.open()),
+        ("too large on the disk", too_large(bench.open())),
+        ("too large in memory", too_large(in_memory())),
+    ] {
+        assert_eq!(drain(&outbox), ["window-0", "window-2"], "{case}");
+        let status = outbox.counts().status;
+        assert_eq!((status.undeliverable, status.waiting), (1, 0), "{case}");
+    }
 }
 
 #[test]

@@ -33,6 +33,7 @@ pub(super) struct HubFile {
     file: PathBuf,
     pub(super) other: Connection,
     is_full: bool,
+    backup: Option<Vec<u8>>,
 }
 
 impl HubFile {
@@ -44,6 +45,7 @@ impl HubFile {
             other: Connection::open(&file).unwrap(),
             file,
             is_full: false,
+            backup: None,
         }
     }
 
@@ -65,8 +67,15 @@ impl HubFile {
     }
 
     /// Makes a backup, which is impossible while the disk is full.
+    pub(super) fn back_up(&mut self) {
+        if !self.is_full {
+            self.backup = Some(image(&self.file));
+        }
+    }
+
+    /// The last backup.
     pub(super) fn backup(&self) -> Option<Vec<u8>> {
-        (!self.is_full).then(|| image(&self.file))
+        self.backup.clone()
     }
 
     /// Replaces the database and its write-ahead log while the hub is off.

@@ -38,7 +38,7 @@ pub(super) fn until_unlocked<T>(open: impl Fn() -> Result<T, NodeError>) -> T {
 pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
-    pub(super) faults: Arc<Faults>,
+    faults: Arc<Faults>,
     outbox: Option<Outbox>,
     schedule: Schedule,
     /// How far its wall clock is ahead, ms.
@@ -49,6 +49,8 @@ pub(super) struct Node {
     pub(super) in_memory: Vec<usize>,
     /// What a power cut leaves if commits are not synced.
     unsynced: Option<Vec<u8>>,
+    /// An earlier state.
+    pub(super) kept_state: Option<Vec<u8>>,
     pub(super) looks_at_ms: i64,
 }
 
@@ -91,6 +93,7 @@ impl Node {
             reply: None,
             in_memory: Vec::new(),
             unsynced: None,
+            kept_state: None,
             looks_at_ms: i64::MAX,
         };
         if let Some(state) = state {
@@ -135,6 +138,14 @@ impl Node {
     /// A copy of the state on the disk.
     pub(super) fn state(&self) -> Option<Vec<u8>> {
         self.file().exists().then(|| image(&self.file()))
+    }
+
+    pub(super) fn keep_state(&mut self) {
+        self.kept_state = self.state().or(self.kept_state.take());
+    }
+
+    pub(super) fn fill_disk(&self, is_full: bool) {
+        self.faults.is_full.store(is_full, Ordering::Relaxed);
     }
 
     /// Reports on the disk.

@@ -70,8 +70,6 @@ pub(super) struct Settings {
     values: u64,
     /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
-    states: BTreeMap<usize, Vec<u8>>,
-    backup: Option<Vec<u8>>,
     /// When the hub was last restored.
     restored_ms: i64,
     _folder: TempDir,
@@ -90,8 +88,6 @@ impl Settings {
             hub: Hub::new(folder.path()),
             values: 0,
             taken: BTreeMap::new(),
-            states: BTreeMap::new(),
-            backup: None,
             restored_ms: -1,
             _folder: folder,
             time,
@@ -110,13 +106,11 @@ impl Settings {
         ];
         for (most, event) in plenty {
             for _ in 0..=world.time.below(most) {
-                let at = world.time.between(10 * SECOND, end_ms);
-                world.time.after(at, event.clone());
+                world.time.sometime(10 * SECOND, end_ms, event.clone());
             }
         }
         for at in 0..world.nodes.len() {
-            let when = world.time.between(0, end_ms);
-            world.time.after(when, Event::KeepNode(at));
+            world.time.sometime(0, end_ms, Event::KeepNode(at));
         }
         world.time.after(end_ms, Event::End);
         world
@@ -125,8 +119,6 @@ impl Settings {
     /// Runs to the end; returns an error if the final state is wrong.
     pub(super) fn run(mut self) -> Result<Run, String> {
         while let Some(event) = self.time.next() {
-            let on = self.nodes.iter().filter(|node| node.is_on()).count();
-            self.time.count_nodes(on);
             let is_tick = matches!(event, Event::Tick);
             self.handle(event)?;
             if !self.time.is_calm || !is_tick {
@@ -185,12 +177,8 @@ impl Settings {
                 self.hub.command(which, command, now);
                 self.notices();
             }
-            Event::KeepNode(at) => {
-                if let Some(state) = self.nodes[at].state() {
-                    self.states.insert(at, state);
-                }
-            }
-            Event::BackUp => self.backup = self.hub.file.backup().or_else(|| self.backup.take()),
+            Event::KeepNode(at) => self.nodes[at].keep_state(),
+            Event::BackUp => self.hub.file.back_up(),
             Event::Fault => self.fault(),
             Event::End => self.heal(),
         }
@@ -218,8 +206,7 @@ impl Settings {
             self.time.send(&Event::Pull(at, question));
             self.time.after(10 * SECOND, Event::TimeOut(at, question));
         }
-        let pause = self.time.between(SECOND, 5 * SECOND);
-        self.time.after(pause, Event::Look(at));
+        self.time.sometime(SECOND, 5 * SECOND, Event::Look(at));
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: &[u8]) -> Result<(), String> {
@@ -268,14 +255,11 @@ impl Settings {
 
     /// Names of some of the nodes.
     fn some(&mut self) -> Vec<String> {
-        let mut names = Vec::new();
-        for at in 0..self.nodes.len() {
-            if self.time.chance(700) {
-                names.push(self.nodes[at].name.clone());
-            }
-        }
+        let Self { nodes, time, .. } = self;
+        let some = nodes.iter().filter(|_| time.chance(700));
+        let mut names: Vec<_> = some.map(|node| node.name.clone()).collect();
         if names.is_empty() {
-            names.push(self.nodes[0].name.clone());
+            names.push(nodes[0].name.clone());
         }
         names
     }
@@ -302,8 +286,7 @@ impl Settings {
     fn node_crash(&mut self, at: usize) {
         if self.nodes[at].is_on() {
             self.nodes[at].crash();
-            let pause = self.time.between(SECOND, HOUR / 6);
-            self.time.after(pause, Event::NodeOn(at));
+            self.time.sometime(SECOND, HOUR / 6, Event::NodeOn(at));
         }
     }
 
@@ -311,8 +294,7 @@ impl Settings {
     fn hub_crash(&mut self, least_ms: i64) {
         if self.hub.is_on() {
             self.hub.crash();
-            let pause = self.time.between(least_ms, HOUR / 6);
-            self.time.after(pause, Event::HubOn);
+            self.time.sometime(least_ms, HOUR / 6, Event::HubOn);
         }
     }
 
@@ -324,7 +306,7 @@ impl Settings {
         match kind {
             0 => self.node_crash(at),
             1 => {
-                if let Some(state) = self.states.get(&at).cloned() {
+                if let Some(state) = self.nodes[at].kept_state.clone() {
                     self.node_crash(at);
                     self.nodes[at].put_state(Some(state));
                     self.taken.retain(|(node, _), _| *node != at);
@@ -358,7 +340,7 @@ impl Settings {
                 self.time.after(lasts, Event::HubDiskFree);
             }
             6 => {
-                if let Some(backup) = self.backup.clone()
+                if let Some(backup) = self.hub.file.backup()
                     && self.hub.is_on()
                 {
                     // No backup is restored within the few seconds by which revisions may be ahead of the clock.

@@ -17,7 +17,6 @@ pub(super) const BEGIN: i64 = 1_795_000_000_000;
 
 /// Result of a run.
 pub(super) struct Run {
-    pub(super) node_hours: f64,
     /// Number of reports or orders made.
     pub(super) made: u64,
     /// How often each fault occurred.
@@ -53,9 +52,6 @@ pub(super) struct Timeline<E> {
     random: Pcg64Mcg,
     began: Instant,
     pub(super) now_ms: i64,
-    /// Time up to which running nodes have been counted.
-    counted_ms: i64,
-    node_ms: i64,
     events: BTreeMap<(i64, u64), E>,
     made: u64,
     /// True once nothing may fail any more.
@@ -72,8 +68,6 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
             random: Pcg64Mcg::seed_from_u64(seed),
             began: Instant::now(),
             now_ms: 0,
-            counted_ms: 0,
-            node_ms: 0,
             events: BTreeMap::new(),
             made: 0,
             is_calm: false,
@@ -116,6 +110,12 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.events.insert((self.now_ms + ms, number), event);
     }
 
+    /// Lets an event happen at some time between these, in milliseconds from now.
+    pub(super) fn sometime(&mut self, from: i64, to: i64, event: E) {
+        let ms = self.between(from, to);
+        self.after(ms, event);
+    }
+
     /// Removes the next event and advances the time to it.
     pub(super) fn next(&mut self) -> Option<E> {
         let ((at_ms, _), event) = self.events.pop_first()?;
@@ -148,16 +148,9 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         *self.faults.entry(fault).or_default() += 1;
     }
 
-    /// Counts the hours of the nodes that have been on since the previous event.
-    pub(super) fn count_nodes(&mut self, on: usize) {
-        self.node_ms += (self.now_ms - self.counted_ms) * on as i64;
-        self.counted_ms = self.now_ms;
-    }
-
     /// Returns the result of a run that made this many reports or orders.
     pub(super) fn run(self, made: usize) -> Run {
         Run {
-            node_hours: self.node_ms as f64 / HOUR as f64,
             made: made as u64,
             faults: self.faults,
             trace: self.trace.finish(),
@@ -171,8 +164,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         }
         for _ in 0..=u8::from(self.unlucky(60)) {
             let most = if self.unlucky(60) { HOUR } else { 2 * SECOND };
-            let takes = self.between(10, most);
-            self.after(takes, event.clone());
+            self.sometime(10, most, event.clone());
         }
     }
 }

@@ -3,9 +3,8 @@
 use super::hub::{Asker, Hub, Reply};
 use super::node::{Node, put};
 use super::timeline::{DAY, HOUR, Payload, Run, SECOND, Timeline, folder};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::rc::Rc;
-use std::sync::atomic::Ordering;
 use tempfile::TempDir;
 
 /// Once nothing fails any more, everything is delivered within this time.
@@ -63,9 +62,6 @@ pub(super) struct World {
     reports: Vec<usize>,
     /// Reports lost with whatever held them, or refused by the hub by name: stored at most once.
     excused: BTreeSet<usize>,
-    /// Earlier states of nodes.
-    states: BTreeMap<usize, Vec<u8>>,
-    backup: Option<Vec<u8>>,
     far: Far,
     /// Reports that the hub lost when its backup was restored.
     forgotten: BTreeSet<usize>,
@@ -84,8 +80,6 @@ impl World {
             folder,
             reports: Vec::new(),
             excused: BTreeSet::new(),
-            states: BTreeMap::new(),
-            backup: None,
             far: Far::Nobody,
             forgotten: BTreeSet::new(),
             is_rewound: false,
@@ -99,18 +93,15 @@ impl World {
             world.time.after(0, Event::HubOn(process));
         }
         for _ in 0..world.time.below(12) {
-            let at = world.time.between(0, world.end_ms);
-            world.time.after(at, Event::Fault);
+            world.time.sometime(0, world.end_ms, Event::Fault);
         }
         for at in 0..world.nodes.len() {
-            let when = world.time.between(0, world.end_ms);
-            world.time.after(when, Event::KeepNode(at));
+            world.time.sometime(0, world.end_ms, Event::KeepNode(at));
         }
         world.far = [Far::Nobody, Far::Node, Far::Hub][world.time.below(3) as usize];
         // The hub asks for what it forgot within the week for which nodes keep it, by their own clocks.
         if world.far != Far::Node {
-            let when = world.time.between(0, world.end_ms);
-            world.time.after(when, Event::BackUp);
+            world.time.sometime(0, world.end_ms, Event::BackUp);
         }
         world.time.after(world.end_ms, Event::End);
         world
@@ -118,8 +109,6 @@ impl World {
 
     pub(super) fn run(mut self) -> Result<Run, String> {
         while let Some(event) = self.time.next() {
-            let on = self.nodes.iter().filter(|node| node.is_on()).count();
-            self.time.count_nodes(on);
             self.handle(event);
             if self.time.is_calm && self.is_settled() {
                 return self.check();
@@ -143,8 +132,8 @@ impl World {
                     return self.node_crash(at);
                 }
                 if !self.time.is_calm {
-                    let pause = self.time.between(60 * SECOND, 900 * SECOND);
-                    self.time.after(pause, Event::Clip(at));
+                    self.time
+                        .sometime(60 * SECOND, 900 * SECOND, Event::Clip(at));
                 }
             }
             Event::Look(at) => {
@@ -183,19 +172,10 @@ impl World {
                 let now = self.time.now(self.hub.processes[process].clock_ms);
                 self.hub.switch_on(process, now);
             }
-            Event::NodeDiskFree(at) => {
-                self.nodes[at]
-                    .faults
-                    .is_full
-                    .store(false, Ordering::Relaxed);
-            }
+            Event::NodeDiskFree(at) => self.nodes[at].fill_disk(false),
             Event::HubDiskFree => self.hub.file.fill(false),
-            Event::KeepNode(at) => {
-                if let Some(state) = self.nodes[at].state() {
-                    self.states.insert(at, state);
-                }
-            }
-            Event::BackUp => self.backup = self.hub.file.backup().or_else(|| self.backup.take()),
+            Event::KeepNode(at) => self.nodes[at].keep_state(),
+            Event::BackUp => self.hub.file.back_up(),
             Event::Fault => self.fault(),
             Event::End => self.heal(),
         }
@@ -214,8 +194,7 @@ impl World {
             self.nodes[at].switch_on(now, random);
             self.note_counts(at);
             self.look(at);
-            let pause = self.time.between(SECOND, 600 * SECOND);
-            self.time.after(pause, Event::Clip(at));
+            self.time.sometime(SECOND, 600 * SECOND, Event::Clip(at));
         }
     }
 
@@ -289,8 +268,7 @@ impl World {
             self.time.note(&format!("power of node {at} goes"));
             self.note_counts(at);
             self.excused.extend(self.nodes[at].crash());
-            let pause = self.time.between(SECOND, HOUR / 6);
-            self.time.after(pause, Event::NodeOn(at));
+            self.time.sometime(SECOND, HOUR / 6, Event::NodeOn(at));
         }
     }
 
@@ -299,8 +277,7 @@ impl World {
             self.time.count(FAULTS[6]);
             self.time.note(&format!("hub {process} is killed"));
             self.hub.crash(process);
-            let pause = self.time.between(SECOND, HOUR / 6);
-            self.time.after(pause, Event::HubOn(process));
+            self.time.sometime(SECOND, HOUR / 6, Event::HubOn(process));
         }
     }
 
@@ -313,7 +290,7 @@ impl World {
         match kind {
             0 => return self.node_crash(at),
             1 => {
-                self.nodes[at].faults.is_full.store(true, Ordering::Relaxed);
+                self.nodes[at].fill_disk(true);
                 self.time.after(lasts, Event::NodeDiskFree(at));
             }
             2 => self.nodes[at].clock_ms = self.clock(self.far == Far::Node),
@@ -345,12 +322,12 @@ impl World {
 
     /// Restores an earlier state of a node.
     fn restore_node(&mut self, at: usize) {
-        let Some(state) = self.states.get(&at) else {
+        let Some(state) = self.nodes[at].kept_state.clone() else {
             return;
         };
         let mut lost: BTreeSet<usize> = self.nodes[at].crash().into_iter().collect();
         lost.append(&mut self.nodes[at].kept());
-        put(&self.nodes[at].file(), state);
+        put(&self.nodes[at].file(), &state);
         self.is_rewound = true;
         self.excuse(lost);
         self.node_on(at);
@@ -374,7 +351,7 @@ impl World {
     }
 
     fn restore_hub(&mut self) {
-        let Some(backup) = self.backup.clone() else {
+        let Some(backup) = self.hub.file.backup() else {
             return;
         };
         for process in 0..2 {
@@ -418,10 +395,7 @@ impl World {
             }
         }
         for at in 0..self.nodes.len() {
-            self.nodes[at]
-                .faults
-                .is_full
-                .store(false, Ordering::Relaxed);
+            self.nodes[at].fill_disk(false);
             self.node_on(at);
             self.make(at);
         }

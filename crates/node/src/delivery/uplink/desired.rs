@@ -84,29 +84,32 @@ mod tests {
     use super::*;
     use crate::state::board::set_by_hand;
     use crate::state::board::tests::{board_of, config, thresholds};
-    use albireo_wire::{Target, Threshold, VERSION};
+    use albireo_wire::{Target, Threshold};
     use std::path::Path;
     use std::sync::Arc;
 
-    fn opened(state: &Path) -> Arc<Board> {
-        board_of(&config(Some(state), "albireo"))
+    const HALF: Option<Target> = Some(Target::SkipRate(0.5));
+
+    fn opened(state: &Path) -> (Arc<Board>, DesiredKeeper) {
+        let board = board_of(&config(Some(state), "albireo"));
+        let keeper = DesiredKeeper::open(&board.settings);
+        (board, keeper)
     }
 
-    fn desired(revision: u64, value: f64) -> Desired {
+    fn desired(revision: u64, setting: DesiredSetting) -> Desired {
         Desired {
-            v: VERSION,
             revision,
-            setting: Some(DesiredSetting::Threshold(Threshold::new("u", value))),
+            setting: Some(setting),
             ..Desired::nothing()
         }
+    }
+
+    fn with_value(revision: u64, value: f64) -> Desired {
+        desired(revision, Threshold::new("u", value).into())
     }
 
     fn with_target(revision: u64, target: Option<Target>) -> Desired {
-        Desired {
-            revision,
-            setting: Some(DesiredSetting::Target(target)),
-            ..Desired::nothing()
-        }
+        desired(revision, DesiredSetting::Target(target))
     }
 
     fn target(board: &Board) -> Option<Target> {
@@ -116,23 +119,21 @@ mod tests {
     #[test]
     fn a_target_and_a_value_replace_each_other_by_one_revision() {
         let folder = tempfile::tempdir().unwrap();
-        let board = opened(folder.path());
-        let keeper = DesiredKeeper::open(&board.settings);
-        let half = Some(Target::SkipRate(0.5));
-        assert!(keeper.take(&with_target(3, half), &board));
-        assert_eq!((target(&board), keeper.kept().in_force), (half, 3));
+        let (board, keeper) = opened(folder.path());
+        assert!(keeper.take(&with_target(3, HALF), &board));
+        assert_eq!((target(&board), keeper.kept().in_force), (HALF, 3));
         // An older value, and the same target again, change nothing.
-        assert!(!keeper.take(&desired(2, 0.07), &board));
-        assert!(!keeper.take(&with_target(3, half), &board));
-        assert_eq!(target(&board), half);
-        assert!(keeper.take(&desired(4, 0.07), &board));
+        assert!(!keeper.take(&with_value(2, 0.07), &board));
+        assert!(!keeper.take(&with_target(3, HALF), &board));
+        assert_eq!(target(&board), HALF);
+        assert!(keeper.take(&with_value(4, 0.07), &board));
         assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
         let off = board.target.report().off;
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
-        assert!(!keeper.take(&with_target(3, half), &board));
+        assert!(!keeper.take(&with_target(3, HALF), &board));
         assert_eq!(target(&board), None);
         // Nothing to hold leaves the knob where it is.
-        assert!(keeper.take(&with_target(5, half), &board));
+        assert!(keeper.take(&with_target(5, HALF), &board));
         assert!(keeper.take(&with_target(6, None), &board));
         assert_eq!((target(&board), keeper.kept().in_force), (None, 6));
         assert_eq!(keeper.kept().refused, None);
@@ -146,9 +147,8 @@ mod tests {
     #[test]
     fn a_target_that_cannot_be_held_is_refused_with_a_reason_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let board = opened(folder.path());
-        let keeper = DesiredKeeper::open(&board.settings);
-        assert!(keeper.take(&desired(1, 0.07), &board));
+        let (board, keeper) = opened(folder.path());
+        assert!(keeper.take(&with_value(1, 0.07), &board));
         assert!(keeper.take(&with_target(2, Some(Target::SkipRate(1.5))), &board));
         let refused = keeper.kept().refused.unwrap();
         assert_eq!((refused.revision, keeper.kept().in_force), (2, 1));
@@ -162,19 +162,16 @@ mod tests {
     #[test]
     fn a_target_of_the_hub_survives_a_restart_and_ends_with_a_manual_change() {
         let folder = tempfile::tempdir().unwrap();
-        let half = Some(Target::SkipRate(0.5));
-        let before = opened(folder.path());
-        let keeper = DesiredKeeper::open(&before.settings);
-        assert!(keeper.take(&with_target(7, half), &before));
+        let (before, keeper) = opened(folder.path());
+        assert!(keeper.take(&with_target(7, HALF), &before));
         drop((before, keeper));
-        let restarted = opened(folder.path());
-        let keeper = DesiredKeeper::open(&restarted.settings);
-        assert_eq!((target(&restarted), keeper.kept().revision), (half, 7));
+        let (restarted, keeper) = opened(folder.path());
+        assert_eq!((target(&restarted), keeper.kept().revision), (HALF, 7));
         // A knob turned at the node ends it, until the hub desires something new.
         set_by_hand(&restarted.cameras[1..], 0.01).unwrap();
-        assert!(!keeper.take(&with_target(7, half), &restarted));
+        assert!(!keeper.take(&with_target(7, HALF), &restarted));
         assert_eq!(target(&restarted), None);
-        assert!(keeper.take(&with_target(8, half), &restarted));
-        assert_eq!(target(&restarted), half);
+        assert!(keeper.take(&with_target(8, HALF), &restarted));
+        assert_eq!(target(&restarted), HALF);
     }
 }

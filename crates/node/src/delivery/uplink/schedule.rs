@@ -269,18 +269,6 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_batch_waits_for_the_hubs_retry_time_unless_the_node_stops() {
-        let mut bench = Bench::new();
-        assert_eq!(bench.batch(1, 0), Some(false));
-        bench.ended(Err(Failure::Refused(Some(Duration::from_secs(3600)))), 100);
-        assert_eq!(bench.batch(1, 3_599_000), None);
-        let (now, latest) = (bench.at(3_599_000), bench.at(9_000_000));
-        assert_eq!(bench.schedule.next_look(latest, now), bench.at(3_600_100));
-        bench.schedule.send_now(now);
-        assert_eq!(bench.batch(1, 3_599_000), Some(false));
-    }
-
-    #[test]
     fn an_elapsed_backoff_is_no_reason_to_poll_at_once() {
         let mut bench = Bench::new();
         assert_eq!(bench.batch(1, 0), Some(false));

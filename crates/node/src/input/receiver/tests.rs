@@ -6,6 +6,7 @@ use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
 use futures_util::FutureExt;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
 /// A receiver whose ring holds `capacity` frames.
@@ -98,24 +99,16 @@ async fn a_frame_with_an_unreadable_number_is_counted_once() {
 async fn two_receiving_threads_cannot_swap_frames() {
     const FRAMES: u64 = 40_000;
     let receiver = receiver(FRAMES as usize);
-    let numbers = Arc::new(std::sync::atomic::AtomicU64::new(0));
-    let threads: Vec<_> = (0..4)
-        .map(|_| {
-            let (receiver, numbers) = (Arc::clone(&receiver), Arc::clone(&numbers));
-            thread::spawn(move || {
-                loop {
-                    let number = numbers.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                    if number >= FRAMES {
-                        return;
-                    }
-                    receiver.give(frame(self::number(number, None)));
+    let numbers = AtomicU64::new(0);
+    thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                while let seq @ ..FRAMES = numbers.fetch_add(1, Ordering::Relaxed) {
+                    receiver.give(frame(number(seq, None)));
                 }
-            })
-        })
-        .collect();
-    for thread in threads {
-        thread.join().unwrap();
-    }
+            });
+        }
+    });
     let waiting = waiting(&receiver.ring);
     assert!(waiting.len() > 100, "{}", waiting.len());
     assert!(waiting.is_sorted_by(|a, b| a.0 < b.0));

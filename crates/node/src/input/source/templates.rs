@@ -315,34 +315,38 @@ impl Arguments {
 mod tests {
     use super::*;
 
-    fn settings(address: &str) -> SourceSettings {
+    fn settings(address: &str, options: &[&str]) -> SourceSettings {
+        let options = options.iter().map(|word| (*word).to_owned()).collect();
         SourceSettings {
             address: SourceAddress::new(address),
             max_rate: Some(5.0),
             transport: RtspTransport::Tcp,
             hardware: None,
-            options: SourceOptions::default(),
+            options: SourceOptions::new(options),
             silence: Duration::from_secs(15),
             decoded: Handover::Pixels,
             limits: FrameLimits::default(),
         }
     }
 
-    fn with_options(address: &str, options: &[&str]) -> SourceSettings {
-        let options = options.iter().map(|word| (*word).to_owned()).collect();
-        SourceSettings {
-            options: SourceOptions::new(options),
-            ..settings(address)
+    /// The command line and the script of ffmpeg for a source that is decoded.
+    fn decoding(settings: &SourceSettings, version: Version) -> (String, Option<String>) {
+        let program = ffmpeg(settings, false, version).unwrap();
+        (program.arguments.join(" "), program.input)
+    }
+
+    #[track_caller]
+    fn assert_has(text: &str, parts: &[&str]) {
+        for part in parts {
+            assert!(text.contains(part), "no {part} in {text}");
         }
     }
 
-    fn line(
-        settings: &SourceSettings,
-        untouched: bool,
-        version: Version,
-    ) -> (String, Option<String>) {
-        let program = ffmpeg(settings, untouched, version).unwrap();
-        (program.arguments.join(" "), program.input)
+    #[track_caller]
+    fn assert_lacks(text: &str, parts: &[&str]) {
+        for part in parts {
+            assert!(!text.contains(part), "{part} in {text}");
+        }
     }
 
     #[test]
@@ -360,40 +364,24 @@ mod tests {
 
     #[test]
     fn rtsp_uses_tcp_and_equal_timestamps_are_no_error() {
-        let mut settings = settings("rtsp://cam/s");
+        let mut settings = settings("rtsp://cam/s", &[]);
         settings.hardware = Some("cuda".to_owned());
-        let (line, script) = line(&settings, false, (5, 1));
-        for part in [
-            "-rtsp_transport tcp",
-            "-i rtsp://cam/s",
-            "-fps_mode vfr",
-            "-hwaccel cuda",
-            "floor(t*5)",
-        ] {
-            assert!(line.contains(part), "{line}");
-        }
+        let (line, script) = decoding(&settings, (5, 1));
+        assert_has(&line, &["-rtsp_transport tcp", "-i rtsp://cam/s"]);
+        assert_has(&line, &["-fps_mode vfr", "-hwaccel cuda", "floor(t*5)"]);
         assert_eq!(script, None);
-        let (old, _) = self::line(&settings, false, (4, 4));
-        assert!(
-            old.contains("-vsync vfr") && old.contains("-stimeout"),
-            "{old}"
-        );
+        let (old, _) = decoding(&settings, (4, 4));
+        assert_has(&old, &["-vsync vfr", "-stimeout"]);
     }
 
     #[test]
     fn a_password_is_never_in_the_command_line() {
+        let settings = settings("rtsp://viewer:hidden'@cam/s", &[]);
         for version in [(4, 4), (5, 1), (7, 1)] {
-            let (line, script) = line(&settings("rtsp://viewer:hidden'@cam/s"), false, version);
-            assert!(
-                !line.contains("hidden") && !line.contains("viewer"),
-                "{line}"
-            );
-            let script = script.unwrap();
-            assert!(
-                script.contains("file 'rtsp://viewer:hidden%27@cam/s"),
-                "{script}"
-            );
-            assert!(script.contains("tcp"), "{script}");
+            let (line, script) = decoding(&settings, version);
+            assert_lacks(&line, &["hidden", "viewer"]);
+            let file = "file 'rtsp://viewer:hidden%27@cam/s";
+            assert_has(&script.unwrap(), &[file, "tcp"]);
         }
     }
 
@@ -407,96 +395,62 @@ mod tests {
             "-user_agent",
             "it's me",
         ];
-        let hidden = with_options("rtsp://u:hidden@cam/s", &options);
-        let (line, script) = line(&hidden, false, (5, 1));
-        let script = script.unwrap();
-        assert!(
-            script.contains("\noption rtsp_flags 'prefer_tcp'\n"),
-            "{script}"
-        );
-        assert!(
-            script.contains("\noption user_agent 'it'\\''s me'\n"),
-            "{script}"
-        );
-        assert!(line.contains("-skip_frame nokey"), "a decoder's: {line}");
-        assert!(!line.contains("rtsp_flags"), "{line}");
-        let plain = with_options("rtsp://cam/s", &options[..4]);
-        let (line, script) = self::line(&plain, false, (5, 1));
-        assert!(
-            line.contains("-rtsp_flags prefer_tcp -skip_frame nokey"),
-            "{line}"
-        );
+        let hidden = settings("rtsp://u:hidden@cam/s", &options);
+        let (line, script) = decoding(&hidden, (5, 1));
+        let of_camera = "\noption rtsp_flags 'prefer_tcp'\n";
+        let quoted = "\noption user_agent 'it'\\''s me'\n";
+        assert_has(&script.unwrap(), &[of_camera, quoted]);
+        // A decoder's option.
+        assert_has(&line, &["-skip_frame nokey"]);
+        assert_lacks(&line, &["rtsp_flags"]);
+        let plain = settings("rtsp://cam/s", &options[..4]);
+        let (line, script) = decoding(&plain, (5, 1));
+        assert_has(&line, &["-rtsp_flags prefer_tcp -skip_frame nokey"]);
         assert_eq!(script, None);
         let old = ffmpeg(&hidden, false, (4, 4)).err().unwrap().to_string();
-        assert!(
-            old.contains("version 5") && !old.contains("hidden"),
-            "{old}"
-        );
+        assert_has(&old, &["version 5"]);
+        assert_lacks(&old, &["hidden"]);
     }
 
     #[test]
     fn a_secret_option_is_not_in_the_command_line() {
         let options = ["-headers", "Authorization: Bearer abc"];
-        let program = ffmpeg(&with_options("http://cam/v", &options), true, (5, 1)).unwrap();
-        assert!(!program.arguments.join(" ").contains("Bearer"));
-        let script = program.input.unwrap();
-        assert!(
-            script.contains("option headers 'Authorization: Bearer abc'\n"),
-            "{script}"
-        );
-        assert_eq!(
-            program.secrets.redact("sent Authorization: Bearer abc"),
-            "sent ***"
-        );
-    }
-
-    #[test]
-    fn motion_jpeg_is_not_decoded() {
-        let mut settings = settings("http://cam/v.mjpg");
-        settings.hardware = Some("cuda".to_owned());
-        let (line, _) = line(&settings, true, (5, 1));
-        assert!(line.contains("-c:v copy"), "{line}");
-        assert!(!line.contains("cuda") && !line.contains("select"), "{line}");
+        let program = ffmpeg(&settings("http://cam/v", &options), true, (5, 1)).unwrap();
+        assert_lacks(&program.arguments.join(" "), &["Bearer"]);
+        let option = "option headers 'Authorization: Bearer abc'\n";
+        assert_has(&program.input.unwrap(), &[option]);
+        let said = program.secrets.redact("sent Authorization: Bearer abc");
+        assert_eq!(said, "sent ***");
     }
 
     #[test]
     fn memory_is_limited_unless_a_driver_needs_it() {
-        let mut settings = settings("http://cam/v.mjpg");
+        let mut settings = settings("http://cam/v.mjpg", &[]);
         let program = ffmpeg(&settings, true, (5, 1)).unwrap();
-        assert!(program.arguments.join(" ").contains("-max_alloc 67108864"));
+        assert_has(&program.arguments.join(" "), &["-max_alloc 67108864"]);
         assert_eq!(program.max_memory, Some((512 + 4 * 64) << 20));
         settings.hardware = Some("cuda".to_owned());
         assert_eq!(ffmpeg(&settings, true, (5, 1)).unwrap().max_memory, None);
     }
 
-    fn pipeline(address: &str) -> Result<String, SourceError> {
-        gstreamer(&settings(address)).map(|program| program.arguments.join(" "))
-    }
-
     #[test]
-    fn a_pipeline_gets_an_end_that_sends_lengths() {
-        assert_eq!(
-            pipeline("videotestsrc ! jpegenc").unwrap(),
-            "-q videotestsrc ! jpegenc ! multipartmux ! fdsink fd=1"
-        );
-        let camera = pipeline("rtsp://cam/s").unwrap();
-        assert!(
-            camera.contains("rtspsrc location=rtsp://cam/s protocols=tcp"),
-            "{camera}"
-        );
-        let web = pipeline("http://cam/s").unwrap();
-        assert!(
-            web.contains("uridecodebin uri=http://cam/s ! videoconvert ! jpegenc !"),
-            "{web}"
-        );
-    }
-
-    #[test]
-    fn a_password_is_in_a_command_line_only_if_written_there() {
-        let refused = pipeline("rtsp://u:hidden@cam/s").unwrap_err().to_string();
-        assert!(
-            refused.contains("install ffmpeg") && !refused.contains("hidden"),
-            "{refused}"
-        );
+    fn a_pipeline_gets_an_end_that_sends_lengths_and_shows_no_password() {
+        let rtsp = "rtspsrc location=rtsp://cam/s protocols=tcp latency=0 ! decodebin ! videoconvert ! jpegenc";
+        for (address, pipeline) in [
+            ("videotestsrc ! jpegenc", "videotestsrc ! jpegenc"),
+            ("rtsp://cam/s", rtsp),
+            (
+                "http://cam/s",
+                "uridecodebin uri=http://cam/s ! videoconvert ! jpegenc",
+            ),
+        ] {
+            let program = gstreamer(&settings(address, &[])).unwrap();
+            let expected = format!("-q {pipeline} ! multipartmux ! fdsink fd=1");
+            assert_eq!(program.arguments.join(" "), expected);
+        }
+        let refused = gstreamer(&settings("rtsp://u:hidden@cam/s", &[]));
+        let refused = refused.err().unwrap().to_string();
+        assert_has(&refused, &["install ffmpeg"]);
+        assert_lacks(&refused, &["hidden"]);
     }
 }

@@ -9,10 +9,17 @@ use std::sync::Arc;
 use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
 
-fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
+const HALF: Option<Target> = Some(Target::SkipRate(0.5));
+
+/// A board whose configuration has this target.
+fn board(state: Option<&Path>, policy: &str, configured: Option<Target>) -> Arc<Board> {
     let mut config = config(state, policy);
-    config.target = target;
+    config.target.hold = configured;
     board_of(&config)
+}
+
+fn hold(board: &Board, target: Option<Target>) {
+    board.set_target(target, SettingSource::Local).unwrap();
 }
 
 /// A second in which fewer frames are skipped than wanted.
@@ -39,16 +46,14 @@ fn pass(board: &Board, seconds: u32) -> f64 {
 
 #[test]
 fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
-    let board = board(None, "expected-loss:0.3", TargetConfig::default());
+    let board = board(None, "expected-loss:0.3", None);
     assert_eq!(board.target.report().target, None);
-    board
-        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
-        .unwrap();
+    hold(&board, HALF);
     let after = pass(&board, 8);
     assert!(after > 0.3, "{after}");
     assert_eq!(board.cameras[1].threshold(), Some(after));
     let report = board.target.report();
-    assert_eq!(report.target, Some(Target::SkipRate(0.5)));
+    assert_eq!(report.target, HALF);
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
     assert_eq!((state.status, state.knob), (TargetStatus::Moving, after));
@@ -62,10 +67,8 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
 
 #[test]
 fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
-    let board = board(None, "albireo:3e-4", TargetConfig::default());
-    board
-        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
-        .unwrap();
+    let board = board(None, "albireo:3e-4", None);
+    hold(&board, HALF);
     pass(&board, 10);
     set_by_hand(&board.cameras[1..], 7e-4).unwrap();
     let report = board.target.report();
@@ -74,12 +77,10 @@ fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     pass(&board, 10);
     assert_eq!(board.cameras[1].threshold(), Some(7e-4));
     // Another target begins at the knob's value and leaves the knob there when it ends.
-    board
-        .set_target(Some(Target::SkipRate(0.6)), SettingSource::Local)
-        .unwrap();
+    hold(&board, Some(Target::SkipRate(0.6)));
     assert_eq!(board.target.report().off, None);
     let there = pass(&board, 10);
-    board.set_target(None, SettingSource::Local).unwrap();
+    hold(&board, None);
     assert_eq!(board.cameras[0].threshold(), Some(there));
     let report = board.target.report();
     assert_eq!(report.off.as_deref(), Some("it was switched off"));
@@ -89,22 +90,20 @@ fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
 fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
-    let configured = |skip_rate: Option<f64>| TargetConfig {
-        hold: skip_rate.map(Target::SkipRate),
-        ..TargetConfig::default()
+    let open = |skip_rate| {
+        let configured = Some(Target::SkipRate(skip_rate));
+        board(Some(&state), "expected-loss:0.3", configured)
     };
-    let first = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
+    let first = open(0.4);
     assert_eq!(first.target.report().source, SettingSource::Configuration);
-    first
-        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
-        .unwrap();
+    hold(&first, HALF);
     let there = pass(&first, 20);
     first.target.keep_place();
     drop(first);
 
-    let again = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
+    let again = open(0.4);
     let report = again.target.report();
-    assert_eq!(report.target, Some(Target::SkipRate(0.5)));
+    assert_eq!(report.target, HALF);
     assert!((report.threshold.unwrap().value - there).abs() < 1e-12);
     // The first step applies the value, whatever the cameras began with.
     let next = pass(&again, 1);
@@ -112,11 +111,11 @@ fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited(
     // A target switched off by hand stays off.
     set_by_hand(&again.cameras[..1], 0.25).unwrap();
     drop(again);
-    let off = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
+    let off = open(0.4);
     assert_eq!(off.target.report().target, None);
     assert_eq!(off.cameras[0].threshold(), Some(0.25));
     drop(off);
-    let edited = board(Some(&state), "expected-loss:0.3", configured(Some(0.7)));
+    let edited = open(0.7);
     let report = edited.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.7)));
     assert_eq!(report.source, SettingSource::Configuration);
@@ -149,8 +148,11 @@ fn assert_runs_while_the_disk_stalls(
     });
 }
 
-/// The board calls that workers make each second and per request.
-fn serve(board: &Board) {
+/// The board calls that workers make each second and per request, once a change is in force.
+fn serve(board: &Board, is_in_force: impl Fn(&Board) -> bool) {
+    while !is_in_force(board) {
+        thread::yield_now();
+    }
     pass(board, 1);
     board.publish_counters(0);
     board.target.report();
@@ -166,45 +168,35 @@ fn serve(board: &Board) {
 fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_stored() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
-    let open = || board(Some(&state), "expected-loss:0.3", TargetConfig::default());
+    let open = || board(Some(&state), "expected-loss:0.3", None);
     let first = open();
-    let half = Some(Target::SkipRate(0.5));
     assert_runs_while_the_disk_stalls(
         &first,
-        |board| board.set_target(half, SettingSource::Local).unwrap(),
-        |board| {
-            while board.target.report().target != half {
-                thread::yield_now();
-            }
-            serve(board);
-        },
+        |board| hold(board, HALF),
+        |board| serve(board, |board| board.target.report().target == HALF),
     );
     let there = pass(&first, 20);
-    assert_runs_while_the_disk_stalls(&first, |board| board.target.keep_place(), serve);
+    assert_runs_while_the_disk_stalls(
+        &first,
+        |board| board.target.keep_place(),
+        |board| serve(board, |_| true),
+    );
     drop(first);
     let second = open();
     let report = second.target.report();
-    assert_eq!(report.target, half);
+    assert_eq!(report.target, HALF);
     assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
     // Switching off comes first, and is stored too.
     assert_runs_while_the_disk_stalls(
         &second,
         |board| set_by_hand(&board.cameras[..1], 0.25).unwrap(),
-        |board| {
-            while board.target.is_on() {
-                thread::yield_now();
-            }
-            serve(board);
-        },
+        |board| serve(board, |board| !board.target.is_on()),
     );
     assert_runs_while_the_disk_stalls(
         &second,
         |board| set_by_hand(&board.cameras[..1], 0.26).unwrap(),
         |board| {
-            while board.cameras[0].threshold() != Some(0.26) {
-                thread::yield_now();
-            }
-            serve(board);
+            serve(board, |board| board.cameras[0].threshold() == Some(0.26));
             board.cameras[0].move_threshold(0.27);
         },
     );
@@ -217,28 +209,22 @@ fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_s
 #[test]
 fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     for policy in ["vanilla", "ctd"] {
-        let board = board(None, policy, TargetConfig::default());
-        let refused = board.set_target(Some(Target::SkipRate(0.5)), SettingSource::Local);
+        let board = board(None, policy, None);
+        let refused = board.set_target(HALF, SettingSource::Local);
         let reason = refused.unwrap_err().to_string();
         assert!(reason.contains(policy), "{reason}");
         assert_eq!(board.target.report().target, None);
     }
     // After a change of the policy, the stored target is not held, and the reason is given.
-    let configured = TargetConfig {
-        hold: Some(Target::SkipRate(0.5)),
-        ..TargetConfig::default()
-    };
-    let board = board(None, "vanilla", configured);
+    let board = board(None, "vanilla", HALF);
     let report = board.target.report();
     assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
 }
 
 #[test]
 fn a_detector_outage_moves_no_threshold() {
-    let board = board(None, "expected-loss:0.3", TargetConfig::default());
-    board
-        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
-        .unwrap();
+    let board = board(None, "expected-loss:0.3", None);
+    hold(&board, HALF);
     // Seconds of ten frames: how many skipped the detector, and how many could not get it.
     let pass = |seconds, skipped, degraded| {
         let second = Totals {

@@ -25,6 +25,8 @@ pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
     started: Option<Started>,
+    /// An earlier state.
+    pub(super) kept_state: Option<Vec<u8>>,
 }
 
 /// The settings of a node.
@@ -56,6 +58,7 @@ impl Node {
             name,
             folder,
             started: None,
+            kept_state: None,
         }
     }
 
@@ -89,6 +92,10 @@ impl Node {
     /// Content of the settings file.
     pub(super) fn state(&self) -> Option<Vec<u8>> {
         std::fs::read(self.file()).ok()
+    }
+
+    pub(super) fn keep_state(&mut self) {
+        self.kept_state = self.state().or(self.kept_state.take());
     }
 
     /// Replaces or removes the settings file while the node is off.

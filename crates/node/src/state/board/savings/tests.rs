@@ -1,7 +1,7 @@
 //! Compares the estimated saving, on a machine of known watts, with the true one: the extra cost of the same clip with a detector
 //! call on every frame. The clock is paused; the detector is a lock held for 40 ms.
 
-use crate::camera::clip::tests::report;
+use crate::camera::clip::tests::{FakeMeter, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::camera::evidence::{DetectorRun, Times};
 use crate::camera::{FrameRecord, answer};
@@ -9,7 +9,7 @@ use crate::state::board::tests::{board_of, config};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
-use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
+use albireo_power::{PowerHandle, Value, start_with};
 use albireo_service::clock::milliseconds;
 use albireo_wire::{ClipReport, EnergyQuality};
 use parking_lot::Mutex;
@@ -47,34 +47,6 @@ impl Detector {
         let (over, running) = *self.busy.lock();
         let running = running.map_or(Duration::ZERO, |since| now.saturating_duration_since(since));
         (over + running).as_secs_f64()
-    }
-}
-
-/// A meter of the whole machine's energy.
-struct Plug {
-    start: Instant,
-    detector: Arc<Detector>,
-}
-
-impl Plug {
-    fn joules(&self, now: Instant) -> f64 {
-        IDLE_WATTS * now.duration_since(self.start).as_secs_f64()
-            + (BUSY_WATTS - IDLE_WATTS) * self.detector.busy_s(now)
-    }
-}
-
-impl Meter for Plug {
-    fn source(&self) -> &str {
-        "plug"
-    }
-
-    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        Ok(vec![Reading {
-            at: Some(now),
-            values: [Some(Value::Counter(self.joules(now))), None, None, None],
-            total_from: "input_rail".into(),
-            rails: Vec::new(),
-        }])
     }
 }
 
@@ -159,13 +131,16 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> Played {
     config.select(policy).unwrap();
     let start = Instant::now();
     let detector = Arc::new(Detector::default());
-    let plug = || Plug {
-        start,
-        detector: Arc::clone(&detector),
+    let metered = Arc::clone(&detector);
+    let joules = move |now: Instant| {
+        IDLE_WATTS * now.duration_since(start).as_secs_f64()
+            + (BUSY_WATTS - IDLE_WATTS) * metered.busy_s(now)
     };
+    let plug = joules.clone();
+    let plug = FakeMeter(move |now: Instant| Some(Value::Counter(plug(now))));
     let stop = CancellationToken::new();
     let interval = Duration::from_millis(100);
-    let (power, sampler) = start_with(Box::new(plug()), interval, stop.clone());
+    let (power, sampler) = start_with(Box::new(plug), interval, stop.clone());
     let loops: Vec<_> = (0..cameras)
         .map(|camera| {
             let policy = config.build().unwrap();
@@ -179,7 +154,7 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> Played {
         })
         .collect();
     tokio::time::sleep_until(start + CLIP).await;
-    let joules = plug().joules(start + CLIP);
+    let joules = joules(start + CLIP);
     let mut reports = Vec::new();
     for camera in loops {
         reports.push(camera.await.unwrap());
