@@ -2,38 +2,26 @@
 
 use super::support::shared;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_eval::footage::{Ffmpeg, FrameSource, Video, VideoEncoding};
 use albireo_vision::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
-use albireo_vision::picture::{ColorOrder, Picture, PixelLayout};
+use albireo_vision::picture::{ColorOrder, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use rstest::rstest;
-use std::process::Command;
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
-/// Frame `number` (from 0) of a clip of `size`, decoded by ffmpeg.
-fn frame(clip: &str, number: u32, size: PictureSize) -> Arc<Picture> {
-    let mut ffmpeg = Command::new("ffmpeg");
-    let output = ffmpeg
-        .args(["-v", "error", "-i"])
-        .arg(shared(&format!("media/{clip}")))
-        .args(["-vf", &format!("select=eq(n\\,{number})")])
-        .args(["-frames:v", "1", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
-        .output()
-        .expect("this test needs the program ffmpeg (Debian package ffmpeg)");
-    let (length, said) = (output.stdout.len() as u64, output.stderr);
-    let said = String::from_utf8_lossy(&said);
-    assert_eq!(
-        length,
-        size.pixels() * 3,
-        "frame {number} of {clip}: {said}"
-    );
-    Arc::new(Picture {
-        size,
-        source_size: size,
-        layout: PixelLayout::Rgb8,
-        pixels: output.stdout,
-    })
+/// Frame `number` (from 0) of a clip.
+fn frame(clip: &str, number: usize) -> Arc<Picture> {
+    let file = shared(&format!("media/{clip}"));
+    let file = file.to_str().unwrap();
+    let mut video = Video::open(file, None, VideoEncoding::Png, Ffmpeg::default()).unwrap();
+    let mut frames = std::iter::from_fn(|| video.next().unwrap());
+    let encoded = frames.nth(number).unwrap();
+    let mut picture = Picture::default();
+    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+    decode(&encoded, &limits, layout, None, &mut picture).unwrap();
+    Arc::new(picture)
 }
 
 const SIZE: PictureSize = PictureSize::new(720, 576);
@@ -73,7 +61,7 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
         ..DetectorConfig::default()
     };
     let detector = DetectorHandle::start(&config).await.unwrap();
-    let picture = frame("highway_two_cars.mp4", 60, SIZE);
+    let picture = frame("highway_two_cars.mp4", 60);
     let detected = detector.detect(CAMERA, picture).await.unwrap();
     assert_eq!(detector.model_name(), file);
     for (score, place) in cars {
@@ -88,7 +76,6 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
-    let size = PictureSize::new(768, 432);
     let config = ScreenConfig {
         model: Some(shared("models/erd_upstream.onnx")),
         color_order: ColorOrder::Bgr,
@@ -100,7 +87,7 @@ async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
         (100, [-21.069, 16.689]),
         (200, [-29.538, 25.955]),
     ] {
-        let picture = frame("fixed_topdown_cars.mp4", number, size);
+        let picture = frame("fixed_topdown_cars.mp4", number);
         let verdict = screen.ask(CAMERA, picture).await.unwrap();
         assert_eq!(verdict.empty, number == 5);
         for (logit, expected) in verdict.logits.into_iter().zip(expected) {

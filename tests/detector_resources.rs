@@ -1,34 +1,8 @@
-//! Models that need too much memory or time.
+//! A model that takes forever to load.
 
-use super::support::detectors::{CAMERA, changed, detected, model, one_colour, started};
+use super::support::detectors::model;
 use super::support::{Node, assert_contains, until};
-use albireo_vision::detector::{DetectorStatus, InferenceError};
 use std::time::Duration;
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered() {
-    const DARK: [u8; 3] = [102, 0, 0];
-    let detector = started(&changed("hungry.onnx", |config| config.confidence = 0.3)).await;
-    assert_eq!(detected(&detector, DARK).await.detections.len(), 1);
-    let red = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
-    let error = red.unwrap_err();
-    assert!(matches!(error, InferenceError::Failed(_)), "{error}");
-    // The error explains itself and names the size.
-    let said = [
-        "there is not enough memory",
-        "a smaller model or input size",
-        "562949953421568",
-    ];
-    assert_contains(&error.to_string(), &said);
-    let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
-    detector.status().wait_for(is_ready).await.unwrap();
-    assert_eq!(detected(&detector, DARK).await.detections.len(), 1);
-    let counts = detector.counters().worker;
-    assert_eq!((counts.completed, counts.failed), (2, 1));
-    assert_eq!((counts.rebuilds, counts.panicked), (1, 0));
-    detector.stop().await;
-}
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]

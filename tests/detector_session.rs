@@ -6,8 +6,7 @@ use super::support::detectors::{
 };
 use super::support::{assert_contains, run_command};
 use albireo_vision::detector::{
-    CameraSlot, Detected, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider,
-    HeadName,
+    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadName,
 };
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
@@ -50,6 +49,8 @@ fn nothing(_: &mut DetectorConfig) {}
 #[case::too_much_memory("starving.onnx", nothing, &[
     "the first run of the model", "there is not enough memory", "562949953421568",
 ])]
+#[case::no_class_names("yolo_float16.onnx", nothing, &["detector.class_names", "2 classes"])]
+#[case::another_size("yolo_bytes.onnx", |c: &mut DetectorConfig| c.input_size = Some([128, 64]), &["64x32", "128x64"])]
 #[case::one_picture_a_run("colours.onnx", |c: &mut DetectorConfig| c.batch_size = 3, &["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"])]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
@@ -60,9 +61,11 @@ async fn an_unusable_model_is_rejected_with_what_was_expected(
 ) {
     let error = refusal(&changed(file, change)).await;
     assert_contains(&error, parts);
-    // The error names the unusable setting, or else the file.
-    let is_setting = parts[0].starts_with("detector.");
-    assert_contains(&error, &[if is_setting { parts[0] } else { file }]);
+    // The error begins with the unusable setting, or else names the file.
+    match parts[0].starts_with("detector.") {
+        true => assert!(error.starts_with(parts[0]), "{error}"),
+        false => assert_contains(&error, &[file]),
+    }
 }
 
 #[tokio::test]
@@ -87,16 +90,6 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     assert_eq!(detector.provider(), Cpu);
     let status = detector.status().borrow().clone();
     assert_eq!(status, DetectorStatus::Ready { provider: Cpu });
-}
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn outputs_that_are_not_numbers_are_counted_and_not_reported() {
-    let detector = started(&config("not_a_number.onnx")).await;
-    let found = detected(&detector, [9, 9, 9]).await;
-    assert!(found.detections.is_empty());
-    assert_eq!(detector.counters().head.rejected, 1);
-    assert_eq!(detector.counters().worker.failed, 0);
 }
 
 #[tokio::test]
@@ -151,20 +144,6 @@ async fn a_detector_is_rejected_as_a_screen() {
     assert_contains(&error.to_string(), &said);
 }
 
-/// The detections of a camera in a picture of one colour, with scores in hundredths by class.
-async fn scores(
-    detector: &DetectorHandle,
-    camera: usize,
-    color: [u8; 3],
-) -> (Detected, Vec<(u16, i64)>) {
-    let answer = detector.detect(CameraSlot(camera), one_colour(color)).await;
-    let answer = answer.unwrap();
-    let scores = answer.detections.iter();
-    let scores = scores.map(|found| (found.class.0, (found.confidence * 100.0).round() as i64));
-    let scores = scores.collect();
-    (answer, scores)
-}
-
 /// The model has a dynamic batch; red is the score of a car, green that of a traffic light.
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
@@ -181,21 +160,23 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
     let mut before = detector.counters().worker;
     // A batch waits only for known cameras; the first round makes the cameras known.
     for round in 0..2 {
+        let ask = |camera, color| detector.detect(CameraSlot(camera), one_colour(color));
         let (one, two, three) = tokio::join!(
-            scores(&detector, 0, [204, 0, 0]),
-            scores(&detector, 1, [0, 153, 0]),
-            scores(&detector, 2, [102, 0, 0])
+            ask(0, [204, 0, 0]),
+            ask(1, [0, 153, 0]),
+            ask(2, [102, 0, 0])
         );
-        assert_eq!(one.1, [(0, 80)]);
-        assert_eq!(two.1, [(1, 60)]);
-        assert_eq!(three.1, [(0, 40)]);
+        let found = [one, two, three].map(Result::unwrap);
+        assert_the_box(&found[0], 0, 0.8);
+        assert_the_box(&found[1], 1, 0.6);
+        assert_the_box(&found[2], 0, 0.4);
         let after = detector.counters().worker;
         assert_eq!(after.completed - before.completed, 3);
         if round == 1 {
             assert_eq!(after.batches - before.batches, 1);
             // The time of the run is shared evenly among its pictures.
-            for found in [&one.0, &two.0, &three.0] {
-                assert_eq!((found.pictures, found.took), (3, one.0.took));
+            for one in &found {
+                assert_eq!((one.pictures, one.took), (3, found[0].took));
             }
         }
         before = after;

@@ -132,31 +132,22 @@ fn names_are_escaped_in_the_html_report() {
     assert!(!page.contains("<b>&"));
 }
 
-/// FOLDER stands for a valid recording whose detections are replaced by `drive`.
+/// FOLDER stands for a valid recording.
 #[rstest]
-#[case("recorded /nowhere", "", &["/nowhere/sequences.json", "sequences.json that lists"])]
-#[case("recorded FOLDER", "0,1,1,9,9,0.9,2\n0,1,1,9,zwei,0.9,2\n", &["detections/drive.csv:3:", "`y2` is `zwei`"])]
-#[case("recorded FOLDER", "none", &["detections/drive.csv", "needs its detections"])]
-#[case("recorded FOLDER --policy albiro", "", &["no policy `albiro`", "did you mean `albireo`?"])]
-#[case("recorded FOLDER --policy nobody", "", &["no policy `nobody`", "`vanilla`"])]
-#[case("recorded FOLDER --policy statues", "", &["statues-75", "looks at pixels"])]
-#[case("recorded FOLDER --u -1", "", &["must be a number from"])]
-#[case("recorded FOLDER --out /dev/null/results", "", &["cannot write to /dev/null/results"])]
-#[case("recorded FOLDER --confidence 1.5", "", &["--confidence 1.5"])]
-#[case("recorded FOLDER --policy vanilla --sweep u=1e-3", "", &["no policy of this run has a setting `u`"])]
-#[case("recorded FOLDER --energy-model /nowhere.toml", "", &["cannot read /nowhere.toml"])]
+#[case("recorded /nowhere", &["/nowhere/sequences.json", "sequences.json that lists"])]
+#[case("recorded FOLDER --policy albiro", &["no policy `albiro`", "did you mean `albireo`?"])]
+#[case("recorded FOLDER --policy nobody", &["no policy `nobody`", "`vanilla`"])]
+#[case("recorded FOLDER --policy statues", &["statues-75", "looks at pixels"])]
+#[case("recorded FOLDER --u -1", &["must be a number from"])]
+#[case("recorded FOLDER --out /dev/null/results", &["cannot write to /dev/null/results"])]
+#[case("recorded FOLDER --confidence 1.5", &["--confidence 1.5"])]
+#[case("recorded FOLDER --policy vanilla --sweep u=1e-3", &["no policy of this run has a setting `u`"])]
+#[case("recorded FOLDER --energy-model /nowhere.toml", &["cannot read /nowhere.toml"])]
 fn bad_input_is_reported_with_its_place_cause_and_remedy(
     #[case] command: &str,
-    #[case] drive: &str,
     #[case] parts: &[&str],
 ) {
     let folder = recording();
-    if drive == "none" {
-        std::fs::remove_file(folder.path().join("detections/drive.csv")).expect("removed");
-    } else if !drive.is_empty() {
-        let rows = format!("{DETECTIONS}{drive}");
-        write(folder.path(), "detections/drive.csv", &rows);
-    }
     let command = command.replace("FOLDER", text(folder.path()));
     let ended = eval(&command.split(' ').collect::<Vec<_>>());
     assert_ne!(ended.code, Some(0));

@@ -62,14 +62,19 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
     }
 }
 
+/// How the vendors fit a picture into the input, and its range.
+const YOLO_INPUT: (Fit, ValueRange) = (Fit::Centre(114), ValueRange::ToOne);
+const DETR_INPUT: (Fit, ValueRange) = (Fit::Stretch, ValueRange::ImageNet);
+
 /// The fixture's outputs are read as in the detector.
 #[rstest]
-#[case::yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, 100)]
-#[case::end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, 20)]
-#[case::detr_with_rf_detr("head_detr", HeadName::Detr, 20)]
+#[case::yolo_and_suppression_with_ultralytics("head_yolo", HeadName::Yolo, YOLO_INPUT, 100)]
+#[case::end_to_end_with_ultralytics("head_end_to_end", HeadName::EndToEnd, YOLO_INPUT, 20)]
+#[case::detr_with_rf_detr("head_detr", HeadName::Detr, DETR_INPUT, 20)]
 fn the_boxes_agree_with_the_vendors_code(
     #[case] name: &str,
     #[case] expected_head: HeadName,
+    #[case] expected_input: (Fit, ValueRange),
     #[case] least_boxes: usize,
 ) {
     let fixture: HeadFixture = fixture(name);
@@ -85,6 +90,8 @@ fn the_boxes_agree_with_the_vendors_code(
     let found = head::recognise(&signature, input).expect("recognised");
     assert_eq!(found, expected_head);
     let head = head::bind(found, &signature, input).expect("it fits");
+    let format = head.input_format;
+    assert_eq!((format.fit, format.value_range), expected_input);
     let views: Vec<_> = fixture
         .outputs
         .iter()
@@ -136,8 +143,17 @@ fn the_boxes_agree_with_the_vendors_code(
     assert!(boxes >= least_boxes, "only {boxes} boxes");
 }
 
-/// The largest and the mean difference of our input from the vendor's, in levels of 0 to 255.
-fn input_differences(name: &str, fit: Fit, value_range: ValueRange) -> (f64, f64) {
+/// In levels of 0 to 255: the largest difference, and the mean. Only ours rounds to whole levels, once per direction.
+#[rstest]
+#[case::yolo_with_ultralytics("input_yolo", YOLO_INPUT, 2.01, 0.25)]
+#[case::detr_with_rf_detr("input_detr", DETR_INPUT, 1.51, 0.5)]
+fn the_input_agrees_with_the_vendors_code_up_to_rounding(
+    #[case] name: &str,
+    #[case] format: (Fit, ValueRange),
+    #[case] most: f64,
+    #[case] most_in_the_mean: f64,
+) {
+    let (fit, value_range) = format;
     let fixture: InputFixture = fixture(name);
     let size = PictureSize::new(
         fixture.picture.shape[1] as u32,
@@ -173,21 +189,9 @@ fn input_differences(name: &str, fit: Fit, value_range: ValueRange) -> (f64, f64
         })
         .collect();
     let largest = differences.iter().copied().fold(0.0, f64::max);
-    (
-        largest,
-        differences.iter().sum::<f64>() / differences.len() as f64,
-    )
-}
-
-#[test]
-fn the_input_of_yolo_models_matches_ultralytics_within_two_levels() {
-    let (largest, mean) = input_differences("input_yolo", Fit::Centre(114), ValueRange::ToOne);
-    assert!(largest < 2.01 && mean < 0.25, "{largest} {mean}");
-}
-
-#[test]
-fn the_input_of_rf_detr_matches_its_own_code_up_to_rounding() {
-    // Only ours rounds to whole levels, once per direction.
-    let (largest, mean) = input_differences("input_detr", Fit::Stretch, ValueRange::ImageNet);
-    assert!(largest < 1.51 && mean < 0.5, "{largest} {mean}");
+    let mean = differences.iter().sum::<f64>() / differences.len() as f64;
+    assert!(
+        largest < most && mean < most_in_the_mean,
+        "{largest} {mean}"
+    );
 }

@@ -51,8 +51,6 @@ mod hub_kills;
 mod node_frames;
 mod pages;
 mod power_live;
-mod power_published;
-mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;

@@ -1,12 +1,11 @@
 //! The sampler measures known power curves, printed in real time by a fake `tegrastats`, to 0.1 %, with the same code as on a
 //! board.
 
-use crate::support::{assert_contains, until};
-use albireo_power::{self as power, PowerConfig, PowerHandle, PowerSource};
+use crate::support::assert_contains;
+use albireo_power::{self as power, PowerConfig, PowerSource};
 use albireo_wire::{ClipEnergy, EnergyQuality};
 use serde_json::{Value, json};
 use std::time::Duration;
-use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
@@ -23,67 +22,27 @@ fn stand_in(task: &Value) -> (tempfile::TempDir, PowerConfig) {
     (folder, config)
 }
 
-struct Running {
-    power: PowerHandle,
-    task: JoinHandle<()>,
-    stop: CancellationToken,
-    _folder: tempfile::TempDir,
-}
-
-async fn run(task: &Value) -> Running {
-    let (folder, config) = stand_in(task);
+/// Measures a fake `tegrastats` that does `task` for `length`. Returns the mean watts over the covered time, the whole
+/// result, and the number of failed reads.
+async fn watch(task: &Value, length: Duration) -> (f64, ClipEnergy, u64) {
+    let (_folder, config) = stand_in(task);
     let stop = CancellationToken::new();
     let (power, task) = power::start(&config, stop.clone()).await.unwrap();
-    Running {
-        power,
-        task,
-        stop,
-        _folder: folder,
-    }
-}
-
-impl Running {
-    /// Measures for `length`, and returns the mean watts over the covered time and the whole result.
-    async fn watch(&self, length: Duration) -> (f64, ClipEnergy) {
-        // Starts at a sample: the meter was just opened.
-        let start = Instant::now() + Duration::from_millis(250);
-        let end = start + length;
-        tokio::time::sleep_until(end).await;
-        let found = self.energy(start, end).await;
-        let covered = found.coverage * length.as_secs_f64();
-        (found.node_joules.unwrap() / covered, found)
-    }
-
-    async fn energy(&self, start: Instant, end: Instant) -> ClipEnergy {
-        crate::power_sysfs::energy(&self.power, start, end).await
-    }
-
-    async fn end(self) {
-        self.stop.cancel();
-        self.task.await.unwrap();
-    }
+    // Starts at a sample: the meter was just opened.
+    let start = Instant::now() + Duration::from_millis(250);
+    let end = start + length;
+    tokio::time::sleep_until(end).await;
+    let measured = power.camera().measure(start);
+    let found = measured.finish(end, Duration::MAX).await.unwrap().energy;
+    let failed_reads = power.snapshot().failed_reads;
+    stop.cancel();
+    task.await.unwrap();
+    let covered = found.coverage * length.as_secs_f64();
+    (found.node_joules.unwrap() / covered, found, failed_reads)
 }
 
 fn close(found: f64, expected: f64) -> bool {
     (found / expected - 1.0).abs() < 1e-3
-}
-
-#[tokio::test]
-async fn constant_power_integrates_to_watts_times_time() {
-    let running = run(&json!({"curve": [[0, 21.5], [1, 21.5]]})).await;
-    let (mean, found) = running.watch(Duration::from_secs(3)).await;
-    assert!(close(mean, 21.5), "{found:?}");
-    assert_eq!(
-        (&*found.total_from, &*found.source),
-        ("input_rail", "tegrastats")
-    );
-    let cpu = found.domains.iter().find(|domain| domain.domain == "cpu");
-    let share = cpu.unwrap().joules / found.node_joules.unwrap();
-    assert!(
-        close(share, 0.3),
-        "the domains follow their rails: {found:?}"
-    );
-    running.end().await;
 }
 
 #[tokio::test]
@@ -96,23 +55,30 @@ async fn a_square_wave_keeps_its_mean_and_its_peak() {
         [1, 40.1],
         [1.000001, 39.9]
     ]);
-    let running = run(&json!({"curve": wave})).await;
-    let (mean, found) = running.watch(Duration::from_secs(5)).await;
+    let task = json!({"curve": wave});
+    let (mean, found, _) = watch(&task, Duration::from_secs(5)).await;
     assert!(close(mean, 40.0), "{mean} {found:?}");
     assert_eq!(found.domains[0].peak_watts, Some(40.1));
-    running.end().await;
+    assert_eq!(
+        (&*found.total_from, &*found.source),
+        ("input_rail", "tegrastats")
+    );
+    let cpu = found.domains.iter().find(|domain| domain.domain == "cpu");
+    let share = cpu.unwrap().joules / found.node_joules.unwrap();
+    assert!(
+        close(share, 0.3),
+        "the domains follow their rails: {found:?}"
+    );
 }
 
 #[tokio::test]
 async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
     let task = json!({"curve": [[0, 30], [1, 30]], "stall": [1.5, 4.0]});
-    let running = run(&task).await;
-    let (mean, found) = running.watch(Duration::from_secs(6)).await;
+    let (mean, found, failed_reads) = watch(&task, Duration::from_secs(6)).await;
     assert!(close(mean, 30.0), "{found:?}");
     assert_eq!(found.quality, EnergyQuality::Partial);
     assert!(found.coverage < 0.65 && found.coverage > 0.2, "{found:?}");
-    assert!(running.power.snapshot().failed_reads > 0);
-    running.end().await;
+    assert!(failed_reads > 0);
 }
 
 #[test]
@@ -121,22 +87,6 @@ fn a_slow_first_line_is_not_a_stall() {
     let (_folder, config) = stand_in(&task);
     let mut meter = power::open(&config).unwrap();
     let _no_line_yet = meter.poll(Instant::now()).unwrap();
-}
-
-#[tokio::test]
-async fn a_child_that_exits_is_restarted_and_its_partial_last_line_is_ignored() {
-    let task = json!({"curve": [[0, 30], [1, 30]], "die_at": 1.5});
-    let running = run(&task).await;
-    let (mean, found) = running.watch(Duration::from_secs(6)).await;
-    assert!(close(mean, 30.0), "{found:?}");
-    assert_eq!(found.domains[0].peak_watts, Some(30.0));
-    until("it prints again", async || {
-        let now = Instant::now();
-        let after = running.energy(now - Duration::from_millis(900), now).await;
-        after.samples > 3
-    })
-    .await;
-    running.end().await;
 }
 
 #[test]

@@ -41,20 +41,6 @@ fn a_missing_file_folder_or_model_is_named() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_missing_ffmpeg_comes_with_how_to_install_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let video = folder.path().join("drive.mp4");
-    std::fs::write(&video, b"x").unwrap();
-    let path = folder.path().to_str().unwrap();
-    let arguments = ["eval", "video", video.to_str().unwrap(), "--detector"];
-    let detector = detector("colours.onnx");
-    let arguments = [&arguments[..], &[&*detector]].concat();
-    let said = run(&arguments, &[("PATH", path)]).fails();
-    assert_contains(&said, &["apt-get install ffmpeg"]);
-}
-
-#[test]
-#[ignore = "needs ONNX Runtime"]
 fn a_broken_picture_and_one_of_another_size_are_named() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 3);

@@ -199,12 +199,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn edp_is_energy_times_duration_over_frames_in_milliseconds() {
-        let energy = Energy::new(800.0, 10.0, 200);
-        assert_eq!(energy.edp, 40_000.0);
-    }
-
-    #[test]
     fn shares_add_up_and_skipped_frames_are_e_and_p_without_degraded_ones() {
         let mut result = ClipResult::default();
         for state in FrameState::ALL.into_iter().chain([FrameState::P]) {

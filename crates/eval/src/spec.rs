@@ -237,13 +237,6 @@ mod tests {
     }
 
     #[test]
-    fn labels_are_those_of_the_published_traces_and_the_baseline_is_always_there() {
-        let labels = labels(&["albireo", "albireo:1e-3"], &[]).expect("known policies");
-        let [three, ten] = ["albireo-u3e-4-erd-nonempty", "albireo-u1e-3-erd-nonempty"];
-        assert_eq!(labels, ["vanilla", three, ten]);
-    }
-
-    #[test]
     fn a_label_is_split_into_family_and_setting() {
         for (label, family, setting) in [
             ("albireo-u3e-4-erd-nonempty", "albireo", "u = 3e-4"),
@@ -258,8 +251,11 @@ mod tests {
     }
 
     #[test]
-    fn every_policy_has_a_unique_label_with_its_setting() {
+    fn policies_have_the_labels_of_the_published_traces_and_the_baseline_is_always_there() {
         let (asked, expected): (Vec<_>, Vec<_>) = [
+            ("vanilla", "vanilla"),
+            ("albireo", "albireo-u3e-4-erd-nonempty"),
+            ("albireo:1e-3", "albireo-u1e-3-erd-nonempty"),
             ("fixed-skip:2", "fixedskip-2"),
             ("ctd:0.5", "ctd-0.50"),
             ("statues:75", "statues-75"),
@@ -270,7 +266,9 @@ mod tests {
         ]
         .into_iter()
         .unzip();
-        assert_eq!(labels(&asked, &[]).expect("known policies")[1..], expected);
+        for asked in [&asked[..], &asked[1..]] {
+            assert_eq!(labels(asked, &[]).expect("known policies"), expected);
+        }
     }
 
     #[test]

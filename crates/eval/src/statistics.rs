@@ -61,17 +61,13 @@ mod tests {
     }
 
     #[test]
-    fn undefined_figures_are_absent() {
+    fn undefined_figures_are_absent_and_equal_differences_certain() {
+        assert_eq!(half_interval(&[0.5, 0.5, 0.5]), Some(0.0));
         assert_eq!(half_interval(&[1.0]), None);
         assert_eq!(half_interval(&[0.0, 0.0, 0.0]), None);
         assert_eq!(half_interval(&[1.0, f64::NAN]), None);
         assert_eq!(quantile(&[], 0.5), None);
         assert_eq!(mean([]), None);
-    }
-
-    #[test]
-    fn differences_that_are_all_equal_are_certain() {
-        assert_eq!(half_interval(&[0.5, 0.5, 0.5]), Some(0.0));
     }
 
     #[test]

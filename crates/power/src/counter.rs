@@ -68,13 +68,4 @@ mod tests {
         assert!(counter.update(at(3), 5_000_000));
         assert!((counter.joules() - 7.0).abs() < 1e-9);
     }
-
-    #[test]
-    fn a_decrease_without_a_known_range_is_a_reset() {
-        let start = Instant::now();
-        let mut counter = Counter::new(1e-3, None);
-        assert!(counter.update(start, 5_000_000));
-        assert!(!counter.update(start + Duration::from_secs(1), 10));
-        assert_eq!(counter.joules(), 0.0);
-    }
 }

@@ -181,25 +181,8 @@ fn mean_watts(run: &Run) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::summary::tests::{comparison, rounds, run};
-    use super::super::{Agreement, Suggestion, summarise};
+    use super::super::{Suggestion, summarise};
     use super::*;
-
-    fn lines(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
-        let runs = rounds(joules, calls)
-            .map(|mut run| {
-                let ap50 = if run.variant == 0 { 1.0 } else { ap50 };
-                run.agreement = Some(Agreement {
-                    ap50,
-                    precision: 0.9,
-                    recall: 0.9,
-                    frames: 100,
-                });
-                run
-            })
-            .collect();
-        let comparison = comparison(&["vanilla", "expected-loss lambda=0.3"], runs);
-        sentences(&comparison)
-    }
 
     fn sentences(comparison: &Comparison) -> Vec<String> {
         let verdicts = verdicts(comparison, &summarise(comparison)).into_iter();
@@ -208,7 +191,8 @@ mod tests {
 
     #[test]
     fn a_difference_within_its_interval_is_not_clear() {
-        let lines = lines([80.0, 79.9], 0.9, 39);
+        let policies = ["vanilla", "expected-loss lambda=0.3"];
+        let lines = sentences(&comparison(&policies, rounds([80.0, 79.9], 39).collect()));
         assert!(
             lines[0].contains("no clear difference in energy in 3 rounds"),
             "{lines:?}"

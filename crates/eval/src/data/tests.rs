@@ -44,8 +44,8 @@ fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Data
 }
 
 #[test]
-fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
-    let rows = "0,1,2,3.5,4,0.9,2\n2,1,1,9,9,0.25,0\n";
+fn recorded_detections_and_ground_truth_are_read_frame_by_frame_and_written_back() {
+    let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
     let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
     let clip = &clips.clips[0];
     let detections = clip.detections.as_ref().unwrap();
@@ -56,12 +56,6 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
     let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[1][0].object, Some(7));
     assert_eq!(clips.report, LoadReport::default());
-}
-
-#[test]
-fn written_data_is_read_back_to_the_last_bit() {
-    let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
-    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
     assert_written_back(&clips);
 }
 
@@ -80,12 +74,6 @@ fn ignored_regions_are_read_frame_by_frame_and_written_back() {
 }
 
 #[test]
-fn missing_ground_truth_that_the_index_counts_is_named() {
-    let index = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
-    assert_refused(recorded(&index, Some(""), None), &["groundtruth/a.csv"]);
-}
-
-#[test]
 fn a_broken_row_is_named_with_file_and_line() {
     for (row, part) in [
         ("0,1,2,3,4,0.9", "the row has 6 columns"),
@@ -100,6 +88,8 @@ fn a_broken_row_is_named_with_file_and_line() {
         assert_refused(recorded(INDEX, Some(&rows), None), &parts);
     }
     let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
+    let parts = ["detections/a.csv", "needs its detections"];
+    assert_refused(recorded(INDEX, None, None), &parts);
     let header = "a.csv:1: the header is `frame,x`";
     assert_refused(recorded::read(files.path()), &[header]);
     let index = "{\n\"sequences\": [{]}";
@@ -145,6 +135,10 @@ fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
     assert!(lines.contains("no detections"), "{lines}");
     let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
     assert!(clips.report.lines()[0].contains("no ground truth"));
+    // The index counts boxes.
+    let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
+    let missing = recorded(&counted, Some(""), None);
+    assert_refused(missing, &["groundtruth/a.csv"]);
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
     assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
 }

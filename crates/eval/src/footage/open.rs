@@ -121,22 +121,16 @@ mod tests {
 
     #[test]
     fn a_source_is_recognised_by_its_name() {
-        assert_eq!(
-            "drive.mp4".parse(),
-            Ok(SourceName::Video(PathBuf::from("drive.mp4")))
-        );
-        assert_eq!(
-            "one.PNG".parse(),
-            Ok(SourceName::Pictures(PathBuf::from("one.PNG")))
-        );
-        let archive = |path: &str| Ok(SourceName::Archive(PathBuf::from(path)));
-        assert_eq!("demo".parse(), archive("demo/road.tar"));
-        assert_eq!("other.tar".parse(), archive("other.tar"));
         let folder = env!("CARGO_MANIFEST_DIR");
-        assert_eq!(
-            folder.parse(),
-            Ok(SourceName::Pictures(PathBuf::from(folder)))
-        );
+        for (text, expected) in [
+            ("drive.mp4", SourceName::Video("drive.mp4".into())),
+            ("one.PNG", SourceName::Pictures("one.PNG".into())),
+            ("demo", SourceName::Archive("demo/road.tar".into())),
+            ("other.tar", SourceName::Archive("other.tar".into())),
+            (folder, SourceName::Pictures(folder.into())),
+        ] {
+            assert_eq!(text.parse(), Ok(expected));
+        }
     }
 
     #[test]

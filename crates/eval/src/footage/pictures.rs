@@ -254,14 +254,9 @@ mod tests {
     #[test]
     fn pictures_of_a_folder_come_in_order_and_can_be_rewound() {
         let folder = tempfile::tempdir().unwrap();
-        let picture = |name: &str, side: u16| {
-            let file = jpeg_encoder::Encoder::new_file(folder.path().join(name), 80).unwrap();
-            let pixels = vec![0; 3 * usize::from(side) * usize::from(side)];
-            file.encode(&pixels, side, side, jpeg_encoder::ColorType::Rgb)
-                .unwrap();
-        };
-        picture("10.jpg", 16);
-        picture("9.jpg", 8);
+        for (name, side) in [("10.jpg", 16), ("9.jpg", 8)] {
+            std::fs::write(folder.path().join(name), jpeg(side)).unwrap();
+        }
         let mut opened = Pictures::of_folder(folder.path(), 5.0).unwrap();
         assert_eq!(opened.frames(), Some(2));
         for _ in 0..2 {

@@ -99,7 +99,9 @@ fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
     assert_eq!(spent.energy.quality, EnergyQuality::Measured);
     assert!((spent.energy.coverage - 1.0).abs() < 1e-9);
     assert_eq!(spent.energy.samples, 107_998);
-    assert_eq!(spent.energy.domains[0].peak_watts, Some(15.0));
+    let whole = &spent.energy.domains[0];
+    assert_eq!(whole.peak_watts, Some(15.0));
+    assert!((whole.mean_watts - whole.joules / 10_799.75).abs() < 1e-6);
     assert!(most < 1100, "{most} entries");
 }
 
@@ -186,15 +188,6 @@ fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
 }
 
 #[test]
-fn mean_watts_are_joules_divided_by_seconds() {
-    let mut bench = Bench::new();
-    bench.sample_until(4000, |_| 7.0);
-    let energy = bench.energy(500, 3500);
-    assert!((total(&energy) - 21.0).abs() < 1e-9);
-    assert!((energy.domains[0].mean_watts - 7.0).abs() < 1e-9);
-}
-
-#[test]
 fn savings_are_the_time_of_avoided_calls_times_detector_watts() {
     let mut bench = Bench::new();
     let mut clip = None;
@@ -230,6 +223,17 @@ fn a_forgotten_measurement_leaves_nothing_behind() {
     bench.account.forget(given_up);
     assert_eq!(bench.account.footprint(), before);
     assert!(bench.account.close(given_up, bench.at(0)).is_none());
+}
+
+#[test]
+fn the_peak_of_a_counter_is_its_highest_mean_between_two_samples() {
+    let mut bench = Bench::new();
+    for (at, joules) in [(0, 0.0), (100, 1.0), (200, 4.0), (300, 5.0)] {
+        let counted = reading(&[(Domain::Total, Value::Counter(joules))]);
+        bench.account.sampled(bench.at(at), &counted);
+    }
+    let peak = bench.energy(0, 300).domains[0].peak_watts.unwrap();
+    assert!((peak - 30.0).abs() < 1e-6, "{peak}");
 }
 
 #[test]

@@ -52,18 +52,14 @@ fn energy_is_divided_by_detector_time_or_else_by_frames() {
     });
     assert_near(joules, [750.0, 250.0], 1e-9);
     // Without calls, frames decide after some time constants.
-    pass(&mut cameras, 200, |cameras, sample| {
+    let frames = |cameras: &mut Attribution, sample: u64| {
         cameras.frame(FRONT);
         if sample.is_multiple_of(9) {
             cameras.frame(REAR);
         }
-    });
-    let (joules, _) = pass(&mut cameras, 900, |cameras, sample| {
-        cameras.frame(FRONT);
-        if sample.is_multiple_of(9) {
-            cameras.frame(REAR);
-        }
-    });
+    };
+    pass(&mut cameras, 200, frames);
+    let (joules, _) = pass(&mut cameras, 900, frames);
     assert_near(joules, [810.0, 90.0], 1.0);
     // Without calls and frames the shares stay as they were.
     let (joules, _) = pass(&mut cameras, 1000, |_, _| {});

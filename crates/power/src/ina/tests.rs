@@ -63,7 +63,10 @@ fn the_input_monitor_of_a_thor_gives_the_total() {
     tree.write("sys/class/hwmon/hwmon5/name", "ina238");
     tree.write("sys/class/hwmon/hwmon5/power1_input", "31250000");
     assert!(close(watts(&tree, Domain::Total), 31.25));
-    assert_eq!(&*read(&tree).total_from, "input_rail");
+    let found = read(&tree);
+    assert_eq!(&*found.total_from, "input_rail");
+    let in_total = found.rails.iter().filter(|rail| rail.in_total);
+    assert_eq!(in_total.count(), 1, "the parts are not added to the whole");
 }
 
 #[test]
@@ -75,8 +78,12 @@ fn two_monitors_of_a_board_make_one_reading() {
     ]);
     tree.ina3221("hwmon4", &[("NC", 0, 0), ("VDDQ_VDD2_1V8AO", 5000, 80)]);
     assert!(close(watts(&tree, Domain::Total), 6.0));
+    // A rail below zero counts as zero, but is reported as read.
     assert!(close(watts(&tree, Domain::Cpu), 0.0));
-    assert_eq!(read(&tree).rails.len(), 4);
+    let rails = read(&tree).rails;
+    assert_eq!(rails.len(), 4);
+    let cpu = rails.iter().find(|rail| &*rail.name == "VDD_CPU_CV");
+    assert!(close(cpu.unwrap().value.watts(), -0.4));
 }
 
 #[test]

@@ -31,21 +31,6 @@ fn every_built_in_table_is_valid() {
 }
 
 #[test]
-fn the_total_is_the_input_rail_if_there_is_one() {
-    let found = read(&[
-        ("VDD_GPU", 2.0),
-        ("VDD_CPU_SOC_MSS", 5.9),
-        ("VIN_SYS_5V0", 5.6),
-        ("VIN", 19.8),
-    ]);
-    assert_eq!(watts(&found, Domain::Total), Some(19.8));
-    assert_eq!(&*found.total_from, "input_rail");
-    assert_eq!(watts(&found, Domain::Gpu), Some(2.0));
-    let in_total: Vec<_> = found.rails.iter().filter(|r| r.in_total).collect();
-    assert_eq!(in_total.len(), 1, "the parts are not added to the whole");
-}
-
-#[test]
 fn a_missing_input_rail_is_a_gap_and_keeps_the_rule() {
     let mut map = RailMap::new(None).unwrap();
     let parts = [
@@ -60,25 +45,6 @@ fn a_missing_input_rail_is_a_gap_and_keeps_the_rule() {
     assert_eq!(watts(&found, Domain::Total), None);
     assert_eq!(watts(&found, Domain::Cpu), Some(6.0));
     assert_eq!(&*found.total_from, "input_rail");
-}
-
-#[test]
-fn a_sum_with_a_missing_rail_gives_no_total() {
-    let found = read(&[("VDD_GPU_SOC", 2.0), ("VDD_CPU_CV", 1.0)]);
-    assert_eq!(watts(&found, Domain::Total), None);
-    assert_eq!(watts(&found, Domain::Gpu), Some(2.0));
-}
-
-#[test]
-fn a_negative_rail_counts_as_zero_but_is_reported_as_read() {
-    let found = read(&[
-        ("VDD_GPU_SOC", 1.592),
-        ("VDD_CPU_CV", -0.398),
-        ("VIN_SYS_5V0", 2.624),
-    ]);
-    assert_eq!(watts(&found, Domain::Total), Some(1.592 + 2.624));
-    assert_eq!(watts(&found, Domain::Cpu), Some(0.0));
-    assert_eq!(found.rails[1].value, Value::Power(-0.398));
 }
 
 #[test]

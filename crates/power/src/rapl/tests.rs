@@ -58,11 +58,6 @@ fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
     [Some(10.0), None, Some(10.0), None],
     "sum_of_rails",
 )]
-#[case::a_reset_is_not_mistaken_for_a_wrap(
-    &[(PACKAGE, "package-0", 5_000_000_000, 1_000_000)],
-    [Some(0.0), None, Some(0.0), None],
-    "sum_of_rails",
-)]
 fn energy_per_domain(
     #[case] zones: &[(&str, &str, u64, u64)],
     #[case] joules: [Option<f64>; 4],

@@ -130,14 +130,7 @@ mod tests {
         let categories = names(Detr, Some(91)).unwrap();
         assert_eq!(categories.len(), 91);
         // Category numbers from the annotation files of COCO 2017.
-        for (number, name) in [
-            (0, ""),
-            (1, "person"),
-            (3, "car"),
-            (13, "stop sign"),
-            (18, "dog"),
-            (90, "toothbrush"),
-        ] {
+        for (number, name) in [(0, ""), (3, "car"), (13, "stop sign"), (90, "toothbrush")] {
             assert_eq!(categories[number], name);
         }
         for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {

@@ -105,7 +105,7 @@ impl Drop for PreparedPicture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::{ColorOrder, Fit, PixelLayout, TensorLayout, ValueRange};
+    use crate::picture::{ColorOrder, Fit, TensorLayout, ValueRange};
     use albireo_core::geometry::PictureSize;
 
     fn preparation() -> Preparation {
@@ -119,12 +119,9 @@ mod tests {
     }
 
     fn picture(value: u8) -> Picture {
-        let size = PictureSize::new(4, 2);
         Picture {
-            size,
-            source_size: size,
-            layout: PixelLayout::Rgb8,
             pixels: vec![value; 24],
+            ..Picture::black(PictureSize::new(4, 2))
         }
     }
 

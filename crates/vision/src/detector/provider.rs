@@ -91,42 +91,28 @@ mod tests {
     use super::*;
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
 
-    fn try_with(
-        providers: &[ExecutionProvider],
-        working: &[ExecutionProvider],
-    ) -> (
-        Result<ExecutionProvider, StartError>,
-        Vec<ExecutionProvider>,
-    ) {
-        let mut tried = Vec::new();
-        let outcome = first_that_works(providers, |provider| {
-            tried.push(provider);
-            if working.contains(&provider) {
-                Ok(provider)
-            } else {
-                Err(StartError::ProviderUnavailable {
-                    provider: provider.as_str(),
-                    reason: "not here".to_owned(),
-                })
-            }
-        });
-        (outcome, tried)
-    }
-
     #[test]
     fn providers_are_tried_in_their_order_until_one_works() {
-        let (outcome, tried) = try_with(&[TensorRt, Cuda, Cpu], &[Cuda, Cpu]);
-        assert_eq!(outcome.unwrap(), Cuda);
-        assert_eq!(tried, [TensorRt, Cuda]);
-        let (outcome, tried) = try_with(&[Cuda], &[Cpu]);
-        assert!(outcome.unwrap_err().to_string().contains("`cuda`"));
-        assert_eq!(tried, [Cuda]);
-    }
-
-    #[test]
-    fn an_empty_list_is_an_error_that_names_its_key() {
-        let (outcome, _) = try_with(&[], &[Cpu]);
-        let error = outcome.unwrap_err().to_string();
-        assert!(error.contains("detector.providers"), "{error}");
+        let first = |providers: &[ExecutionProvider]| {
+            let mut tried = Vec::new();
+            let found = first_that_works(providers, |provider| {
+                tried.push(provider);
+                match provider {
+                    TensorRt => Err(StartError::ProviderUnavailable {
+                        provider: provider.as_str(),
+                        reason: "not here".to_owned(),
+                    }),
+                    works => Ok(works),
+                }
+            });
+            (found.map_err(|error| error.to_string()), tried)
+        };
+        let expected = (Ok(Cuda), vec![TensorRt, Cuda]);
+        assert_eq!(first(&[TensorRt, Cuda, Cpu]), expected);
+        let (found, tried) = first(&[TensorRt]);
+        assert!(found.unwrap_err().contains("`tensorrt`"));
+        assert_eq!(tried, [TensorRt]);
+        let (none, _) = first(&[]);
+        assert!(none.unwrap_err().contains("detector.providers"));
     }
 }

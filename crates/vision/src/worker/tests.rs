@@ -8,7 +8,6 @@ mod spare;
 
 use super::*;
 use parking_lot::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc as blocking;
 use tokio::sync::mpsc;
 use tokio::time::advance;
@@ -16,6 +15,7 @@ use tokio::time::advance;
 const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The result of the scripted model's next run.
+#[derive(Clone, Copy, Debug)]
 enum Step {
     Answer,
     AnswerTooFew,
@@ -28,13 +28,28 @@ enum Step {
 /// The picture of a scripted model: its camera, and shared data.
 type Scene = (CameraSlot, Arc<()>);
 
+/// What all models of a test share.
+struct Script {
+    started: mpsc::UnboundedSender<Vec<CameraSlot>>,
+    steps: Mutex<blocking::Receiver<Step>>,
+    ended: mpsc::UnboundedSender<()>,
+    next: Mutex<Next>,
+}
+
+/// How the next models are built, and how the next one ends.
+struct Next {
+    /// The number of builds that will fail, and their reason.
+    failing: usize,
+    failure: &'static str,
+    facts: usize,
+    /// The signal that the next dropped model waits for.
+    end: Option<blocking::Receiver<()>>,
+}
+
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
 struct Scripted {
-    started: mpsc::UnboundedSender<Vec<CameraSlot>>,
-    steps: Arc<Mutex<blocking::Receiver<Step>>>,
-    ended: mpsc::UnboundedSender<()>,
+    script: Arc<Script>,
     facts: usize,
-    end: Arc<Mutex<Option<blocking::Receiver<()>>>>,
 }
 
 impl Model for Scripted {
@@ -48,8 +63,8 @@ impl Model for Scripted {
 
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, InferenceError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
-        self.started.send(cameras.clone()).ok();
-        let step = self.steps.lock().recv();
+        self.script.started.send(cameras.clone()).ok();
+        let step = self.script.steps.lock().recv();
         match step {
             Ok(Step::Answer) => Ok(cameras),
             Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
@@ -70,8 +85,8 @@ impl Model for Scripted {
 
 impl Drop for Scripted {
     fn drop(&mut self) {
-        self.ended.send(()).ok();
-        let hangs = self.end.lock().take();
+        self.script.ended.send(()).ok();
+        let hangs = self.script.next.lock().end.take();
         if let Some(until) = hangs {
             until.recv().ok();
         }
@@ -85,14 +100,7 @@ struct Stage {
     ended: mpsc::UnboundedReceiver<()>,
     /// The results of the next runs, on any model.
     steps: blocking::Sender<Step>,
-    /// The number of builds that will fail.
-    failing_builds: Arc<AtomicUsize>,
-    /// The reason of failing builds.
-    build_failure: Arc<Mutex<&'static str>>,
-    /// The facts of models built from now on.
-    facts: Arc<AtomicUsize>,
-    /// The signal that the next dropped model waits for.
-    end: Arc<Mutex<Option<blocking::Receiver<()>>>>,
+    script: Arc<Script>,
     _held: blocking::Sender<()>,
 }
 
@@ -108,34 +116,31 @@ async fn stage(settings: WorkerSettings) -> Stage {
     let held = hold_time();
     let (tell_started, started) = mpsc::unbounded_channel();
     let (tell_ended, ended) = mpsc::unbounded_channel();
-    let (steps, script) = blocking::channel();
-    let script = Arc::new(Mutex::new(script));
-    let failing_builds = Arc::new(AtomicUsize::new(0));
-    let failing = failing_builds.clone();
-    let facts = Arc::new(AtomicUsize::new(7));
-    let their_facts = facts.clone();
-    let end: Arc<Mutex<Option<blocking::Receiver<()>>>> = Arc::default();
-    let their_end = end.clone();
-    let build_failure = Arc::new(Mutex::new("scripted build failure"));
-    let their_failure = build_failure.clone();
+    let (steps, next_steps) = blocking::channel();
+    let script = Arc::new(Script {
+        started: tell_started,
+        steps: Mutex::new(next_steps),
+        ended: tell_ended,
+        next: Mutex::new(Next {
+            failing: 0,
+            failure: "scripted build failure",
+            facts: 7,
+            end: None,
+        }),
+    });
+    let followed = script.clone();
     let factory = move || {
-        let fails = failing
-            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| {
-                left.checked_sub(1)
-            })
-            .is_ok();
-        if fails {
+        let mut next = followed.next.lock();
+        if next.failing > 0 {
+            next.failing -= 1;
             return Err(StartError::WarmUp {
                 path: "scripted.onnx".into(),
-                reason: (*their_failure.lock()).to_owned(),
+                reason: next.failure.to_owned(),
             });
         }
         Ok(Scripted {
-            started: tell_started.clone(),
-            steps: script.clone(),
-            ended: tell_ended.clone(),
-            facts: their_facts.load(Ordering::SeqCst),
-            end: their_end.clone(),
+            script: followed.clone(),
+            facts: next.facts,
         })
     };
     Stage {
@@ -143,10 +148,7 @@ async fn stage(settings: WorkerSettings) -> Stage {
         started,
         ended,
         steps,
-        failing_builds,
-        build_failure,
-        facts,
-        end,
+        script,
         _held: held,
     }
 }
@@ -222,10 +224,13 @@ impl Stage {
     /// The reason, once the status is degraded.
     async fn until_degraded(&self) -> String {
         let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
-        match &*self.worker.status.clone().wait_for(degraded).await.unwrap() {
-            DetectorStatus::Degraded { reason, .. } => reason.clone(),
-            other => panic!("{other:?}"),
-        }
+        self.until_fault(degraded).await
+    }
+
+    async fn until_fault(&self, fits: fn(&DetectorStatus) -> bool) -> String {
+        let mut status = self.worker.status.clone();
+        let status = status.wait_for(fits).await.unwrap();
+        status.fault().unwrap().to_owned()
     }
 
     async fn until_rebuilds_failed(&self, times: u64) {
@@ -357,31 +362,15 @@ async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_model_with_impossible_results_is_reported_and_tried_again() {
-    let mut stage = stage(settings()).await;
-    let error = stage.run(Step::Implausible).await.unwrap_err();
-    let reason = "scripted nonsense".to_owned();
-    assert_eq!(error, InferenceError::Implausible(reason.clone()));
-    let provider = ExecutionProvider::Cpu;
-    let expected = DetectorStatus::Implausible { reason, provider };
-    assert_eq!(*stage.worker.status.borrow(), expected);
-    assert!(stage.worker.accepts().is_ok());
-    stage.run(Step::Answer).await.unwrap();
-    let status = stage.worker.status.borrow().clone();
-    assert!(matches!(status, DetectorStatus::Ready { .. }));
-    let counts = stage.counts();
-    let counted = (counts.completed, counts.failed, counts.rebuilds);
-    assert_eq!(counted, (1, 1, 0));
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let mut stage = stage(settings()).await;
     let error = stage.fail(Step::Fail).await;
     assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
     // The status is set before the answer is sent.
-    let status = stage.worker.status.borrow().clone();
-    assert!(matches!(status, DetectorStatus::Degraded { .. }));
+    match &*stage.worker.status.borrow() {
+        DetectorStatus::Degraded { reason, .. } => assert_eq!(*reason, error.to_string()),
+        other => panic!("{other:?}"),
+    }
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
 
@@ -390,24 +379,21 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     pass(Duration::from_millis(200)).await;
     stage.until_ready().await;
 
+    let error = stage.fail(Step::AnswerTooFew).await.to_string();
+    assert!(error.contains("answered 0 of 1"), "{error}");
+    pass(Duration::from_millis(400)).await;
+    stage.until_ready().await;
+
     stage.run(Step::Answer).await.unwrap();
     let expected = WorkerCounts {
         completed: 1,
         batches: 1,
-        failed: 1,
+        failed: 2,
         panicked: 1,
-        rebuilds: 2,
+        rebuilds: 3,
         ..WorkerCounts::default()
     };
     assert_eq!(stage.counts(), expected);
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_model_that_does_not_answer_every_picture_counts_as_failed() {
-    let mut stage = stage(settings()).await;
-    let error = stage.run(Step::AnswerTooFew).await.unwrap_err().to_string();
-    assert!(error.contains("answered 0 of 1"), "{error}");
-    assert_eq!(stage.counts().failed, 1);
 }
 
 const BATCH_WAIT: Duration = Duration::from_millis(10);
@@ -421,22 +407,32 @@ fn in_threes() -> WorkerSettings {
 }
 
 #[tokio::test(start_paused = true)]
-async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer() {
+async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
+    const WAITED: Duration = Duration::from_millis(500);
+    const RUN: Duration = Duration::from_millis(20);
     let mut stage = stage(in_threes()).await;
     // No other camera has asked before, so the run does not wait.
     let first = stage.begin(0).await;
     let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
     stage.until_waiting(4).await;
+    pass(WAITED).await;
     stage.end(Step::Answer);
-    first.await.unwrap().unwrap();
+    let first = first.await.unwrap().unwrap();
+    assert_eq!((first.took, first.pictures), (WAITED, 1));
     assert_eq!(stage.next_run().await, [1, 2, 3]);
+    pass(RUN).await;
     stage.end(Step::Answer);
-    // Two more of the five cameras could join, but do not.
-    pass(BATCH_WAIT).await;
+    // The fourth has waited long enough for others.
     assert_eq!(stage.next_run().await, [4]);
     stage.end(Step::Answer);
     for (camera, answer) in (1..).zip(asked) {
-        assert_eq!(answer.await.unwrap().unwrap().output, CameraSlot(camera));
+        let answer = answer.await.unwrap().unwrap();
+        assert_eq!(answer.output, CameraSlot(camera));
+        let expected = match camera {
+            4 => (WAITED + RUN, Duration::ZERO, 1),
+            _ => (WAITED, RUN, 3),
+        };
+        assert_eq!((answer.queued, answer.took, answer.pictures), expected);
     }
     let counters = stage.counts();
     assert_eq!((counters.completed, counters.batches), (5, 3));
@@ -468,28 +464,6 @@ async fn a_picture_waits_for_others_only_for_the_configured_time() {
     stage.end(Step::Answer);
     assert_eq!(one.await.unwrap().unwrap().queued, BATCH_WAIT / 2);
     assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_run_reports_its_own_time_without_waiting_and_how_many_shared_it() {
-    const WAITED: Duration = Duration::from_millis(500);
-    const RUN: Duration = Duration::from_millis(20);
-    let mut stage = stage(in_threes()).await;
-    let first = stage.begin(0).await;
-    let waiting = [1, 2, 3].map(|camera| stage.ask(camera));
-    stage.until_waiting(3).await;
-    pass(WAITED).await;
-    stage.end(Step::Answer);
-    assert_eq!(stage.next_run().await, [1, 2, 3]);
-    pass(RUN).await;
-    stage.end(Step::Answer);
-    let first = first.await.unwrap().unwrap();
-    assert_eq!((first.took, first.pictures), (WAITED, 1));
-    for waited in waiting {
-        let answer = waited.await.unwrap().unwrap();
-        assert_eq!(answer.queued, WAITED);
-        assert_eq!((answer.took, answer.pictures), (RUN, 3));
-    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -540,31 +514,15 @@ async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_failed_rebuild_is_retried_and_the_status_says_why() {
-    let mut stage = stage(settings()).await;
-    stage.failing_builds.store(2, Ordering::SeqCst);
-    stage.fail(Step::Fail).await;
-    for (pause, failed) in [(100, 1), (200, 2)] {
-        pass(Duration::from_millis(pause)).await;
-        stage.until_rebuilds_failed(failed).await;
-        let reason = stage.until_degraded().await;
-        assert!(reason.contains("scripted build failure"), "{reason}");
-    }
-    pass(Duration::from_millis(400)).await;
-    stage.until_ready().await;
-    assert_eq!(stage.counts().rebuilds, 3);
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_model_rebuilt_with_another_signature_is_rejected_until_the_old_one_returns() {
     let mut stage = stage(settings()).await;
-    stage.facts.store(8, Ordering::SeqCst);
+    stage.script.next.lock().facts = 8;
     stage.fail(Step::Fail).await;
     pass(Duration::from_millis(100)).await;
     stage.until_rebuilds_failed(1).await;
     let reason = stage.until_degraded().await;
     assert!(reason.contains("than when the program started"), "{reason}");
-    stage.facts.store(7, Ordering::SeqCst);
+    stage.script.next.lock().facts = 7;
     pass(Duration::from_millis(200)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 2);
@@ -645,16 +603,8 @@ async fn the_picture_belongs_to_the_caller_again_after_the_answer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_first_model_that_cannot_be_built_or_panics_is_an_error() {
+async fn a_panic_while_the_first_model_is_built_is_an_error() {
     let _held = hold_time();
-    let refusing = Worker::start(settings(), || -> Result<Scripted, _> {
-        Err(StartError::Configuration {
-            key: "detector.model".to_owned(),
-            reason: "scripted refusal".to_owned(),
-        })
-    });
-    let error = refusing.await.err().unwrap().to_string();
-    assert!(error.contains("scripted refusal"), "{error}");
     let panicking = Worker::start(settings(), || -> Result<Scripted, _> {
         panic!("scripted panic")
     });

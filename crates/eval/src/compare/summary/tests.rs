@@ -1,29 +1,28 @@
 use super::super::run::Playback;
 use super::*;
-use albireo_wire::{BoardState, FrameStates};
-use serde_json::json;
+use albireo_wire::{BoardState, ClipEnergy, ClipReport, FrameStates, Percentiles};
 
-/// A run of 100 frames with `calls` detector calls and this energy.
+/// A run of 100 frames and 10 s with `calls` detector calls and this energy.
 pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>) -> Run {
     let states = FrameStates {
         i: calls,
         p: 100 - calls,
         ..FrameStates::default()
     };
-    let times = |count: u64, mean: f64| json!({"count": count, "mean": mean, "p50": 0.0, "p95": 0.0, "p99": 0.0});
-    // The clip lasts 10 s.
-    let energy = json!({
-        "joules": joules, "node_joules": joules, "edp": joules.map(|joules| joules * 10.0 * 1e3 / 100.0),
-        "quality": if joules.is_some() { "measured" } else { "unavailable" },
-        "source": "rapl", "total_from": "input_rail", "samples": 100, "coverage": 1.0, "domains": [],
-    });
-    let report = json!({
-        "v": 1, "id": "00000000-0000-0000-0000-000000000000", "node": "compare", "camera": "camera",
-        "clip": "measured", "ended_by": "shutdown", "started_ns": 0, "duration_s": 10.0, "frames": 100,
-        "states": states, "skip_rate": states.skip_rate(0), "degraded_frames": 0, "dropped": {}, "policy": "albireo",
-        "threshold_changes": [], "model": "detector.onnx", "provider": "cpu",
-        "total_latency_ms": times(100, 12.5), "detector_latency_ms": times(calls, 20.0), "energy": energy,
-    });
+    let times = |count, mean| Percentiles {
+        count,
+        mean,
+        ..Percentiles::default()
+    };
+    let quality = joules.map_or(EnergyQuality::Unavailable, |_| EnergyQuality::Measured);
+    let energy = ClipEnergy {
+        joules,
+        edp: joules.map(|joules| joules * 100.0),
+        quality,
+        source: "rapl".to_owned(),
+        coverage: 1.0,
+        ..ClipEnergy::default()
+    };
     Run {
         round,
         variant,
@@ -31,7 +30,15 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         meter_share_of_core: 0.001,
         agreement: None,
         advice: None,
-        report: serde_json::from_value(report).unwrap(),
+        report: ClipReport {
+            duration_s: 10.0,
+            states,
+            skip_rate: states.skip_rate(0),
+            total_latency_ms: times(100, 12.5),
+            detector_latency_ms: times(calls, 20.0),
+            energy,
+            ..ClipReport::default()
+        },
     }
 }
 

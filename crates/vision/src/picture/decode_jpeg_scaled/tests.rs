@@ -80,22 +80,19 @@ fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
     let picture = scene(PictureSize::new(640, 360));
     let target = Some(PictureSize::new(320, 180));
     assert!(decoded(&picture, PixelLayout::Rgb8, target).is_ok());
-    let half = EncodedPicture {
-        bytes: Bytes::copy_from_slice(&picture.bytes[..picture.bytes.len() / 2]),
-        ..picture.clone()
-    };
-    assert!(decoded(&half, PixelLayout::Rgb8, target).is_err());
+    let half = picture.bytes.slice(..picture.bytes.len() / 2);
     // The end marker is present, but pixels before it are missing.
-    let mut without_middle = picture.bytes[..picture.bytes.len() / 2].to_vec();
-    without_middle.extend([0xFF, 0xD9]);
-    let damaged = EncodedPicture {
-        bytes: without_middle.into(),
-        ..picture.clone()
-    };
-    assert!(decoded(&damaged, PixelLayout::Rgb8, target).is_err());
-    let other_size = EncodedPicture {
-        size: PictureSize::new(1280, 720),
-        ..picture
-    };
-    assert!(decoded(&other_size, PixelLayout::Rgb8, target).is_err());
+    let without_middle = Bytes::from([&half[..], &[0xFF, 0xD9]].concat());
+    for (bytes, size) in [
+        (half, picture.size),
+        (without_middle, picture.size),
+        (picture.bytes.clone(), PictureSize::new(1280, 720)),
+    ] {
+        let damaged = EncodedPicture {
+            bytes,
+            size,
+            format: picture.format,
+        };
+        assert!(decoded(&damaged, PixelLayout::Rgb8, target).is_err());
+    }
 }

@@ -14,27 +14,18 @@ enum Happens {
     /// The caller of one of the pictures so far gives up.
     GiveUp(prop::sample::Index),
     /// The run in progress, or the next one, ends.
-    End(Ends),
+    End(Step),
     /// Milliseconds pass.
     Pass(u64),
 }
 
-#[derive(Clone, Copy, Debug)]
-enum Ends {
-    Well,
-    TooFew,
-    Failed,
-    Implausible,
-    Panicked,
-}
-
 fn happens() -> impl Strategy<Value = Happens> {
     let ends = prop_oneof![
-        4 => Just(Ends::Well),
-        1 => Just(Ends::TooFew),
-        1 => Just(Ends::Failed),
-        1 => Just(Ends::Implausible),
-        1 => Just(Ends::Panicked),
+        4 => Just(Step::Answer),
+        1 => Just(Step::AnswerTooFew),
+        1 => Just(Step::Fail),
+        1 => Just(Step::Implausible),
+        1 => Just(Step::Panic),
     ];
     prop_oneof![
         6 => (0_usize..4).prop_map(Happens::Ask),
@@ -72,13 +63,7 @@ async fn play(script: Vec<Happens>) {
             }
             Happens::GiveUp(which) if !asked.is_empty() => which.get(&asked).1.abort(),
             Happens::GiveUp(_) => {}
-            Happens::End(ends) => end(match ends {
-                Ends::Well => Step::Answer,
-                Ends::TooFew => Step::AnswerTooFew,
-                Ends::Failed => Step::Fail,
-                Ends::Implausible => Step::Implausible,
-                Ends::Panicked => Step::Panic,
-            }),
+            Happens::End(step) => end(step),
             Happens::Pass(ms) => pass(Duration::from_millis(ms)).await,
         }
         settle().await;

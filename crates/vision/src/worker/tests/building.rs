@@ -1,61 +1,35 @@
 //! Tests of a model whose build takes long or never ends.
 
 use super::*;
-use std::io;
-use tracing_subscriber::fmt::MakeWriter;
+use std::path::Path;
 
-/// A log layer that stores its events.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl io::Write for Log {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl MakeWriter<'_> for Log {
-    type Writer = Self;
-
-    fn make_writer(&self) -> Self {
-        self.clone()
-    }
-}
-
-impl Log {
-    /// The seconds at which the log reported that the model is still being loaded.
-    fn logged_seconds(&self) -> Vec<u64> {
-        let log = String::from_utf8(self.0.lock().clone()).unwrap();
-        log.lines()
-            .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
-            .filter(|entry| {
-                let message = entry["message"].as_str().unwrap();
-                message.contains("still being loaded")
-            })
-            .map(|entry| {
-                assert_eq!(
-                    (&entry["worker"], &entry["level"]),
-                    (&"scripted".into(), &"WARN".into())
-                );
-                entry["seconds"].as_u64().unwrap()
-            })
-            .collect()
-    }
+/// The seconds at which the log reported that the model is still being loaded.
+fn logged_seconds(log: &Path) -> Vec<u64> {
+    let log = std::fs::read_to_string(log).unwrap();
+    log.lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
+        .filter(|entry| {
+            let message = entry["message"].as_str().unwrap();
+            message.contains("still being loaded")
+        })
+        .map(|entry| {
+            assert_eq!(
+                (&entry["worker"], &entry["level"]),
+                (&"scripted".into(), &"WARN".into())
+            );
+            entry["seconds"].as_u64().unwrap()
+        })
+        .collect()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_build_is_logged_periodically_and_waited_for() {
+async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_an_error() {
     let _held = hold_time();
-    let log = Log::default();
+    let log = tempfile::NamedTempFile::new().unwrap();
     let subscriber = tracing_subscriber::fmt()
         .json()
         .flatten_event(true)
-        .with_writer(log.clone())
+        .with_writer(log.reopen().unwrap())
         .finish();
     let _logging = tracing::subscriber::set_default(subscriber);
     let (building, mut is_building) = mpsc::unbounded_channel();
@@ -81,7 +55,7 @@ async fn a_slow_build_is_logged_periodically_and_waited_for() {
         (1, &[10, 20, 40, 80]),
     ] {
         pass(Duration::from_secs(seconds)).await;
-        assert_eq!(log.logged_seconds(), expected);
+        assert_eq!(logged_seconds(log.path()), expected);
     }
     assert!(!starting.is_finished());
     go_on.send(()).unwrap();

@@ -17,38 +17,16 @@ impl Stage {
 
     async fn until_lost(&self) -> String {
         let lost = |status: &DetectorStatus| matches!(status, DetectorStatus::Lost { .. });
-        match &*self.worker.status.clone().wait_for(lost).await.unwrap() {
-            DetectorStatus::Lost { reason, .. } => reason.clone(),
-            other => panic!("{other:?}"),
-        }
+        self.until_fault(lost).await
     }
-}
-
-#[tokio::test(start_paused = true)]
-async fn exhausted_gpu_memory_is_explained_and_retried_with_growing_backoff() {
-    let mut stage = stage(settings()).await;
-    let words: &'static str = fault::in_words(OUT_OF_MEMORY).leak();
-    for (rebuilds, pause) in [(1, 100), (2, 200), (3, 400)] {
-        let reason = stage.fail_with(words).await;
-        assert!(reason.contains("there is not enough memory"), "{reason}");
-        let status = stage.until_degraded().await;
-        assert!(status.contains("CUDA failure 2: out of memory"), "{status}");
-        pass(Duration::from_millis(pause)).await;
-        stage
-            .until_counted(|counts| counts.rebuilds == rebuilds)
-            .await;
-        stage.until_ready().await;
-    }
-    let counters = stage.counts();
-    assert_eq!((counters.failed, counters.rebuilds_failed), (3, 0));
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried() {
     let mut stage = stage(settings()).await;
     let words: &'static str = fault::in_words(LOST).leak();
-    *stage.build_failure.lock() = words;
-    stage.failing_builds.store(2, Ordering::SeqCst);
+    stage.script.next.lock().failure = words;
+    stage.script.next.lock().failing = 2;
     let reason = stage.fail_with(words).await;
     let expected = "the GPU is lost to this process";
     assert!(reason.contains(expected), "{reason}");
@@ -77,8 +55,8 @@ async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried()
 #[tokio::test(start_paused = true)]
 async fn another_build_failure_is_not_mistaken_for_a_lost_gpu() {
     let mut stage = stage(settings()).await;
-    *stage.build_failure.lock() = fault::in_words(OUT_OF_MEMORY).leak();
-    stage.failing_builds.store(1, Ordering::SeqCst);
+    stage.script.next.lock().failure = fault::in_words(OUT_OF_MEMORY).leak();
+    stage.script.next.lock().failing = 1;
     stage.fail_with(LOST).await;
     pass(Duration::from_millis(100)).await;
     stage.until_rebuilds_failed(1).await;
@@ -90,7 +68,7 @@ async fn another_build_failure_is_not_mistaken_for_a_lost_gpu() {
 async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
     let mut stage = stage(settings()).await;
     let (go_on, until) = blocking::channel();
-    *stage.end.lock() = Some(until);
+    stage.script.next.lock().end = Some(until);
     let failing = stage.begin(0).await;
     stage.end(Step::FailWith(OUT_OF_MEMORY));
     stage.ended.recv().await.unwrap();
@@ -108,7 +86,7 @@ async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
 async fn a_failed_session_that_hangs_on_close_is_stuck() {
     let mut stage = stage(settings()).await;
     let (_go_on, until) = blocking::channel();
-    *stage.end.lock() = Some(until);
+    stage.script.next.lock().end = Some(until);
     let failing = stage.begin(0).await;
     stage.end(Step::FailWith(LOST));
     stage.ended.recv().await.unwrap();
