@@ -17,8 +17,7 @@ static ALLOCATOR: dhat::Alloc = dhat::Alloc;
 
 const OBJECTS: usize = 40;
 const PERIOD: usize = 60;
-const GREY: PictureSize = PictureSize::new(64, 36);
-const DRIFTING: PictureSize = PictureSize::new(160, 90);
+const GREY: PictureSize = PictureSize::new(160, 90);
 
 /// Frame `frame` of a film that repeats: objects in rows that drift to and fro, every seventh unseen
 /// for three frames of a period, so that objects are matched, rescued, removed and created.
@@ -40,99 +39,84 @@ fn detections(frame: usize) -> Vec<Detection> {
 }
 
 /// A grey picture of the same film: stripes that move every three frames.
-fn grey_picture(frame: usize) -> Vec<u8> {
+fn stripes(frame: usize) -> Vec<u8> {
     let moved = frame % PERIOD / 3;
     let pixel = |place: usize| 200 * ((place / 7 + moved) % 2) as u8;
     (0..GREY.pixels() as usize).map(pixel).collect()
 }
 
 /// A grey picture of the same film for policies with optical flow: a texture that drifts with the objects.
-fn drifting_picture(frame: usize) -> Vec<u8> {
+fn texture(frame: usize) -> Vec<u8> {
     let phase = (frame % PERIOD) as f64 / PERIOD as f64 * std::f64::consts::TAU;
-    let (width, height) = (DRIFTING.width as usize, f64::from(DRIFTING.height));
+    let (width, height) = (GREY.width as usize, f64::from(GREY.height));
     let pixel = |place: usize| {
         let x = (place % width) as f64 - 0.02 * width as f64 * phase.sin();
         let y = (place / width) as f64 - 0.02 * height * phase.cos();
         (128.0 + 50.0 * (0.7 * x + 0.2 * y).sin() + 50.0 * (0.8 * y - 0.3 * x).sin()) as u8
     };
-    (0..DRIFTING.pixels() as usize).map(pixel).collect()
+    (0..GREY.pixels() as usize).map(pixel).collect()
 }
 
 /// The detections and the grey picture of a frame.
 type Frame = (Vec<Detection>, Vec<u8>);
 
-/// Decides a film: a policy that waits for its evidence, or one that answers at once.
-trait Decider {
-    fn frame(&mut self, head: FrameHead, known: FrameEvidence<'_>, outcome: &mut Outcome);
-}
-
-impl Decider for Box<dyn Policy> {
-    fn frame(&mut self, head: FrameHead, mut known: FrameEvidence<'_>, outcome: &mut Outcome) {
-        let Ok(()) = decide(&mut **self, head, &mut known, outcome);
-    }
-}
-
-/// Answers at once, gets the evidence of a frame two frames later, and settles all frames.
-struct TwoFramesLate<'f> {
-    late: LatePolicy,
-    settler: Settler,
-    film: &'f [Frame],
-    waits: Option<(FrameHead, Need)>,
-}
-
-impl Decider for TwoFramesLate<'_> {
-    fn frame(&mut self, head: FrameHead, _: FrameEvidence<'_>, outcome: &mut Outcome) {
-        let need = self.late.frame(head, outcome);
-        let time = Duration::from_millis(100 * head.index);
-        let pending = need != Need::Nothing;
-        self.settler
-            .frame(head.index, time, outcome, pending, |_| {});
-        if pending {
-            self.waits = Some((head, need));
-        }
-        let is_due = |(waiting, _): &(FrameHead, Need)| waiting.index + 2 <= head.index;
-        if let Some((waiting, need)) = self.waits.filter(is_due) {
-            let (found, pixels) = &self.film[waiting.index as usize % PERIOD];
-            let mut known = evidence(waiting.index as usize % PERIOD, found, pixels);
-            let Ok(evidence) = known.evidence(need);
-            let need = self.late.deliver(waiting.index, evidence, outcome).unwrap();
-            self.waits = (need != Need::Nothing).then_some((waiting, need));
-            if need == Need::Nothing {
-                self.settler.late(waiting.index, outcome, |_| {});
-            }
-        }
-    }
-}
-
-fn evidence<'a>(frame: usize, found: &'a [Detection], pixels: &'a [u8]) -> FrameEvidence<'a> {
-    let size = match pixels.len() as u64 == GREY.pixels() {
-        true => GREY,
-        false => DRIFTING,
-    };
+fn evidence(offset: usize, (found, pixels): &Frame) -> FrameEvidence<'_> {
     FrameEvidence {
-        empty: Some(frame.is_multiple_of(7)),
-        grey: Some(GreyPicture { size, pixels }),
+        empty: Some(offset.is_multiple_of(7)),
+        grey: Some(GreyPicture { size: GREY, pixels }),
         detections: Some(found),
     }
 }
 
+/// Answers a frame with what is known about it.
+type Decide<'f> = dyn FnMut(FrameHead, FrameEvidence<'_>, &mut Outcome) + 'f;
+
+/// Answers at once, gets the evidence of a frame two frames later, and settles all frames.
+fn two_frames_late(policy: Box<dyn Policy>, film: &[Frame]) -> Box<Decide<'_>> {
+    let mut late = LatePolicy::new(policy).unwrap();
+    let mut settler = Settler::new(Duration::from_secs(2));
+    let mut waits: Option<(FrameHead, Need)> = None;
+    Box::new(
+        move |head: FrameHead, _: FrameEvidence<'_>, outcome: &mut Outcome| {
+            let need = late.frame(head, outcome);
+            let time = Duration::from_millis(100 * head.index);
+            let pending = need != Need::Nothing;
+            settler.frame(head.index, time, outcome, pending, |_| {});
+            if pending {
+                waits = Some((head, need));
+            }
+            let is_due = |(waiting, _): &(FrameHead, Need)| waiting.index + 2 <= head.index;
+            if let Some((waiting, need)) = waits.filter(is_due) {
+                let offset = waiting.index as usize % PERIOD;
+                let mut known = evidence(offset, &film[offset]);
+                let Ok(evidence) = known.evidence(need);
+                let need = late.deliver(waiting.index, evidence, outcome).unwrap();
+                waits = (need != Need::Nothing).then_some((waiting, need));
+                if need == Need::Nothing {
+                    settler.late(waiting.index, outcome, |_| {});
+                }
+            }
+        },
+    )
+}
+
 /// The state and the allocations of each frame of one period.
 fn period(
-    decider: &mut dyn Decider,
+    decide: &mut Decide<'_>,
     outcome: &mut Outcome,
     film: &[Frame],
     start: usize,
 ) -> Vec<(FrameState, u64)> {
     let mut counted = Vec::with_capacity(PERIOD);
-    for (offset, (found, pixels)) in film.iter().enumerate() {
+    for (offset, frame) in film.iter().enumerate() {
         let head = FrameHead {
             index: (start + offset) as u64,
             step: 1,
             picture: PictureSize::new(1280, 720),
         };
-        let known = evidence(offset, found, pixels);
+        let known = evidence(offset, frame);
         let before = dhat::HeapStats::get().total_blocks;
-        decider.frame(head, known, outcome);
+        decide(head, known, outcome);
         let after = dhat::HeapStats::get().total_blocks;
         counted.push((outcome.state, after - before));
     }
@@ -171,42 +155,34 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
         ..PolicyConfig::default()
     };
     config.select(asked).unwrap();
-    let policy = config.build().unwrap();
+    let mut policy = config.build().unwrap();
     let mut outcome = Outcome::default();
-    let follows = asked.contains("+flow");
-    let frames = (0..PERIOD).map(|frame| {
-        let picture = if follows {
-            drifting_picture
-        } else {
-            grey_picture
-        };
-        (detections(frame), picture(frame))
-    });
-    let film: Vec<Frame> = frames.collect();
-    let mut waiting;
-    let mut at_once;
-    let decider: &mut dyn Decider = if late {
-        at_once = TwoFramesLate {
-            late: LatePolicy::new(policy).unwrap(),
-            settler: Settler::new(Duration::from_secs(2)),
-            film: &film,
-            waits: None,
-        };
-        &mut at_once
-    } else {
-        waiting = policy;
-        &mut waiting
+    let picture = match asked.contains("+flow") {
+        true => texture,
+        false => stripes,
     };
-    let first = period(decider, &mut outcome, &film, 0);
+    let film: Vec<Frame> = (0..PERIOD)
+        .map(|frame| (detections(frame), picture(frame)))
+        .collect();
+    let mut decider: Box<Decide<'_>> = if late {
+        two_frames_late(policy, &film)
+    } else {
+        Box::new(
+            move |head: FrameHead, mut known: FrameEvidence<'_>, outcome: &mut Outcome| {
+                let Ok(()) = decide(&mut *policy, head, &mut known, outcome);
+            },
+        )
+    };
+    let first = period(&mut *decider, &mut outcome, &film, 0);
     // The counter works: the first frames do allocate.
     assert!(first.iter().any(|&(_, allocations)| allocations > 0));
     for round in 1..3 {
-        period(decider, &mut outcome, &film, round * PERIOD);
+        period(&mut *decider, &mut outcome, &film, round * PERIOD);
     }
     // The minimum of several rounds, since the test's main thread may allocate in parallel.
     let mut least: BTreeMap<(usize, FrameState), u64> = BTreeMap::new();
     for round in 3..6 {
-        let counted = period(decider, &mut outcome, &film, round * PERIOD);
+        let counted = period(&mut *decider, &mut outcome, &film, round * PERIOD);
         for (frame, (state, allocations)) in counted.into_iter().enumerate() {
             let entry = least.entry((frame, state)).or_insert(allocations);
             *entry = allocations.min(*entry);

@@ -3,11 +3,9 @@
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
 use crate::support::{PATIENCE, grey_jpeg, next, until_read};
-use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
 use albireo_node::config::NodeConfig;
-use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -29,22 +27,17 @@ fn at_once(policy: &str) -> NodeConfig {
     config
 }
 
-/// Drains the channel.
 fn taken<T>(messages: &mut UnboundedReceiver<T>) -> Vec<T> {
     std::iter::from_fn(|| messages.try_recv().ok()).collect()
 }
 
-/// A drive and the messages of the node about it.
 struct Drive {
     bench: Bench,
     late: UnboundedReceiver<DetectionsMessage>,
     settled: UnboundedReceiver<SettledMessage>,
     reports: UnboundedReceiver<ClipReport>,
-    sent: u64,
     live: Vec<DetectionsMessage>,
     finals: BTreeMap<u64, DetectionsMessage>,
-    /// The most frames answered between a frame and its final answer.
-    most_ahead: u64,
 }
 
 impl Drive {
@@ -52,54 +45,53 @@ impl Drive {
         let bench = Bench::start(config).await;
         let late = bench.published("late").await;
         let settled = bench.published("settled").await;
-        let reports = bench.reports().await;
+        let reports = bench.published("clip").await;
         until_read(&bench.session, "node", CAMERA).await;
         Self {
             late,
             settled,
             reports,
             bench,
-            sent: 0,
             live: Vec::new(),
             finals: BTreeMap::new(),
-            most_ahead: 0,
         }
     }
 
     /// Sends these pictures in a loop, at the camera's pace, until a final answer `is_wanted`.
+    /// Returns the most frames answered between a frame and its final answer.
     async fn until(
         &mut self,
         pictures: &[Vec<u8>],
         is_wanted: impl Fn(&DetectionsMessage) -> bool,
-    ) {
+    ) -> u64 {
         let mut pace = interval(PERIOD);
+        let mut most_ahead = 0;
         for picture in pictures.iter().cycle().take(2000) {
             pace.tick().await;
             self.frame(picture, "drive").await;
             let mut came = false;
             for message in taken(&mut self.late) {
                 came |= is_wanted(&message);
-                self.most_ahead = self.most_ahead.max(self.sent - 1 - message.seq);
+                most_ahead = most_ahead.max(self.live.len() as u64 - 1 - message.seq);
                 assert!(self.finals.insert(message.seq, message).is_none());
             }
             if came {
-                return;
+                return most_ahead;
             }
         }
-        panic!("no such answer in {} frames", self.sent);
+        panic!("no such answer in {} frames", self.live.len());
     }
 
-    /// Sends a frame and waits for its first answer.
     async fn frame(&mut self, picture: &[u8], clip: &str) {
-        self.bench.send_of_clip(picture, self.sent, clip).await;
+        let seq = self.live.len() as u64;
+        self.bench.send_of_clip(picture, seq, clip).await;
         let live = self.bench.answer().await;
-        assert_eq!(live.seq, self.sent, "each frame is answered once, in order");
+        assert_eq!(live.seq, seq, "each frame is answered once, in order");
         self.live.push(live);
-        self.sent += 1;
     }
 
     /// Stops the node, and checks the invariants that hold in any state of the detector.
-    async fn stop(mut self) -> Ended {
+    async fn stop(mut self) -> (Self, Vec<SettledMessage>, Vec<ClipReport>) {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
         let stopped = timeout(PATIENCE, &mut self.bench.stopped).await.unwrap();
@@ -113,8 +105,7 @@ impl Drive {
             let message = next(&mut self.late).await;
             assert!(self.finals.insert(message.seq, message).is_none());
         }
-        let report = next(&mut self.reports).await;
-        let mut reports: Vec<ClipReport> = vec![report];
+        let mut reports = vec![next(&mut self.reports).await];
         reports.extend(taken(&mut self.reports));
         assert!(taken(&mut self.settled).is_empty() && taken(&mut self.late).is_empty());
         let camera = board.camera(CAMERA).unwrap().snapshot();
@@ -139,29 +130,14 @@ impl Drive {
         );
         assert!(self.finals.values().all(|message| !message.pending));
         assert_eq!(counted, (frames, degraded));
-        let reported: u64 = reports.iter().map(|report| report.frames).sum();
-        let states: u64 = reports.iter().map(|report| report.states.frames()).sum();
-        let reported_degraded: u64 = reports.iter().map(|r| r.degraded_frames).sum();
-        assert_eq!(
-            (reported, states, reported_degraded),
-            (frames, frames, degraded)
-        );
+        let reported = |figure: fn(&ClipReport) -> u64| reports.iter().map(figure).sum::<u64>();
+        assert_eq!(reported(|report| report.frames), frames);
+        assert_eq!(reported(|report| report.states.frames()), frames);
+        assert_eq!(reported(|report| report.degraded_frames), degraded);
         let order: Vec<u64> = settled.iter().map(|frame| frame.seq).collect();
         assert_eq!(order, (0..frames).collect::<Vec<_>>());
-        Ended {
-            live: self.live,
-            finals: self.finals,
-            settled,
-            reports,
-        }
+        (self, settled, reports)
     }
-}
-
-struct Ended {
-    live: Vec<DetectionsMessage>,
-    finals: BTreeMap<u64, DetectionsMessage>,
-    settled: Vec<SettledMessage>,
-    reports: Vec<ClipReport>,
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -176,10 +152,8 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
             drive.until(&scene, is_seen).await;
         }
         // A run that misses its deadline, then a good one.
-        drive.most_ahead = 0;
-        drive.until(&white, |late| late.degraded).await;
+        let ahead = drive.until(&white, |late| late.degraded).await;
         // The deadline is fifty frames long.
-        let ahead = drive.most_ahead;
         assert!(ahead >= 10, "only {ahead} frames were answered in between");
         drive.until(&scene, is_seen).await;
         // A run that fails, then a good one in a rebuilt session.
@@ -189,14 +163,14 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         let half = scene[0][..scene[0].len() / 2].to_vec();
         drive.until(&[half], |late| late.degraded).await;
         drive.until(&scene, is_seen).await;
-        let ended = drive.stop().await;
+        let (drive, settled, _) = drive.stop().await;
         let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();
-        let predicted = ended.live.iter().filter(is_predicted).count();
+        let predicted = drive.live.iter().filter(is_predicted).count();
         assert!(
             predicted > 20,
             "{policy}: {predicted} with boxes beside the pending ones"
         );
-        let drawn = ended.settled.iter().filter(|frame| frame.settled).count();
+        let drawn = settled.iter().filter(|frame| frame.settled).count();
         assert!(drawn > 20, "{policy}: {drawn} settled");
     }
 }
@@ -207,16 +181,12 @@ async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {
     let mut config = at_once("expected-loss:0.3");
     config.cameras[0].reset_at_clip = false;
     let mut drive = Drive::start(&config).await;
-    let picture = BoxScene::new(5, PictureSize::new(640, 360)).frame(0);
-    let picture = picture.jpeg(85).unwrap();
+    let picture = pictures(1).remove(0);
     drive.frame(&picture, "a").await;
     assert!(drive.live[0].pending);
     drive.frame(&picture, "b").await;
-    let ended = drive.stop().await;
-    let reports = ended.reports.iter();
-    let clips: Vec<_> = reports
-        .map(|report| (&*report.clip, report.frames))
-        .collect();
-    assert_eq!(clips, [("a", 1), ("b", 1)]);
-    assert!(ended.finals[&0].state != FrameState::P, "it was examined");
+    let (drive, _, reports) = drive.stop().await;
+    let clips = reports.iter().map(|report| (&*report.clip, report.frames));
+    assert_eq!(clips.collect::<Vec<_>>(), [("a", 1), ("b", 1)]);
+    assert!(drive.finals[&0].state != FrameState::P, "it was examined");
 }

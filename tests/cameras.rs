@@ -1,10 +1,10 @@
 //! Live cameras, opened by the node or by `albireo publish`: they reconnect, and their passwords stay hidden.
 
-use crate::node_frames::attachment;
-use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
+use crate::node_frames::{attachment, put};
+use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use crate::support::{
-    Node, PATIENCE, albireo, assert_contains, collected, listening_peer, memory_mb, next, replay,
-    run, signal, subscribe, test_video, until, zenoh_client,
+    Node, PATIENCE, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next,
+    replay, run, signal, subscribe, test_video, until, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -37,13 +37,11 @@ fn picture() -> Vec<u8> {
     scene.frame(0).jpeg(80).unwrap()
 }
 
-/// A frame as a subscriber receives it.
 struct Received {
     said: FrameAttachment,
     bytes: Vec<u8>,
 }
 
-/// `albireo publish` with a subscriber to its frames.
 struct Publisher {
     child: Child,
     frames: UnboundedReceiver<Received>,
@@ -100,19 +98,13 @@ impl Publisher {
     }
 }
 
-/// The child processes of all threads of a process.
 fn children(parent: u32) -> Vec<u32> {
-    let mut found = std::collections::BTreeSet::new();
-    for thread in std::fs::read_dir(format!("/proc/{parent}/task")).unwrap() {
-        let file = thread.unwrap().path().join("children");
-        let listed = std::fs::read_to_string(file).unwrap_or_default();
-        found.extend(
-            listed
-                .split_whitespace()
-                .map(|id| id.parse::<u32>().unwrap()),
-        );
-    }
-    found.into_iter().collect()
+    let threads = std::fs::read_dir(format!("/proc/{parent}/task")).unwrap();
+    let files = threads.map(|thread| thread.unwrap().path().join("children"));
+    let listed = files.map(|file| std::fs::read_to_string(file).unwrap_or_default());
+    let listed = listed.collect::<String>();
+    let ids = listed.split_whitespace();
+    ids.map(|id| id.parse().unwrap()).collect()
 }
 
 fn command_line(process: u32) -> String {
@@ -127,13 +119,10 @@ fn assert_hidden(text: &str) {
     }
 }
 
-/// A node's report on its only camera.
 async fn front(node: &Node) -> Value {
-    let cameras: Value = serde_json::from_str(&node.text("/api/v1/cameras").await).unwrap();
-    cameras["cameras"][0].clone()
+    json_at(&format!("{}/api/v1/cameras", node.http)).await["cameras"][0].take()
 }
 
-/// The number of frames that a node has processed.
 async fn processed(node: &Node) -> u64 {
     front(node).await["frames"].as_u64().unwrap()
 }
@@ -228,7 +217,7 @@ async fn a_published_camera_reconnects_and_restarts_its_numbering() {
 #[ignore = "needs ffmpeg"]
 async fn motion_jpeg_is_forwarded_unchanged_over_one_connection_within_the_rate_limit() {
     let picture = picture();
-    let camera = MotionJpegCamera::start(picture.clone(), Duration::from_millis(10)).await;
+    let camera = MotionJpegCamera::start(vec![picture.clone()], true).await;
     let mut publisher = Publisher::start(&[&camera.address, "--rate", "5"], &[]).await;
     let frames = publisher.take(16).await;
     // By the publisher's clock, fifteen slots of 0.2 s follow the first frame's slot; that frame may come late in its slot.
@@ -298,16 +287,9 @@ async fn a_sender_that_restarts_loses_no_frame() {
         replay(&node, pictures, &["--rate", "max", "--clip", "drive"]).await;
     }
     until_processed(&node, 150).await;
-    let shown = node.text("/metrics").await;
-    let lines = shown.lines();
-    let dropped: Vec<_> = lines
-        .filter(|line| line.starts_with("albireo_frames_dropped"))
-        .collect();
-    let is_zero = |line: &&str| line.ends_with(" 0") || line.ends_with(" 0.0");
-    assert!(
-        !dropped.is_empty() && dropped.iter().all(is_zero),
-        "{dropped:?}"
-    );
+    let states = json_at(&format!("{}/api/v1/frame-states", node.http)).await;
+    let dropped = states["cameras"][0]["dropped"].as_object().unwrap();
+    assert!(dropped.values().all(|count| *count == 0), "{dropped:?}");
 }
 
 #[rstest]
@@ -349,54 +331,25 @@ async fn a_failed_source_reports_why_and_when_it_retries() {
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
 async fn a_silent_source_fails_after_its_timeout() {
-    let script = Script::FallSilent(vec![picture(); 20]);
-    let camera = MotionJpegCamera::playing(script, Duration::from_millis(10)).await;
+    let camera = MotionJpegCamera::start(vec![picture(); 20], false).await;
     let timeout = "# development: source_timeout_s=3";
     let node = Node::start(&source(&camera.address, timeout)).await;
     until_processed(&node, 1).await;
-    let (mut last, mut fault) = ((0, Instant::now()), Value::Null);
+    let begun = Instant::now();
     until("the source fails", async || {
-        let entry = front(&node).await;
-        let frames = entry["frames"].as_u64().unwrap();
-        if frames > last.0 {
-            last = (frames, Instant::now());
-        }
-        fault = entry["fault"].clone();
-        fault.is_string()
+        let fault = front(&node).await["fault"].to_string();
+        fault.contains("failed: no picture for more than 3 s")
     })
     .await;
-    let said = "failed: no picture for more than 3 s";
-    assert_contains(fault.as_str().unwrap(), &[said]);
-    // Far sooner than the default of 15 s; the last pictures may have waited for the detector.
-    let silent = last.1.elapsed();
-    assert!(silent < Duration::from_secs(10), "{silent:?}");
+    // Far sooner than the default of 15 s.
+    assert!(begun.elapsed() < Duration::from_secs(10));
     node.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
-async fn an_endless_picture_does_not_fill_the_memory() {
-    let camera = MotionJpegCamera::playing(Script::EndlessPart, Duration::ZERO).await;
-    let publisher = Publisher::start(&[&camera.address], &[]).await;
-    let mut peak = 0.0_f64;
-    until("it has failed twice", async || {
-        for program in children(publisher.child.id().unwrap()) {
-            peak = peak.max(memory_mb(program, "VmHWM:"));
-        }
-        camera.clients() >= 3
-    })
-    .await;
-    println!("ffmpeg peaks at {peak:.0} MB");
-    assert!((1.0..300.0).contains(&peak), "{peak:.0} MB");
-    let log = publisher.stop().await;
-    assert!(log.contains("next attempt in"), "{log}");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs ffmpeg"]
 async fn a_stream_of_broken_pictures_is_not_reopened_endlessly() {
-    let broken = Script::Repeat(vec![b"no picture".to_vec()]);
-    let camera = MotionJpegCamera::playing(broken, Duration::from_millis(10)).await;
+    let camera = MotionJpegCamera::start(vec![b"no picture".to_vec()], true).await;
     let publisher = Publisher::start(&[&camera.address], &[]).await;
     until("it is tried in both ways", async || camera.clients() >= 2).await;
     tokio::time::sleep(Duration::from_secs(3)).await;
@@ -408,7 +361,7 @@ async fn a_stream_of_broken_pictures_is_not_reopened_endlessly() {
     let mut parts = vec![picture.clone(); 20];
     parts[0] = b"broken".to_vec();
     parts[10] = b"broken".to_vec();
-    let camera = MotionJpegCamera::playing(Script::Repeat(parts), Duration::from_millis(10)).await;
+    let camera = MotionJpegCamera::start(parts, true).await;
     let mut publisher = Publisher::start(&[&camera.address], &[]).await;
     let frames = publisher.take(60).await;
     assert!(frames.iter().all(|frame| frame.bytes == picture));
@@ -419,7 +372,7 @@ async fn a_stream_of_broken_pictures_is_not_reopened_endlessly() {
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn source_options_reach_the_camera_and_its_secrets_leak_nowhere() {
-    let camera = MotionJpegCamera::start(picture(), Duration::from_millis(10)).await;
+    let camera = MotionJpegCamera::start(vec![picture()], true).await;
     let address = camera.address.replace("http://", "http://viewer:hidden@");
     let arguments = [
         &address,
@@ -450,12 +403,8 @@ async fn source_options_reach_the_camera_and_its_secrets_leak_nowhere() {
 async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
     let session = zenoh_client(endpoint).await;
     for seq in 0..10 {
-        session
-            .put("albireo/node/front/frame", picture)
-            .encoding("image/jpeg")
-            .attachment(attachment(seq, Some(number), None))
-            .await
-            .unwrap();
+        let attachment = attachment(seq, Some(number), None);
+        put(&session, "front", picture, attachment).await;
     }
     session.close().await.unwrap();
 }
@@ -463,22 +412,16 @@ async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_come_and_go_leak_no_memory() {
-    // For measurements by hand: the number of sessions, and settings of the node.
-    let count = std::env::var("ALBIREO_SESSIONS").map_or(200, |count| count.parse().unwrap());
-    let more = std::env::var("ALBIREO_SESSIONS_NODE").unwrap_or_default();
-    let node = Node::start(&format!(
-        "policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = 1000\naudit.share = 0\n{more}\n"
-    ))
-    .await;
+    let settings = "policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = 1000\naudit.share = 0\n";
+    let node = Node::start(settings).await;
     let picture = picture();
     for number in 0..20 {
         come_and_go(&node.zenoh, number, &picture).await;
     }
     let before = memory_mb(node.id(), "VmRSS:");
-    for number in 20..20 + count {
+    for number in 20..220 {
         come_and_go(&node.zenoh, number, &picture).await;
     }
     let after = memory_mb(node.id(), "VmRSS:");
-    println!("{count} sessions: {before:.1} MB, then {after:.1} MB");
     assert!(after - before < 10.0, "{before:.1} MB, then {after:.1} MB");
 }

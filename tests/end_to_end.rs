@@ -1,10 +1,9 @@
 //! A clip end to end through real processes: `albireo node`, `albireo replay`, and a client that shares no code with them.
 
-use crate::support::{Client, Node, ask_script, project, python, replay, shared, value_of};
+use crate::support::{Client, Node, replay, shared, value_of};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-/// A node with YOLOX-Nano.
 fn settings() -> String {
     let model = shared("models/yolox_nano_416.onnx");
     format!(
@@ -54,33 +53,14 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         let may_lack = ["E", "E+I"].contains(&&**state);
         assert!(found > 0 || may_lack, "no {state} in {report}");
     }
-    let number = |value: &Value| value.as_f64().unwrap();
-    let [joules, edp] = ["joules", "edp"].map(|figure| number(&report["energy"][figure]));
-    assert!(joules > 0.0);
-    let expected = joules * number(&report["duration_s"]) * 1e3 / detections.len() as f64;
-    // Both have six significant digits.
-    assert!((edp - expected).abs() < 2e-5 * expected, "{edp} {expected}");
+    assert!(report["energy"]["joules"].as_f64().unwrap() > 0.0);
 
     // A client that comes late gets the report from the publisher's cache.
     let mut late = Client::listen(&node.zenoh, "albireo/bench/front/clip", true).await;
     let (_, kept) = late.next().await.expect("the cache answers");
     assert_eq!(kept, report);
-    late.finish().await;
 
     let metrics = node.text("/metrics").await;
-    // The families according to Prometheus' own strict parser.
-    let mut parser = std::process::Command::new(python());
-    parser.arg(project("tests/clients/parse_metrics.py"));
-    let families = ask_script(&mut parser, &metrics.clone().into());
-    for family in [
-        "frames",
-        "frames_dropped",
-        "threshold",
-        "detector_boxes_dropped",
-    ] {
-        let family = &families[format!("albireo_{family}")];
-        assert!(family.is_u64(), "not all in {families:?}");
-    }
     let asked = ["I", "E+I", "AI"].map(|state| report["states"][state].as_u64().unwrap());
     let completed = "albireo_detector_runs_total{outcome=\"completed\"}";
     let runs = value_of(&metrics, completed);

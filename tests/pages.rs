@@ -8,38 +8,29 @@ fn web() -> PathBuf {
     project("web")
 }
 
-/// Compares a description with the stored one, which the pages' types are generated from. `ALBIREO_UPDATE=1` overwrites the
-/// stored one; then `npm run types` in `web` generates the types.
-#[cfg(feature = "hub")]
-fn current(service: &str, document: &impl serde::Serialize) {
-    let path = web().join("api").join(format!("{service}.json"));
-    let mut now = serde_json::to_string_pretty(document).unwrap();
-    now.push('\n');
-    if std::env::var_os("ALBIREO_UPDATE").is_some() {
-        std::fs::write(&path, &now).unwrap();
-    }
-    let kept = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        kept == now,
-        "{} is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
-        path.display()
-    );
-}
-
+/// The pages' types are made from these. `ALBIREO_UPDATE=1` overwrites them; then `npm run types` makes the types.
 #[cfg(feature = "hub")]
 #[test]
 fn the_descriptions_behind_the_pages_are_current() {
-    current("node", &albireo_node::api::http::openapi());
-    current("hub", &albireo_hub::http::openapi());
+    let node = serde_json::to_string_pretty(&albireo_node::api::http::openapi());
+    let hub = serde_json::to_string_pretty(&albireo_hub::http::openapi());
+    for (service, now) in [("node", node), ("hub", hub)] {
+        let path = web().join(format!("api/{service}.json"));
+        let now = now.unwrap() + "\n";
+        if std::env::var_os("ALBIREO_UPDATE").is_some() {
+            std::fs::write(&path, &now).unwrap();
+        }
+        let kept = std::fs::read_to_string(&path).unwrap_or_default();
+        let remedy =
+            "is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web";
+        assert!(kept == now, "{} {remedy}", path.display());
+    }
 }
 
 /// Runs a command in `web`, which must succeed.
 fn run(program: &str, arguments: &[&str]) {
     let mut command = Command::new(program);
-    println!(
-        "{}",
-        run_command(command.args(arguments).current_dir(web())).succeeds()
-    );
+    run_command(command.args(arguments).current_dir(web())).succeeds();
 }
 
 #[test]

@@ -1,14 +1,15 @@
 //! A node whose parts fail or hang detects that, restarts failed parts, and stops within the configured time.
 
-use crate::node_frames::{Bench, CAMERA, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, attachment, configuration, pictures, put};
 use crate::support::detectors::model;
 use crate::support::policies::Before;
 use crate::support::{
-    Node, PATIENCE, assert_contains, grey_jpeg, next, run_command, until, until_read, zenoh_client,
+    Node, PATIENCE, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
+    zenoh_client,
 };
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
-use albireo_wire::{ClipEnd, HealthState, HealthStatus};
+use albireo_wire::{ClipEnd, ClipReport, HealthState, HealthStatus};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -29,7 +30,6 @@ async fn buggy(good: u32) -> Bench {
     Bench::start_prepared(&config, prepared.with_policies(Arc::new(policies))).await
 }
 
-/// Waits for a status that satisfies `wanted`.
 async fn status(
     changes: &mut watch::Receiver<HealthStatus>,
     wanted: impl FnMut(&HealthStatus) -> bool,
@@ -50,7 +50,7 @@ fn settings(detector: &str, more: &str) -> String {
 #[ignore = "needs ONNX Runtime"]
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let mut bench = buggy(2).await;
-    let mut reports = bench.reports().await;
+    let mut reports = bench.published::<ClipReport>("clip").await;
     let mut changes = bench.board.readiness.subscribe();
     let picture = pictures(1).remove(0);
     for seq in 0..2 {
@@ -88,14 +88,16 @@ async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
     for seq in 0..40 {
         bench.send(picture.clone(), seq).await;
     }
-    let failures = || -> u64 {
-        let counts = bench.board.tasks.counts();
-        counts.iter().map(|(_, counts)| counts.failures).sum()
-    };
     let stopped = || bench.snapshot().dropped.stopped;
     // A frame that ends a loop is counted with the task, every other frame by its kind.
     until("all frames are accounted for", async || {
-        stopped() + failures() >= 40
+        let counts = bench.board.tasks.counts();
+        stopped()
+            + counts
+                .iter()
+                .map(|(_, counts)| counts.failures)
+                .sum::<u64>()
+            >= 40
     })
     .await;
     assert!(stopped() >= 30, "{:?}", bench.snapshot().dropped);
@@ -111,7 +113,7 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     config.node.stop_timeout = Duration::from_secs(4);
     config.cameras[0].ring = 4;
     let mut bench = Bench::start(&config).await;
-    let mut reports = bench.reports().await;
+    let mut reports = bench.published::<ClipReport>("clip").await;
     // Dark pictures are answered at once, a bright one never.
     bench.send_of_clip(solid(0), 0, "last").await;
     assert_eq!(bench.answer().await.seq, 0);
@@ -126,16 +128,13 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
     bench.shutdown.cancel();
-    let ended = timeout(PATIENCE, &mut bench.stopped)
-        .await
-        .unwrap()
-        .unwrap();
+    let stopped = timeout(PATIENCE, &mut bench.stopped).await.unwrap();
     let took = start.elapsed();
-    ended.unwrap();
+    stopped.unwrap().unwrap();
     assert!(took < Duration::from_secs(4), "it took {took:?}");
     let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
-    assert_eq!(report.degraded_frames, 1);
+    assert_eq!((report.degraded_frames, &*report.provider), (1, "cpu"));
     assert_eq!(report.ended_by, ClipEnd::Shutdown);
     // Frames in the ring are counted, on the board and in the clip report.
     assert_eq!(report.dropped.stopped, 2);
@@ -169,18 +168,14 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let session = zenoh_client(&node.zenoh).await;
     // The first frame makes the detector hang, the ring holds two more, and the next one displaces a frame: then the camera
     // loop waits for the detector.
-    let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
-    let stuck = async {
-        for seq in 0.. {
-            put_grey(&session, seq, 255).await;
-            let text = node.text("/metrics").await;
-            let count = text.lines().find_map(|line| line.strip_prefix(overrun));
-            if count.is_some_and(|count| !count.starts_with('0')) {
-                return;
-            }
-        }
-    };
-    timeout(PATIENCE, stuck).await.expect("the detector hangs");
+    let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"}"#;
+    let mut seq = 0;
+    until("the detector hangs", async || {
+        put(&session, CAMERA, &solid(255), attachment(seq, None, None)).await;
+        seq += 1;
+        metric(&node.http, overrun).await > 0.0
+    })
+    .await;
     // Pending signals of one kind merge into one, so the signal is repeated until the node has exited.
     let id = node.id().to_string();
     let again = tokio::spawn(async move {
@@ -214,22 +209,12 @@ fn solid(value: u8) -> Vec<u8> {
     grey_jpeg(value, [64, 32])
 }
 
-/// Puts a grey frame of 64x32 pixels to the camera `front` of a node.
-async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
-    session
-        .put("albireo/node/front/frame", vec![value; 64 * 32])
-        .encoding("image/raw;gray8")
-        .attachment(format!(r#"{{"v":1,"seq":{seq},"width":64,"height":32}}"#))
-        .await
-        .unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     let node = Node::start(&settings("hanging.onnx", "detector.timeout_ms = 500\n")).await;
     let session = zenoh_client(&node.zenoh).await;
-    put_grey(&session, 0, 255).await;
+    put(&session, CAMERA, &solid(255), attachment(0, None, None)).await;
     let (status, _, log, _) = node.ended().await;
     assert_eq!(status.code(), Some(1), "{log}");
     let said = "the thread of the detector has not come back for 30 s";

@@ -1,22 +1,18 @@
-//! A fake hub: it commits reports to a synced file and then answers, unless it is set to misbehave.
+//! A fake hub: it keeps reports and then answers, unless it is set to misbehave.
 
 use crate::support::{until, zenoh_client, zenoh_session};
 use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
 use std::collections::BTreeSet;
-use std::io::Write;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 use zenoh::query::Query;
 use zenoh::{Session, Wait};
 
-/// The behaviour of a hub.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Manner {
     /// Commits, then answers.
     Honest,
-    /// Accepts batches, keeps nothing and never answers.
-    TakesAndSaysNothing,
     /// Commits and never answers.
     CommitsAndSaysNothing,
     /// Refuses, and asks for a retry later.
@@ -25,8 +21,6 @@ pub(super) enum Manner {
 
 struct Inner {
     manner: Manner,
-    file: tempfile::NamedTempFile,
-    /// The ids of stored reports.
     known: BTreeSet<Uuid>,
     /// The counts of stored reports, in storage order.
     stored: Vec<u64>,
@@ -45,7 +39,6 @@ impl Hub {
         let session = zenoh_client(endpoint).await;
         let inner = Arc::new(Mutex::new(Inner {
             manner,
-            file: tempfile::NamedTempFile::new().unwrap(),
             known: BTreeSet::new(),
             stored: Vec::new(),
             asked: Vec::new(),
@@ -61,8 +54,8 @@ impl Hub {
         Self { session, inner }
     }
 
-    pub(super) fn become_honest(&self) {
-        self.inner.lock().unwrap().manner = Manner::Honest;
+    pub(super) fn behave(&self, manner: Manner) {
+        self.inner.lock().unwrap().manner = manner;
     }
 
     /// Stops as a killed process does, without answers to the queries it holds.
@@ -71,21 +64,16 @@ impl Hub {
         self.inner.lock().unwrap().held.clear();
     }
 
-    async fn until(&self, what: &str, done: impl Fn(&Inner) -> bool) {
-        until(what, async || done(&self.inner.lock().unwrap())).await;
-    }
-
     pub(super) async fn wait_for(&self, reports: usize) {
-        let done = |inner: &Inner| inner.stored.len() >= reports;
-        self.until("reports", done).await;
+        let stored = || self.inner.lock().unwrap().stored.len();
+        until("reports", async || stored() >= reports).await;
     }
 
     pub(super) async fn wait_for_asked(&self, times: usize) {
-        let done = |inner: &Inner| inner.asked.len() >= times;
-        self.until("queries", done).await;
+        let asked = || self.inner.lock().unwrap().asked.len();
+        until("queries", async || asked() >= times).await;
     }
 
-    /// The times between batches.
     pub(super) fn pauses(&self) -> Vec<Duration> {
         let inner = self.inner.lock().unwrap();
         inner.asked.windows(2).map(|two| two[1] - two[0]).collect()
@@ -102,7 +90,6 @@ impl Inner {
     fn take(&mut self, query: Query) {
         self.asked.push(Instant::now());
         match self.manner {
-            Manner::TakesAndSaysNothing => self.held.push(query),
             Manner::Busy { retry_after_ms } => {
                 let refusal = ReportRefusal {
                     v: VERSION,
@@ -128,21 +115,14 @@ impl Inner {
 
     fn commit(&mut self, query: &Query) {
         let payload = query.payload().unwrap().to_bytes();
-        assert!(
-            payload.len() < 1 << 20,
-            "a batch is below 1 MiB on the wire"
-        );
         for report in ReportBatch::from_payload(&payload).unwrap().reports {
             if self.known.insert(report.id) {
-                writeln!(self.file, "{} {}", report.id, report.clip).unwrap();
                 self.stored.push(report.count.unwrap());
             }
         }
-        self.file.as_file().sync_data().unwrap();
     }
 }
 
-/// A router in this process.
 pub(super) async fn router(endpoint: &str) -> Session {
     let settings = [
         ("mode", "router".into()),

@@ -1,35 +1,30 @@
-use super::served::{Frames, Served, clip, frame};
+use super::served::{Served, answered, clip, frame};
 use crate::support::{PATIENCE, assert_has, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
-use futures_util::StreamExt;
 use reqwest::Response;
 use serde_json::{Value, json};
+use tokio::time::timeout;
 
 /// A stream of server-sent events.
 struct Events {
-    body: futures_util::stream::BoxStream<'static, reqwest::Result<bytes::Bytes>>,
+    response: Response,
     text: String,
 }
 
 impl Events {
     fn new(response: Response) -> Self {
         assert_eq!(response.headers()["content-type"], "text/event-stream");
-        Self {
-            body: response.bytes_stream().boxed(),
-            text: String::new(),
-        }
+        let text = String::new();
+        Self { response, text }
     }
 
     /// The next event's name and data; `None` at the end of the stream.
     async fn next(&mut self) -> Option<(String, Value)> {
         loop {
             if let Some((event, rest)) = self.text.split_once("\n\n") {
-                let field = |name: &str| {
-                    let mut lines = event.lines();
-                    lines.find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
-                };
-                let found = field("event").zip(field("data"));
+                let field = |name: &str| event.lines().find_map(|line| line.strip_prefix(name));
+                let found = field("event: ").zip(field("data: "));
                 let found = found
                     .map(|(name, data)| (name.to_owned(), serde_json::from_str(data).unwrap()));
                 self.text = rest.to_owned();
@@ -38,8 +33,8 @@ impl Events {
                 }
                 continue;
             }
-            let chunk = tokio::time::timeout(PATIENCE, self.body.next()).await;
-            let chunk = chunk.expect("no event came")?.unwrap();
+            let chunk = timeout(PATIENCE, self.response.chunk()).await;
+            let chunk = chunk.expect("no event came").unwrap()?;
             self.text.push_str(std::str::from_utf8(&chunk).unwrap());
         }
     }
@@ -70,14 +65,14 @@ async fn a_threshold_change_is_sent_to_listeners() {
 #[tokio::test]
 async fn the_current_state_comes_first_and_then_each_event_in_order() {
     let node = Served::start().await;
-    node.front().answered(frame(0, FrameState::I));
+    answered(node.front(), frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
     assert_eq!(events.expect("detector").await["status"], "starting");
     for camera in ["front", "rear"] {
         assert_eq!(events.expect("threshold").await["camera"], camera);
         assert_eq!(events.expect("counters").await["camera"], camera);
     }
-    node.front().answered(frame(1, FrameState::P));
+    answered(node.front(), frame(1, FrameState::P));
     let event = events.expect("frame").await;
     let expected = json!({"seq": 1, "state": "P", "boxes": [{"class": "car"}]});
     assert_has(&event, &expected);
@@ -101,7 +96,7 @@ async fn a_slow_reader_learns_how_many_events_it_lost() {
     let camera = node.front();
     // The test runs on one thread, so the stream cannot read in between.
     for seq in 0..3000 {
-        camera.answered(frame(seq, FrameState::P));
+        answered(camera, frame(seq, FrameState::P));
     }
     let lost = events.expect("lagged").await["lost"].as_u64().unwrap();
     assert_eq!(events.expect("frame").await["seq"], lost);

@@ -1,27 +1,29 @@
-use super::served::{Frames, Served, clip, frame};
+use super::served::{Served, answered, clip, frame, received};
+use crate::support::{run_command, value_of};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
 use albireo_power::MeterCost;
+use albireo_vision::picture::PictureFormat;
 use albireo_wire::{DomainWatts, DroppedFrames, EnergyQuality};
 use reqwest::Method;
-use std::collections::BTreeMap;
-use std::io::Write;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
-async fn filled() -> Served {
+/// A node that has something to show on every route.
+pub(super) async fn filled() -> Served {
     let node = Served::start().await;
     node.ready();
     let front = node.front();
     for seq in 0..5 {
-        front.answered(frame(2 * seq, FrameState::I));
-        front.answered(frame(2 * seq + 1, FrameState::P));
+        answered(front, frame(2 * seq, FrameState::I));
+        answered(front, frame(2 * seq + 1, FrameState::P));
     }
-    front.answered(frame(10, FrameState::EI));
+    answered(front, frame(10, FrameState::EI));
     front.record_dropped(&DroppedFrames {
         undecodable: 4,
         ..DroppedFrames::default()
     });
+    received(front, 0, PictureFormat::Gray8, vec![7; 16], [4, 4]);
     node.board.record_clip(clip("front", 0));
     node.board.set_power(PowerSnapshot {
         source: "estimate".to_owned(),
@@ -73,18 +75,6 @@ albireo_frame_latency_seconds_bucket{le="0.001",camera="front",state="I"} 0
 albireo_detector_latency_seconds_count{camera="front"} 6
 "#;
 
-/// The value of each series in a metrics text.
-fn samples(text: &str) -> BTreeMap<&str, f64> {
-    let lines = text
-        .lines()
-        .filter(|line| !line.is_empty() && !line.starts_with('#'));
-    let samples = lines.map(|line| line.rsplit_once(' ').unwrap());
-    samples
-        .map(|(series, value)| (series, value.parse().unwrap()))
-        .collect()
-}
-
-/// Prometheus' own parsers check the format, below and in `end_to_end`.
 #[tokio::test]
 async fn metrics_match_the_recorded_frames() {
     let node = filled().await;
@@ -93,28 +83,21 @@ async fn metrics_match_the_recorded_frames() {
     let expected = "text/plain; version=0.0.4";
     assert!(media_type.starts_with(expected), "{media_type}");
     let text = response.text().await.unwrap();
-    let found = samples(&text);
-    for (series, value) in samples(EXPECTED) {
-        assert_eq!(found.get(series), Some(&value), "{series} in {found:#?}");
+    for line in EXPECTED.trim().lines() {
+        let (series, value) = line.rsplit_once(' ').unwrap();
+        let expected: f64 = value.parse().unwrap();
+        assert_eq!(value_of(&text, series), expected, "{series}");
     }
-    assert!(!found.contains_key(r#"albireo_last_frame_age_seconds{camera="rear"}"#));
+    assert!(!text.contains(r#"albireo_last_frame_age_seconds{camera="rear"}"#));
 }
 
 #[tokio::test]
 #[ignore = "needs promtool"]
 async fn promtool_accepts_the_metrics() {
-    let mut promtool = Command::new("promtool")
-        .args(["check", "metrics"])
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("promtool runs: install the package `prometheus`");
-    let text = filled().await.metrics().await;
-    let mut input = promtool.stdin.take().unwrap();
-    input.write_all(text.as_bytes()).unwrap();
-    drop(input);
-    let output = promtool.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr) + String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success() && said.is_empty(), "{said}");
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(&file, filled().await.metrics().await).unwrap();
+    let check = format!("promtool check metrics < {}", file.path().display());
+    let ended = run_command(Command::new("sh").args(["-c", &check]));
+    let said = format!("{}{}", ended.err, ended.out);
+    assert!(ended.code == Some(0) && said.is_empty(), "{said}");
 }

@@ -94,7 +94,6 @@ impl Served {
         self.request(Method::GET, path).send().await.unwrap()
     }
 
-    /// The JSON of a successful answer.
     pub(crate) async fn json(&self, path: &str) -> Value {
         let response = self.get(path).await;
         assert_eq!(response.status(), StatusCode::OK, "{path}");
@@ -105,7 +104,6 @@ impl Served {
         self.get("/metrics").await.text().await.unwrap()
     }
 
-    /// The problem document of the error at `path`.
     pub(crate) async fn refused(&self, path: &str, status: u16) -> Value {
         problem(self.get(path).await, status).await
     }
@@ -145,38 +143,34 @@ pub(crate) async fn problem(response: Response, status: u16) -> Value {
     problem
 }
 
-/// Records frames without a camera loop.
-pub(crate) trait Frames {
-    /// Records a frame with its only answer.
-    fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>);
+pub(crate) fn answered(camera: &CameraBoard, detections: DetectionsMessage) {
+    let detections = Arc::new(detections);
+    let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
+    camera.show(Arc::clone(&detections));
+    camera.record_frame(&FrameRecord::new(detections, total));
+}
 
-    /// Records a picture of this size as the latest.
-    fn sent(&self, seq: u64, format: PictureFormat, bytes: Vec<u8>, size: [u32; 2]);
-
-    /// Records a frame of each of these states, numbered from 0.
-    fn answered_all(&self, states: &[FrameState]) {
-        for (seq, state) in (0..).zip(states) {
-            self.answered(frame(seq, *state));
-        }
+/// Answers a frame of each of these states, numbered from 0.
+pub(crate) fn answered_all(camera: &CameraBoard, states: &[FrameState]) {
+    for (seq, state) in (0..).zip(states) {
+        answered(camera, frame(seq, *state));
     }
 }
 
-impl Frames for CameraBoard {
-    fn sent(&self, seq: u64, format: PictureFormat, bytes: Vec<u8>, [width, height]: [u32; 2]) {
-        let picture = EncodedPicture {
-            format,
-            bytes: bytes.into(),
-            size: PictureSize::new(width, height),
-        };
-        self.set_latest_frame(LatestFrame::new(seq, picture));
-    }
-
-    fn answered(&self, detections: impl Into<Arc<DetectionsMessage>>) {
-        let detections = detections.into();
-        let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
-        self.show(Arc::clone(&detections));
-        self.record_frame(&FrameRecord::new(detections, total));
-    }
+/// Receives a picture.
+pub(crate) fn received(
+    camera: &CameraBoard,
+    seq: u64,
+    format: PictureFormat,
+    bytes: Vec<u8>,
+    [width, height]: [u32; 2],
+) {
+    let picture = EncodedPicture {
+        format,
+        bytes: bytes.into(),
+        size: PictureSize::new(width, height),
+    };
+    camera.set_latest_frame(LatestFrame::new(seq, picture));
 }
 
 pub(crate) fn frame(seq: u64, state: FrameState) -> DetectionsMessage {

@@ -2,19 +2,19 @@
 
 use super::{PATIENCE, next, subscribe, until_connected};
 use crate::node_frames::attachment;
+use albireo::cli::replay::open_session;
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, read};
 use std::collections::BTreeSet;
 use tokio::sync::mpsc::UnboundedReceiver;
 use zenoh::Session;
-use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 
-/// The camera `front` of a node.
 pub(crate) struct Camera {
     pub(crate) session: Session,
-    frames: Publisher<'static>,
+    key: String,
     answers: UnboundedReceiver<()>,
     picture: Vec<u8>,
     /// The number of the next frame and of its clip.
@@ -26,24 +26,17 @@ pub(crate) struct Camera {
 impl Camera {
     /// Connects the camera of `node` at `endpoint`, and waits until the node hears it.
     pub(crate) async fn at(endpoint: &str, node: &str) -> Self {
-        let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
-            .await
-            .unwrap();
+        let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await;
+        let session = session.unwrap();
         let of = |what: &str| format!("albireo/{node}/front/{what}");
         let answers = subscribe(&session, &of("detections"), drop).await;
         let report = |sample: Sample| read(&sample.payload().to_bytes()).unwrap();
         let reports = subscribe(&session, &of("clip"), report).await;
-        let frames = session
-            // Like `albireo publish`, it does not wait for subscribers that do not read.
-            .declare_publisher(of("frame"))
-            .congestion_control(zenoh::qos::CongestionControl::Drop)
-            .await
-            .unwrap();
         until_connected(&session, node, "front").await;
         let scene = BoxScene::new(5, PictureSize::new(320, 180));
         Self {
             session,
-            frames,
+            key: of("frame"),
             answers,
             picture: scene.frame(0).jpeg(80).unwrap(),
             seq: 0,
@@ -57,12 +50,10 @@ impl Camera {
         for _ in 0..count {
             let attachment = attachment(self.seq, None, Some(&format!("clip-{}", self.seq)));
             self.seq += 1;
-            self.frames
-                .put(self.picture.clone())
-                .encoding("image/jpeg")
-                .attachment(attachment)
-                .await
-                .unwrap();
+            // Like `albireo publish`, it does not wait for subscribers that do not read.
+            let frame = self.session.put(&*self.key, self.picture.clone());
+            let frame = frame.congestion_control(CongestionControl::Drop);
+            frame.attachment(attachment).await.unwrap();
             next(&mut self.answers).await;
         }
     }

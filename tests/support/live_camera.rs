@@ -1,16 +1,15 @@
 //! Network cameras: a real RTSP server, and a motion JPEG server over HTTP.
 
 use super::{PATIENCE, free_port};
+use std::io;
 use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::process::{Child, Command};
-use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-/// GStreamer's RTSP server.
 pub(crate) struct RtspCamera {
     child: Child,
     pub(crate) port: u16,
@@ -34,9 +33,7 @@ impl RtspCamera {
             .expect("Debian's Python starts");
         let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
         let line = timeout(PATIENCE, lines.next_line()).await;
-        let line = line
-            .expect("the camera is there in time")
-            .expect("its output");
+        let line = line.expect("the camera is there in time").unwrap();
         assert_eq!(line.as_deref(), Some("ready"), "run `make debian`");
         Self { child, port }
     }
@@ -50,39 +47,21 @@ impl RtspCamera {
     }
 }
 
-/// A camera that sends a motion JPEG stream over HTTP.
 pub(crate) struct MotionJpegCamera {
     pub(crate) address: String,
     requests: Arc<Mutex<Vec<String>>>,
-    serving: JoinHandle<()>,
-}
-
-/// The stream that a camera sends to each client.
-#[derive(Clone)]
-pub(crate) enum Script {
-    /// These parts, endlessly.
-    Repeat(Vec<Vec<u8>>),
-    /// These parts, and then nothing.
-    FallSilent(Vec<Vec<u8>>),
-    /// A part that never ends.
-    EndlessPart,
 }
 
 impl MotionJpegCamera {
-    /// A camera that sends `picture` every `period`.
-    pub(crate) async fn start(picture: Vec<u8>, period: Duration) -> Self {
-        Self::playing(Script::Repeat(vec![picture]), period).await
-    }
-
-    /// A camera that sends a part of `script` every `period`.
-    pub(crate) async fn playing(script: Script, period: Duration) -> Self {
+    /// A camera that sends these parts to each client, a hundred per second, endlessly or once and then nothing.
+    pub(crate) async fn start(parts: Vec<Vec<u8>>, is_endless: bool) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("its address");
         let requests = Arc::new(Mutex::new(Vec::new()));
         let noted = Arc::clone(&requests);
-        let serving = tokio::spawn(async move {
+        tokio::spawn(async move {
             while let Ok((mut client, _)) = listener.accept().await {
-                let (script, noted) = (script.clone(), Arc::clone(&noted));
+                let (parts, noted) = (parts.clone(), Arc::clone(&noted));
                 tokio::spawn(async move {
                     let mut request = [0; 4096];
                     let length = client.read(&mut request).await.unwrap_or(0);
@@ -91,7 +70,7 @@ impl MotionJpegCamera {
                     let head = "HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=cut\r\n\r\n";
                     if client.write_all(head.as_bytes()).await.is_ok() {
                         // It fails when the client disconnects.
-                        let _ = script.play(&mut client, period).await;
+                        let _ = play(&mut client, &parts, is_endless).await;
                     }
                 });
             }
@@ -99,11 +78,9 @@ impl MotionJpegCamera {
         Self {
             address: format!("http://{address}/video.mjpg"),
             requests,
-            serving,
         }
     }
 
-    /// The number of clients so far.
     pub(crate) fn clients(&self) -> usize {
         self.requests.lock().expect("no test failed").len()
     }
@@ -113,39 +90,18 @@ impl MotionJpegCamera {
     }
 }
 
-impl Script {
-    async fn play(self, client: &mut TcpStream, period: Duration) -> std::io::Result<()> {
-        let (parts, again) = match self {
-            Self::Repeat(parts) => (parts, true),
-            Self::FallSilent(parts) => (parts, false),
-            Self::EndlessPart => {
-                let head = b"--cut\r\nContent-Type: image/jpeg\r\n\r\n\xff\xd8\xff\xe0";
-                client.write_all(head).await?;
-                let more = vec![0x11; 1 << 20];
-                loop {
-                    client.write_all(&more).await?;
-                }
-            }
-        };
-        loop {
-            for part in &parts {
-                let head = format!(
-                    "--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
-                    part.len()
-                );
-                let whole = [head.as_bytes(), part, b"\r\n"].concat();
-                client.write_all(&whole).await?;
-                tokio::time::sleep(period).await;
-            }
-            if !again {
-                std::future::pending::<()>().await;
-            }
+async fn play(client: &mut TcpStream, parts: &[Vec<u8>], is_endless: bool) -> io::Result<()> {
+    loop {
+        for part in parts {
+            let length = part.len();
+            let head =
+                format!("--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {length}\r\n\r\n");
+            let whole = [head.as_bytes(), part, b"\r\n"].concat();
+            client.write_all(&whole).await?;
+            tokio::time::sleep(Duration::from_millis(10)).await;
         }
-    }
-}
-
-impl Drop for MotionJpegCamera {
-    fn drop(&mut self) {
-        self.serving.abort();
+        if !is_endless {
+            std::future::pending::<()>().await;
+        }
     }
 }

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader, Lines};
-use tokio::process::{Child, ChildStdin, ChildStdout, Command};
+use tokio::process::{Child, ChildStdout, Command};
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::time::timeout;
 use zenoh::Session;
@@ -79,7 +79,6 @@ pub(crate) fn assert_contains(said: &str, parts: &[&str]) {
     }
 }
 
-/// Waits until `condition` holds.
 pub(crate) async fn until(what: &str, mut condition: impl AsyncFnMut() -> bool) {
     let waiting = async {
         while !condition().await {
@@ -100,8 +99,7 @@ pub(crate) async fn until_ready(http: &str) {
 
 pub(crate) fn signal(process: u32, signal: &str) {
     let mut kill = std::process::Command::new("kill");
-    let sent = kill.args([signal, &process.to_string()]).status();
-    assert!(sent.expect("kill runs").success());
+    run_command(kill.args([signal, &process.to_string()])).succeeds();
 }
 
 /// The text at an address; empty without an answer.
@@ -117,7 +115,6 @@ pub(crate) async fn json_at(url: &str) -> Value {
     serde_json::from_str(&text_at(url).await).unwrap_or_default()
 }
 
-/// The value of a series in a text of metrics.
 #[track_caller]
 pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
     let found = metrics
@@ -127,7 +124,6 @@ pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
     found.unwrap_or_else(|| panic!("no {series} in {metrics}"))
 }
 
-/// The value of a series of the service at `http`.
 pub(crate) async fn metric(http: &str, series: &str) -> f64 {
     value_of(&text_at(&format!("{http}/metrics")).await, series)
 }
@@ -151,7 +147,6 @@ pub(crate) async fn zenoh_client(endpoint: &str) -> Session {
     zenoh_session(&settings).await.expect("a session")
 }
 
-/// Subscribes to `key`, with each message converted by `read`.
 pub(crate) async fn subscribe<T: Send + 'static>(
     session: &Session,
     key: &str,
@@ -169,7 +164,6 @@ pub(crate) async fn next<T>(messages: &mut UnboundedReceiver<T>) -> T {
     message.expect("a message comes in time").unwrap()
 }
 
-/// A peer that listens on a free port, and its endpoint.
 pub(crate) async fn listening_peer() -> (Session, String) {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let session = open_session(&[], &listen, Duration::ZERO).await.unwrap();
@@ -177,7 +171,6 @@ pub(crate) async fn listening_peer() -> (Session, String) {
     (session, locator.to_string())
 }
 
-/// The exit code and the output of a finished process.
 #[derive(Debug)]
 pub(crate) struct Ended {
     pub(crate) code: Option<i32>,
@@ -211,7 +204,6 @@ impl Ended {
     }
 }
 
-/// Runs the program to its end, with these variables in its environment.
 pub(crate) fn run(arguments: &[&str], environment: &[(&str, &str)]) -> Ended {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"));
     command.args(arguments).envs(environment.iter().copied());
@@ -256,7 +248,6 @@ pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     program
 }
 
-/// A shell script in `folder`.
 pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let file = folder.join(name);
@@ -265,7 +256,6 @@ pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     file
 }
 
-/// A JPEG file of one grey level.
 pub(crate) fn grey_jpeg(value: u8, [width, height]: [u16; 2]) -> Vec<u8> {
     let mut file = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
@@ -289,8 +279,7 @@ pub(crate) fn test_video(folder: &Path, name: &str, options: &str) -> PathBuf {
 
 /// Creates a named pipe: it blocks whoever opens it until the other end is opened.
 pub(crate) fn pipe(path: &Path) {
-    let made = std::process::Command::new("mkfifo").arg(path).status();
-    assert!(made.expect("mkfifo runs").success());
+    run_command(std::process::Command::new("mkfifo").arg(path)).succeeds();
 }
 
 /// The constants that comments in the settings change: `# development: name=value …`.
@@ -300,14 +289,10 @@ pub(crate) fn development(settings: &str) -> String {
     lines.join(" ")
 }
 
-/// `albireo node`, running.
 pub(crate) struct Node {
     child: Child,
-    /// The folder of its configuration and state.
     pub folder: tempfile::TempDir,
-    /// The URL of its HTTP interface.
     pub http: String,
-    /// The endpoint of its Zenoh session.
     pub zenoh: String,
     log: tokio::task::JoinHandle<String>,
 }
@@ -318,10 +303,9 @@ impl Node {
         Self::start_in(tempfile::tempdir().unwrap(), settings).await
     }
 
-    /// Like [`Self::start`], in the folder of an earlier node.
     pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
         let node = Self::start_with(folder, settings, &[]).await;
-        node.wait_until_ready().await;
+        until_ready(&node.http).await;
         node
     }
 
@@ -330,7 +314,6 @@ impl Node {
         Self::start_with(tempfile::tempdir().unwrap(), settings, &[]).await
     }
 
-    /// Starts a node with these variables in its environment.
     pub(crate) async fn start_with(
         folder: tempfile::TempDir,
         settings: &str,
@@ -338,21 +321,11 @@ impl Node {
     ) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
-        let listen = if settings.contains("zenoh.mode = \"client\"") {
-            "[]".to_owned()
-        } else {
-            format!("[\"{zenoh}\"]")
-        };
-        let addresses = format!(
-            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = {listen}\nlog.format = \"json\"\n"
+        // Each report is sent at once.
+        let own = format!(
+            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [{zenoh:?}]\nlog.format = \"json\"\noutbox.gather_s = 0\n"
         );
-        // Each report is sent at once, unless the test is about gathering.
-        let at_once = if settings.contains("gather_s") {
-            ""
-        } else {
-            "outbox.gather_s = 0\n"
-        };
-        std::fs::write(&file, addresses + at_once + settings).unwrap();
+        std::fs::write(&file, own + settings).unwrap();
         let mut child = albireo()
             .args(["node", "--config"])
             .arg(&file)
@@ -376,10 +349,6 @@ impl Node {
     pub(crate) async fn kill(mut self) -> tempfile::TempDir {
         self.child.kill().await.expect("the node can be killed");
         self.folder
-    }
-
-    pub(crate) async fn wait_until_ready(&self) {
-        until_ready(&self.http).await;
     }
 
     pub(crate) async fn text(&self, path: &str) -> String {
@@ -412,7 +381,6 @@ impl Node {
     }
 }
 
-/// Collects all lines in the background.
 pub(crate) fn collected<R: AsyncRead + Unpin + Send + 'static>(
     mut lines: Lines<BufReader<R>>,
 ) -> tokio::task::JoinHandle<String> {
@@ -458,19 +426,14 @@ pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
 pub(crate) async fn replay(node: &Node, source: &str, more: &[&str]) {
     let every = ["--every", "--wait-for-subscriber", "--connect", &node.zenoh];
     let mut command = albireo();
-    let output = command
-        .args(["replay", source])
-        .args(every)
-        .args(more)
-        .output();
-    let output = timeout(PATIENCE, output).await;
+    command.args(["replay", source]).args(every).args(more);
+    let output = timeout(PATIENCE, command.output()).await;
     Ended::from(output.expect("the replay ends in time").unwrap()).succeeds();
 }
 
 /// The independent client: Eclipse Zenoh's Python binding.
 pub(crate) struct Client {
     child: Child,
-    stdin: Option<ChildStdin>,
     lines: Lines<BufReader<ChildStdout>>,
 }
 
@@ -487,7 +450,6 @@ impl Client {
             .spawn()
             .expect("Python starts: run `make python`");
         let mut client = Self {
-            stdin: child.stdin.take(),
             lines: BufReader::new(child.stdout.take().unwrap()).lines(),
             child,
         };
@@ -511,17 +473,6 @@ impl Client {
         let mut entry: Value = serde_json::from_str(&line).expect("a JSON line");
         let key = entry["key"].as_str().expect("a key").to_owned();
         Some((key, entry["message"].take()))
-    }
-
-    /// Ends the client and returns its remaining output.
-    pub(crate) async fn finish(mut self) -> Vec<(String, Value)> {
-        drop(self.stdin.take());
-        let mut rest = Vec::new();
-        while let Some(message) = self.next().await {
-            rest.push(message);
-        }
-        let _ = self.child.wait().await;
-        rest
     }
 }
 

@@ -1,8 +1,8 @@
 //! A policy that runs a test's code before it begins a frame.
 
-use albireo_core::policy::{Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy};
+use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy};
 
-/// A wrapper that runs `before` ahead of each frame of `inner`.
+/// A wrapper that runs `before` ahead of each frame of `inner`, a policy without a knob.
 pub(crate) struct Before<F> {
     pub(crate) inner: Box<dyn Policy>,
     pub(crate) before: F,
@@ -11,18 +11,6 @@ pub(crate) struct Before<F> {
 impl<F: FnMut() + Send + Sync> Policy for Before<F> {
     fn name(&self) -> &'static str {
         self.inner.name()
-    }
-
-    fn knob(&self) -> Option<Knob> {
-        self.inner.knob()
-    }
-
-    fn knob_value(&self) -> Option<f64> {
-        self.inner.knob_value()
-    }
-
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.inner.set_knob(value)
     }
 
     fn begin(&mut self, frame: FrameHead) -> Need {
