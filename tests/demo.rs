@@ -1,23 +1,24 @@
 //! `albireo demo` with its hub, end to end.
 
-use crate::support::{Ended, PATIENCE, albireo, assert_contains, json_at, signal, until};
+use crate::support::{
+    Ended, PATIENCE, albireo, assert_contains, collected, json_at, signal, until,
+};
 use serde_json::Value;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::time::timeout;
 
 /// Asserts that an uninterrupted table of the road's clips, in order, follows the first detection.
-fn assert_is_a_table(lines: &[String]) {
-    let is_first = |line: &String| line.starts_with("first detection after");
-    let first = lines.iter().position(is_first);
-    let mut after = lines[first.expect("cars are found")..].iter().skip(1);
+fn assert_is_a_table(said: &str) {
+    let (_, after) = said.split_once("first detection after").expect(said);
+    let mut after = after.lines().skip(1);
     assert_eq!(after.next().unwrap(), "");
-    assert!(after.next().unwrap().starts_with("clip "), "{lines:?}");
+    assert!(after.next().unwrap().starts_with("clip "), "{said}");
     let clips: Vec<_> = after
         .take_while(|line| !line.is_empty())
         .map(|line| line.split_whitespace().next().unwrap())
         .collect();
-    assert!(clips.len() >= 2, "{lines:?}");
+    assert!(clips.len() >= 2, "{said}");
     let road = ["busy", "sparse", "empty-then-car", "night"];
     for (number, clip) in clips.iter().enumerate() {
         assert_eq!(*clip, format!("{}-{:04}", road[number % 4], number + 1));
@@ -59,15 +60,13 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     .await;
 
     signal(demo.id().unwrap(), "-TERM");
-    let mut rest = Vec::new();
-    while let Some(line) = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap() {
-        rest.push(line);
-    }
+    let rest = timeout(PATIENCE, collected(lines)).await;
+    let rest = rest.unwrap().unwrap();
     let ended = timeout(PATIENCE, demo.wait_with_output()).await.unwrap();
     let ended = Ended::from(ended.unwrap());
     let code = (ended.code, &*ended.err);
     assert_eq!(code, (Some(0), ""), "nothing interrupts the table");
-    assert_contains(&rest.join("\n"), &["detector skipped on"]);
+    assert_contains(&rest, &["detector skipped on"]);
     assert_is_a_table(&rest);
     // ONNX Runtime leaves a file there.
     for left in std::fs::read_dir(temporary.path()).unwrap() {

@@ -3,8 +3,8 @@
 
 use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
 use crate::support::{
-    PATIENCE, albireo, assert_contains, free_port, metric, run, signal, subscribe, text,
-    until_ready, zenoh_session,
+    PATIENCE, albireo, assert_contains, free_port, run, signal, subscribe, text, text_at,
+    until_ready, value_of, zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
 use serde_json::{Value, json};
@@ -16,28 +16,29 @@ use tokio::time::timeout;
 use zenoh::Session;
 use zenoh::sample::Sample;
 
-/// A folder with a certificate authority, and a router with its access rules.
+/// A folder with a certificate authority, and the addresses of a router with its access rules.
 struct Fleet {
     folder: tempfile::TempDir,
     endpoint: String,
     http: String,
-    router: Option<Child>,
 }
 
 impl Fleet {
-    fn new() -> Self {
+    /// A fleet with its router and hub running.
+    async fn started() -> (Self, Child, HubProcess) {
         let fleet = Self {
             folder: tempfile::tempdir().unwrap(),
             endpoint: format!("tls/localhost:{}", free_port()),
             http: format!("127.0.0.1:{}", free_port()),
-            router: None,
         };
         fleet.does(&["cert", "authority"]);
         fleet.does(&["cert", "router", "east", "--host", "localhost"]);
         fleet.does(&["cert", "hub", "main"]);
         fleet.does(&["cert", "node", "car-7", "car-8"]);
-        fleet.rules();
-        fleet
+        let router = fleet.start_router().await;
+        let hub = HubProcess::start(&fleet.hub_settings());
+        hub.until_ready().await;
+        (fleet, router, hub)
     }
 
     fn authority(&self) -> PathBuf {
@@ -48,11 +49,6 @@ impl Fleet {
     fn does(&self, arguments: &[&str]) -> String {
         let authority = self.authority().display().to_string();
         run(arguments, &[("ALBIREO_AUTHORITY", &authority)]).succeeds()
-    }
-
-    fn rules(&self) {
-        let file = self.folder.path().join("access.json");
-        self.does(&["acl", "--output", file.to_str().unwrap()]);
     }
 
     /// The shipped configuration, with this fleet's addresses and paths.
@@ -74,7 +70,10 @@ impl Fleet {
         file
     }
 
-    async fn start_router(&mut self) {
+    /// Starts a router with the rules of the present certificates.
+    async fn start_router(&self) -> Child {
+        let access = self.folder.path().join("access.json");
+        self.does(&["acl", "--output", access.to_str().unwrap()]);
         let log = std::fs::OpenOptions::new()
             .create(true)
             .append(true)
@@ -85,26 +84,16 @@ impl Fleet {
             .args([&self.http, "--config"])
             .arg(self.shipped("router.json5"))
             .arg("--access")
-            .arg(self.folder.path().join("access.json"))
+            .arg(access)
             .stderr(log)
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
-        self.router = Some(router);
         until_ready(&format!("http://{}", self.http)).await;
+        router
     }
 
-    /// A fleet with its router and hub running.
-    async fn started() -> (Self, HubProcess) {
-        let mut fleet = Self::new();
-        fleet.start_router().await;
-        let hub = HubProcess::start(&fleet.hub_settings());
-        hub.until_ready().await;
-        (fleet, hub)
-    }
-
-    async fn stop_router(&mut self) {
-        let mut router = self.router.take().unwrap();
+    async fn stop(&self, mut router: Child) {
         signal(router.id().unwrap(), "-TERM");
         let ended = timeout(PATIENCE, router.wait()).await.unwrap();
         assert!(ended.unwrap().success(), "{}", self.log());
@@ -112,10 +101,6 @@ impl Fleet {
 
     fn log(&self) -> String {
         std::fs::read_to_string(self.folder.path().join("router.log")).unwrap()
-    }
-
-    async fn metric(&self, series: &str) -> f64 {
-        metric(&format!("http://{}", self.http), series).await
     }
 
     fn hub_settings(&self) -> Settings {
@@ -126,21 +111,26 @@ impl Fleet {
         settings
     }
 
-    /// Opens a session as the member `role/name`, with a certificate from the folder `authority`.
-    async fn opens_with(&self, authority: &Path, member: Option<&str>) -> zenoh::Result<Session> {
-        let mut tls = json!({
+    /// Opens a session with this certificate and key.
+    async fn opens_with(&self, certificate: &Path, key: &Path) -> zenoh::Result<Session> {
+        let tls = json!({
             "root_ca_certificate": self.authority().join("authority.pem"),
-            "enable_mtls": member.is_some(),
+            "enable_mtls": true,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
         });
-        if let Some(member) = member {
-            tls["connect_certificate"] = json!(authority.join(format!("{member}.pem")));
-            tls["connect_private_key"] = json!(authority.join(format!("{member}.key")));
-        }
         open(&self.endpoint, Some(tls)).await
     }
 
+    /// Opens a session as `member`, `ROLE/NAME`, with a certificate from the folder `authority`.
+    async fn opens_from(&self, authority: &Path, member: &str) -> zenoh::Result<Session> {
+        let [certificate, key] =
+            ["pem", "key"].map(|kind| authority.join(member).with_extension(kind));
+        self.opens_with(&certificate, &key).await
+    }
+
     async fn opens(&self, member: &str) -> zenoh::Result<Session> {
-        self.opens_with(&self.authority(), Some(member)).await
+        self.opens_from(&self.authority(), member).await
     }
 }
 
@@ -166,7 +156,7 @@ const NOBODY: Duration = Duration::from_secs(3);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
-    let (fleet, hub) = Fleet::started().await;
+    let (fleet, _router, hub) = Fleet::started().await;
 
     // Members work.
     let car_7 = fleet.opens("node/car-7").await.unwrap();
@@ -180,12 +170,13 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     // No TLS, no certificate, a certificate of another authority, an expired certificate.
     let plain = fleet.endpoint.replace("tls/", "tcp/");
     assert!(open(&plain, None).await.is_err(), "a plain client");
-    let nobody = fleet.opens_with(Path::new("/"), None).await;
+    let only_trust = json!({"root_ca_certificate": fleet.authority().join("authority.pem")});
+    let nobody = open(&fleet.endpoint, Some(only_trust)).await;
     assert!(nobody.is_err(), "no certificate");
     let other = fleet.folder.path().join("other");
     let mut stranger = Authority::create(&other, "other", DAY).unwrap();
     stranger.issue(Role::Node, "car-7", &[], DAY).unwrap();
-    let with_other = fleet.opens_with(&other, Some("node/car-7")).await;
+    let with_other = fleet.opens_from(&other, "node/car-7").await;
     assert!(with_other.is_err(), "a certificate of another authority");
     let mut own = Authority::open(&fleet.authority()).unwrap();
     let second = Duration::from_secs(1);
@@ -196,12 +187,8 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     assert!(ended.is_err(), "an expired certificate");
 
     // The certificate of one node with the key of another.
-    let mixed = fleet.folder.path().join("node");
-    std::fs::create_dir(&mixed).unwrap();
     let node = fleet.authority().join("node");
-    std::fs::copy(node.join("car-7.pem"), mixed.join("mixed.pem")).unwrap();
-    std::fs::copy(node.join("car-8.key"), mixed.join("mixed.key")).unwrap();
-    let mixed = fleet.opens_with(fleet.folder.path(), Some("node/mixed"));
+    let mixed = fleet.opens_with(&node.join("car-7.pem"), &node.join("car-8.key"));
     assert!(mixed.await.is_err(), "another node's key");
 
     // A member that exceeds its rights. A hub's session would receive its messages.
@@ -242,22 +229,22 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     assert!(nothing, "{}", fleet.log());
     let stored = hub.clips("car-8").await.len();
     assert_eq!(stored, 5, "its own reports only");
-    assert!(fleet.metric("albireo_router_sessions").await >= 3.0);
-    assert!(fleet.metric("albireo_router_probe_seconds").await > 0.0);
-    let failed = "albireo_router_probes_failed_total";
-    assert_eq!(fleet.metric(failed).await, 0.0);
+    let metrics = text_at(&format!("http://{}/metrics", fleet.http)).await;
+    let value = |name: &str| value_of(&metrics, &format!("albireo_router_{name}"));
+    assert!(value("sessions") >= 3.0 && value("probe_seconds") > 0.0);
+    assert_eq!(value("probes_failed_total"), 0.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
-    let (mut fleet, _hub) = Fleet::started().await;
+    let (fleet, router, _hub) = Fleet::started().await;
     let old = fleet.folder.path().join("old");
     std::fs::create_dir_all(old.join("node")).unwrap();
     for kind in ["pem", "key"] {
         let file = format!("node/car-7.{kind}");
         std::fs::copy(fleet.authority().join(&file), old.join(&file)).unwrap();
     }
-    let stolen = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
+    let stolen = fleet.opens_from(&old, "node/car-7").await.unwrap();
     assert!(acknowledged(&stolen, "car-7", 1, PATIENCE).await);
 
     fleet.does(&["cert", "revoke", "node", "car-7"]);
@@ -267,12 +254,11 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
         let mut lines = list.lines().filter(|line| line.contains(certificate));
         assert!(lines.any(|line| line.contains(state)), "{list}");
     }
-    fleet.rules();
-    fleet.stop_router().await;
-    fleet.start_router().await;
+    fleet.stop(router).await;
+    let _router = fleet.start_router().await;
 
     // Its certificate is still valid, so it gets a session, and nothing else.
-    let again = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
+    let again = fleet.opens_from(&old, "node/car-7").await.unwrap();
     assert!(!acknowledged(&again, "car-7", 2, NOBODY).await);
     let renewed = fleet.opens("node/car-7").await.unwrap();
     let taken = acknowledged(&renewed, "car-7", 2, PATIENCE).await;
@@ -284,7 +270,7 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
 async fn a_real_node_reports_through_the_router_with_its_certificate() {
     use crate::support::Node;
     use crate::support::camera::Camera;
-    let (fleet, hub) = Fleet::started().await;
+    let (fleet, _router, hub) = Fleet::started().await;
     let authority = fleet.authority().display().to_string();
     let settings = format!(
         "node.name = \"car-7\"\ndetector.model = \"{}/tests/fixtures/models/boxes.onnx\"\npower.source = \"none\"\n\
@@ -309,14 +295,6 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
 
 #[test]
 fn a_router_that_requires_certificates_does_not_start_without_access_rules() {
-    let fleet = Fleet::new();
-    let config = fleet.shipped("router.json5");
-    let check = |more: &[&str]| {
-        let check = ["router", "--check", "--config", config.to_str().unwrap()];
-        run(&[&check, more].concat(), &[])
-    };
-    assert_contains(&check(&[]).fails(), &["--access"]);
-    check(&["--no-access-control"]).succeeds();
-    let rules = fleet.folder.path().join("access.json");
-    check(&["--access", rules.to_str().unwrap()]).succeeds();
+    let check = ["router", "--check", "--config", "deploy/zenoh/router.json5"];
+    assert_contains(&run(&check, &[]).fails(), &["--access"]);
 }

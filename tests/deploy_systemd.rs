@@ -5,7 +5,7 @@ use crate::support::fleet::{behind, router_config, settings, sqlite};
 use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::net::UnixDatagram;
 use tokio::process::Child;
 use tokio::time::timeout;
@@ -14,22 +14,23 @@ fn unit(name: &str) -> String {
     text(&format!("deploy/systemd/{name}"))
 }
 
-/// Writes the units for the program under test, with their drop-ins, to a folder.
-fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
-    let program = env!("CARGO_BIN_EXE_albireo");
-    let mut files = Vec::new();
-    for service in ["node", "hub", "router"] {
+/// Writes the units of node, hub and router, for the program under test, to a folder.
+fn units(folder: &Path) -> [PathBuf; 3] {
+    ["node", "hub", "router"].map(|service| {
         let name = format!("albireo-{service}.service");
-        let file = folder.join(&name);
-        std::fs::write(&file, unit(&name).replace("/usr/bin/albireo", program)).unwrap();
-        files.push(file);
+        let text = unit(&name).replace("/usr/bin/albireo", env!("CARGO_BIN_EXE_albireo"));
+        std::fs::write(folder.join(&name), text).unwrap();
+        folder.join(name)
+    })
+}
+
+/// Writes the drop-ins of the node beside its unit.
+fn drop_ins(folder: &Path) {
+    let to = folder.join("albireo-node.service.d");
+    std::fs::create_dir(&to).unwrap();
+    for name in ["gpu.conf", "rapl.conf"] {
+        std::fs::write(to.join(name), unit(&format!("drop-ins/{name}"))).unwrap();
     }
-    for (service, drop_in) in drop_ins {
-        let to = folder.join(format!("albireo-{service}.service.d"));
-        std::fs::create_dir_all(&to).unwrap();
-        std::fs::write(to.join(drop_in), unit(&format!("drop-ins/{drop_in}"))).unwrap();
-    }
-    files
 }
 
 fn verify(files: &[PathBuf]) -> String {
@@ -42,27 +43,26 @@ fn verify(files: &[PathBuf]) -> String {
 
 #[test]
 #[ignore = "needs systemd"]
-fn systemd_accepts_the_units_and_their_drop_ins() {
+fn systemd_accepts_the_units_with_and_without_their_drop_ins() {
     let folder = tempfile::tempdir().unwrap();
-    let plain = here(folder.path(), &[]);
-    assert_eq!(verify(&plain), "");
-    let folder = tempfile::tempdir().unwrap();
-    let all = [("node", "gpu.conf"), ("node", "rapl.conf")];
-    let with_all = here(folder.path(), &all);
-    assert_eq!(verify(&with_all), "");
+    let files = units(folder.path());
+    assert_eq!(verify(&files), "");
+    drop_ins(folder.path());
+    assert_eq!(verify(&files), "");
     // The check works: it finds a misspelt key.
-    let text = std::fs::read_to_string(&plain[0]).unwrap();
-    std::fs::write(&plain[0], text.replace("Restart=always", "Restrat=always")).unwrap();
-    assert!(verify(&plain).contains("Restrat"));
+    let text = std::fs::read_to_string(&files[0]).unwrap();
+    std::fs::write(&files[0], text.replace("Restart=always", "Restrat=always")).unwrap();
+    assert!(verify(&files).contains("Restrat"));
 }
 
 #[test]
 #[ignore = "needs systemd"]
-fn the_units_are_as_restricted_as_promised() {
+fn the_units_are_as_restricted_as_promised_even_with_the_drop_ins() {
     let folder = tempfile::tempdir().unwrap();
-    let files = here(folder.path(), &[]);
+    let files = units(folder.path());
+    drop_ins(folder.path());
     // Exposure in tenths, as systemd counts it.
-    for (file, most) in files.iter().zip([25, 15, 15]) {
+    for (file, most) in files.iter().zip([20, 15, 15]) {
         let mut security = Command::new("systemd-analyze");
         let threshold = format!("--threshold={most}");
         let security = security.args(["security", "--offline=true", &threshold]);
@@ -70,77 +70,52 @@ fn the_units_are_as_restricted_as_promised() {
     }
 }
 
-#[test]
-fn a_drop_in_lifts_only_restrictions_with_a_stated_reason() {
-    let gpu = [
-        "PrivateDevices=no",
-        "MemoryDenyWriteExecute=no",
-        "PrivateUsers=no",
-    ];
-    for (drop_in, opened) in [("gpu.conf", &gpu[..]), ("rapl.conf", &gpu[2..])] {
-        let text = unit(&format!("drop-ins/{drop_in}"));
-        let mut found = Vec::new();
-        let mut before = "";
-        for line in text.lines() {
-            if line.ends_with("=no") {
-                let reason = before.starts_with('#');
-                assert!(reason, "{drop_in}: {line} without a reason");
-                found.push(line);
-            }
-            before = line;
-        }
-        assert_eq!(found, opened, "{drop_in}");
-        let base = unit("albireo-node.service");
-        for line in opened {
-            let closed = line.replace("=no", "=yes");
-            assert!(base.lines().any(|one| one == closed), "{closed} is not set");
-        }
-    }
-}
-
-/// The service manager's end of the notify socket.
-struct Manager {
+/// A service, and the service manager's end of its notify socket.
+struct Service {
+    child: Child,
     socket: UnixDatagram,
     /// The folder of the socket and the log.
     folder: tempfile::TempDir,
     heard: Vec<String>,
 }
 
-impl Manager {
-    fn new() -> Self {
+impl Service {
+    /// Starts a service as systemd does, with a watchdog.
+    fn start(arguments: &[&str], settings: &[(&str, String)]) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
+        let notify = folder.path().join("notify");
+        let socket = UnixDatagram::bind(&notify).unwrap();
+        let child = albireo()
+            .args(arguments)
+            .envs(settings.iter().map(|(name, value)| (*name, value)))
+            .env("NOTIFY_SOCKET", notify)
+            .env("WATCHDOG_USEC", "200000")
+            .stderr(std::fs::File::create(folder.path().join("log")).unwrap())
+            .spawn()
+            .unwrap();
         Self {
+            child,
             socket,
             folder,
             heard: Vec::new(),
         }
     }
 
-    /// Starts a service as systemd does, with a watchdog.
-    fn start(&self, arguments: &[&str], settings: &[(&str, String)]) -> Child {
-        albireo()
-            .args(arguments)
-            .envs(settings.iter().map(|(name, value)| (*name, value)))
-            .env("NOTIFY_SOCKET", self.folder.path().join("notify"))
-            .env("WATCHDOG_USEC", "200000")
-            .stderr(std::fs::File::create(self.folder.path().join("log")).unwrap())
-            .spawn()
-            .unwrap()
+    /// Starts a node with that model.
+    fn node(folder: &Path, model: &Path) -> Self {
+        let file = folder.join("node.toml");
+        let settings = format!(
+            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\npower.source = \"none\"\n\
+             node.stuck_after_s = 3.0\ndetector.model = \"{}\"\n",
+            free_port(),
+            model.display()
+        );
+        std::fs::write(&file, settings).unwrap();
+        Self::start(&["node", "--config", file.to_str().unwrap()], &[])
     }
 
     fn log(&self) -> String {
         std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
-    }
-
-    async fn hear(&mut self) {
-        let mut buffer = [0; 4096];
-        let length = timeout(PATIENCE, self.socket.recv(&mut buffer))
-            .await
-            .unwrap_or_else(|_| panic!("nothing more came: {:?}\n{}", self.heard, self.log()))
-            .unwrap();
-        let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
-        self.heard.extend(text.lines().map(str::to_owned));
     }
 
     fn count(&self, message: &str) -> usize {
@@ -151,25 +126,36 @@ impl Manager {
     /// Receives until the message has arrived this many times.
     async fn until(&mut self, message: &str, times: usize) {
         while self.count(message) < times {
-            self.hear().await;
+            let mut buffer = [0; 4096];
+            let length = timeout(PATIENCE, self.socket.recv(&mut buffer))
+                .await
+                .unwrap_or_else(|_| panic!("no {message}: {:?}\n{}", self.heard, self.log()))
+                .unwrap();
+            let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
+            self.heard.extend(text.lines().map(str::to_owned));
         }
     }
 
-    /// Receives for that time.
-    async fn during(&mut self, time: Duration) {
-        let until = Instant::now() + time;
-        while timeout(until.saturating_duration_since(Instant::now()), self.hear())
-            .await
-            .is_ok()
-        {}
+    /// Receives until its watchdog was fed this many times more.
+    async fn until_fed(&mut self, more: usize) {
+        let times = self.count("WATCHDOG=1") + more;
+        self.until("WATCHDOG=1", times).await;
     }
-}
 
-async fn ends_well(mut child: Child, manager: &mut Manager) {
-    signal(child.id().unwrap(), "-TERM");
-    manager.until("STOPPING=1", 1).await;
-    let status = timeout(PATIENCE, child.wait()).await.unwrap().unwrap();
-    assert!(status.success(), "{status}\n{}", manager.log());
+    async fn ends_well(&mut self) {
+        signal(self.child.id().unwrap(), "-TERM");
+        self.until("STOPPING=1", 1).await;
+        let status = timeout(PATIENCE, self.child.wait()).await.unwrap().unwrap();
+        assert!(status.success(), "{status}\n{}", self.log());
+    }
+
+    /// Asserts that it notifies ready once, feeds its watchdog, and notifies its stop.
+    async fn works(mut self) {
+        self.until("READY=1", 1).await;
+        self.until_fed(10).await;
+        self.ends_well().await;
+        assert_eq!(self.count("READY=1"), 1, "{:?}", self.heard);
+    }
 }
 
 #[cfg(feature = "hub")]
@@ -177,13 +163,27 @@ async fn ends_well(mut child: Child, manager: &mut Manager) {
 async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) = settings(&sqlite(folder.path()));
-    let mut manager = Manager::new();
-    let hub = manager.start(&["hub"], &settings);
-    manager.until("READY=1", 1).await;
-    manager.until("STATUS=every part works", 1).await;
-    manager.until("WATCHDOG=1", 5).await;
-    ends_well(hub, &mut manager).await;
-    assert_eq!(manager.count("READY=1"), 1, "{:?}", manager.heard);
+    let mut hub = Service::start(&["hub"], &settings);
+    hub.until("STATUS=every part works", 1).await;
+    hub.works().await;
+}
+
+#[cfg(feature = "hub")]
+#[tokio::test]
+async fn a_router_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = router_config(folder.path());
+    let http = ["router", "--http", "127.0.0.1:0"];
+    let arguments = [&http[..], &["--config", file.to_str().unwrap()]].concat();
+    Service::start(&arguments, &[]).works().await;
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_feeds_its_watchdog_while_its_detector_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = project("tests/fixtures/models/boxes.onnx");
+    Service::node(folder.path(), &model).works().await;
 }
 
 #[cfg(feature = "hub")]
@@ -192,55 +192,11 @@ async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_f
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
     let settings = behind(&router, &sqlite(folder.path()));
-    let mut manager = Manager::new();
-    let hub = manager.start(&["hub"], &settings);
-    manager.until("STATUS=not ready: zenoh", 1).await;
-    let fed = manager.count("WATCHDOG=1");
-    manager.until("WATCHDOG=1", fed + 5).await;
-    assert_eq!(manager.count("READY=1"), 0, "{:?}", manager.heard);
-    ends_well(hub, &mut manager).await;
-}
-
-#[cfg(feature = "hub")]
-#[tokio::test]
-async fn a_router_notifies_ready_and_feeds_its_watchdog() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = router_config(folder.path());
-    let mut manager = Manager::new();
-    let http = ["router", "--http", "127.0.0.1:0"];
-    let arguments = [&http[..], &["--config", file.to_str().unwrap()]].concat();
-    let router = manager.start(&arguments, &[]);
-    manager.until("READY=1", 1).await;
-    manager.until("WATCHDOG=1", 5).await;
-    ends_well(router, &mut manager).await;
-}
-
-/// A node with that model, and its manager.
-fn node(folder: &Path, model: &Path) -> (Child, Manager) {
-    let file = folder.join("node.toml");
-    let settings = format!(
-        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\npower.source = \"none\"\n\
-         node.stuck_after_s = 3.0\ndetector.model = \"{}\"\n",
-        free_port(),
-        model.display()
-    );
-    std::fs::write(&file, settings).unwrap();
-    let manager = Manager::new();
-    let arguments = ["node", "--config", file.to_str().unwrap()];
-    (manager.start(&arguments, &[]), manager)
-}
-
-#[tokio::test]
-#[ignore = "needs ONNX Runtime"]
-async fn a_node_feeds_its_watchdog_while_its_detector_works() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = project("tests/fixtures/models/boxes.onnx");
-    let (node, mut manager) = node(folder.path(), &model);
-    manager.until("READY=1", 1).await;
-    let fed = manager.count("WATCHDOG=1");
-    manager.until("WATCHDOG=1", fed + 10).await;
-    ends_well(node, &mut manager).await;
-    assert_eq!(manager.count("READY=1"), 1);
+    let mut hub = Service::start(&["hub"], &settings);
+    hub.until("STATUS=not ready: zenoh", 1).await;
+    hub.until_fed(5).await;
+    assert_eq!(hub.count("READY=1"), 0, "{:?}", hub.heard);
+    hub.ends_well().await;
 }
 
 #[tokio::test]
@@ -250,11 +206,10 @@ async fn a_node_whose_detector_never_loads_starves_its_watchdog_and_reports_why(
     // Loading a pipe without a writer never ends.
     let model = folder.path().join("detector.onnx");
     pipe(&model);
-    let (_node, mut manager) = node(folder.path(), &model);
-    manager.until("WATCHDOG=1", 3).await;
-    manager.until("STATUS=stuck: detector", 1).await;
-    let fed = manager.count("WATCHDOG=1");
-    manager.during(Duration::from_secs(2)).await;
-    assert_eq!(manager.count("WATCHDOG=1"), fed, "{:?}", manager.heard);
-    assert_eq!(manager.count("READY=1"), 0);
+    let mut node = Service::node(folder.path(), &model);
+    node.until_fed(3).await;
+    node.until("STATUS=stuck: detector", 1).await;
+    let fed = timeout(Duration::from_secs(2), node.until_fed(1)).await;
+    assert!(fed.is_err(), "{:?}", node.heard);
+    assert_eq!(node.count("READY=1"), 0);
 }

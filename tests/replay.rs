@@ -11,9 +11,11 @@ use albireo_node::input::{Frame, PayloadFormat, RawSample, read_frame};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{FrameAnswer, VERSION};
 use clap::Parser;
+use rand_core::{RngCore, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tokio::sync::mpsc::{Receiver, channel};
+use tokio::sync::mpsc::unbounded_channel;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
@@ -28,61 +30,42 @@ fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
     Command::parse_from([&["replay", source], more].concat()).replay
 }
 
-/// Receives every frame as a node does, with a small queue that slows down the sender.
-async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
-    let (sender, receiver) = channel(2);
-    let queries = session
-        .declare_queryable("albireo/node/front/frame")
-        .complete(true)
-        .await
-        .unwrap();
+/// Replays to a receiver that answers each frame as a node does, after `wait`, and returns all frames.
+async fn replayed(source: &Path, more: &[&str], wait: Duration) -> (Vec<Frame>, Sent) {
+    let (session, endpoint) = listening_peer().await;
+    let queries = session.declare_queryable("albireo/node/front/frame");
+    let queries = queries.complete(true).await.unwrap();
+    let (sender, mut receiver) = unbounded_channel();
     tokio::spawn(async move {
-        let mut arrival = 0;
         while let Ok(query) = queries.recv_async().await {
-            let raw = RawSample {
-                arrival,
-                ..RawSample::from(&query)
-            };
+            let raw = RawSample::from(&query);
             let (_, frame) = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
-            sender.send(frame.unwrap()).await.unwrap();
+            sender.send(frame.unwrap()).unwrap();
+            tokio::time::sleep(wait).await;
             let answer = FrameAnswer {
                 v: VERSION,
                 refused: None,
             };
             let answer = serde_json::to_vec(&answer).unwrap();
             query.reply(query.key_expr(), answer).await.unwrap();
-            arrival += 1;
         }
     });
-    receiver
-}
-
-/// Replays to a receiver that does `work` per frame, and returns all frames.
-async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> (Vec<Frame>, Sent) {
-    let (session, endpoint) = listening_peer().await;
-    let mut receiver = take_each(&session).await;
     let connect = ["--connect", &endpoint, "--wait-for-subscriber", "--every"];
     let arguments = arguments(source, &[&connect, more].concat());
-    let mut sending = tokio::spawn(replay::run(arguments, CancellationToken::new()));
-    let mut frames = Vec::new();
-    let mut sent: Option<Sent> = None;
-    timeout(PATIENCE, async {
-        while sent
-            .as_ref()
-            .is_none_or(|sent| (frames.len() as u64) < sent.frames)
-        {
-            tokio::select! {
-                frame = receiver.recv() => {
-                    frames.push(frame.unwrap());
-                    work().await;
-                }
-                result = &mut sending, if sent.is_none() => sent = Some(result.unwrap().unwrap()),
-            }
-        }
-    })
-    .await
-    .expect("not every frame that was sent arrived");
-    (frames, sent.unwrap())
+    let sent = timeout(PATIENCE, replay::run(arguments, CancellationToken::new())).await;
+    let sent = sent.expect("the replay ends").unwrap();
+    let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
+    (frames, sent)
+}
+
+/// Asserts that the frames arrived in order, have that size, and that time between them.
+fn assert_in_order(frames: &[Frame], [width, height]: [u32; 2], period_ns: u64) {
+    for (number, frame) in (0..).zip(frames) {
+        assert_eq!(frame.sequence, number);
+        assert_eq!(frame.picture.size, PictureSize::new(width, height));
+        let after = frame.time_ns - frames[0].time_ns;
+        assert!(after.abs_diff(number * period_ns) < 1000, "{after}");
+    }
 }
 
 /// A folder of `count` JPEG files of 64x48 pixels.
@@ -100,19 +83,15 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
     let more = "--rate 200 --clip drive --clip-seconds 0.025";
     let more: Vec<_> = more.split(' ').collect();
-    let (frames, sent) = replayed(folder.path(), &more, async || {}).await;
-    assert_eq!((sent.frames, sent.clips), (12, 3));
+    let (frames, sent) = replayed(folder.path(), &more, Duration::ZERO).await;
+    assert_eq!((sent.frames, sent.clips, frames.len()), (12, 3, 12));
     let bytes: usize = frames.iter().map(|frame| frame.picture.bytes.len()).sum();
     assert_eq!(sent.bytes, bytes as u64);
+    assert_in_order(&frames, [64, 48], 5_000_000);
     for (number, frame) in frames.iter().enumerate() {
-        assert_eq!(frame.sequence, number as u64);
-        assert_eq!(frame.picture.size, PictureSize::new(64, 48));
-        let file = folder.path().join(format!("{number}.jpg"));
-        assert_eq!(frame.picture.bytes, std::fs::read(file).unwrap());
+        assert_eq!(frame.picture.bytes, grey_jpeg(number as u8, [64, 48]));
         let clip = format!("drive-{:04}", number / 5 + 1);
         assert_eq!(frame.clip.as_deref(), Some(clip.as_str()));
-        let after = frame.time_ns - frames[0].time_ns;
-        assert!(after.abs_diff(number as u64 * 5_000_000) < 1000, "{after}");
     }
 }
 
@@ -120,22 +99,15 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
 async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     // 300 frames of 300 kB: far more than the rings, queues and sockets hold.
     let folder = tempfile::tempdir().unwrap();
-    let mut noise = 1_u32;
-    let pixels: Vec<u8> = (0..640 * 480)
-        .map(|_| {
-            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (noise >> 24) as u8
-        })
-        .collect();
+    let mut noise = vec![0_u8; 640 * 480];
+    Pcg64Mcg::seed_from_u64(1).fill_bytes(&mut noise);
     let file = folder.path().join("noise.jpg");
     let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
     let grey = jpeg_encoder::ColorType::Luma;
-    encoder.encode(&pixels, 640, 480, grey).unwrap();
+    encoder.encode(&noise, 640, 480, grey).unwrap();
     let more = ["--rate", "max", "--loop", "--frames", "300"];
-    let (frames, sent) = replayed(folder.path(), &more, async || {
-        tokio::time::sleep(Duration::from_millis(2)).await;
-    })
-    .await;
+    let wait = Duration::from_millis(2);
+    let (frames, sent) = replayed(folder.path(), &more, wait).await;
     assert_eq!(sent.frames, 300);
     let sequence: Vec<u64> = frames.iter().map(|frame| frame.sequence).collect();
     assert_eq!(sequence, (0..300).collect::<Vec<_>>());
@@ -180,13 +152,13 @@ fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
 
 #[test]
 fn video_frames_are_cut_from_the_output_of_ffmpeg_and_can_be_rewound() {
-    let folder = pictures(2);
+    let folder = tempfile::tempdir().unwrap();
+    let pictures = [50, 200].map(|value| grey_jpeg(value, [64, 48]));
     let mut stream = Vec::new();
-    for number in 0..2 {
-        let file = std::fs::read(folder.path().join(format!("{number}.jpg"))).unwrap();
+    for file in &pictures {
         let head = "--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: ";
         let head = format!("{head}{}\r\n\r\n", file.len());
-        stream.extend([head.as_bytes(), &file, b"\r\n"].concat());
+        stream.extend([head.as_bytes(), file, b"\r\n"].concat());
     }
     let output = folder.path().join("stream");
     std::fs::write(&output, stream).unwrap();
@@ -195,10 +167,8 @@ fn video_frames_are_cut_from_the_output_of_ffmpeg_and_can_be_rewound() {
     assert_eq!(video.name(), "drive_1");
     assert_eq!((video.rate(), video.frames()), (12.5, Some(2)));
     for _ in 0..2 {
-        for number in 0..2 {
-            let picture = video.next().unwrap().unwrap();
-            let file = std::fs::read(folder.path().join(format!("{number}.jpg"))).unwrap();
-            assert_eq!(picture.bytes, file);
+        for file in &pictures {
+            assert_eq!(video.next().unwrap().unwrap().bytes, *file);
         }
         assert_eq!(video.next().unwrap(), None);
         video.rewind().unwrap();
@@ -260,15 +230,12 @@ async fn a_real_video_arrives_frame_by_frame() {
     let file = test_video(folder.path(), "test.mp4", "rate=24:duration=2");
     for encoding in ["jpeg", "png"] {
         let more = ["--rate", "max", "--encoding", encoding];
-        let (frames, sent) = replayed(&file, &more, async || {}).await;
-        assert_eq!((sent.frames, sent.clips), (48, 1));
-        for (number, frame) in frames.iter().enumerate() {
-            assert_eq!(frame.sequence, number as u64);
+        let (frames, sent) = replayed(&file, &more, Duration::ZERO).await;
+        assert_eq!((sent.frames, sent.clips, frames.len()), (48, 1, 48));
+        assert_in_order(&frames, [320, 180], 1_000_000_000 / 24);
+        for frame in frames {
             assert_eq!(frame.picture.format.as_str(), encoding);
-            assert_eq!(frame.picture.size, PictureSize::new(320, 180));
             assert_eq!(frame.clip.as_deref(), Some("test"));
-            let after = frame.time_ns - frames[0].time_ns;
-            assert!(after.abs_diff(number as u64 * 1_000_000_000 / 24) < 1000);
         }
     }
 }

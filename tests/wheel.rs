@@ -1,5 +1,8 @@
-//! The Python package decides as the core does, passes its own tests, and runs the README's example in a fresh environment.
+//! The Python package decides as the core does, passes its own tests, and runs the README's example in a fresh
+//! environment.
 
+use crate::documentation::workshop;
+use crate::golden_traces::RUNS;
 use crate::golden_traces::replay::{Screen, decide_frame, reference};
 use crate::golden_traces::shared_data::{detections, given, sequences};
 use crate::support::{assert_contains, project, run_command, text};
@@ -18,15 +21,6 @@ pub(crate) fn python() -> PathBuf {
     project(".cache/wheel/bin/python")
 }
 
-/// Runs a command and returns what it printed.
-#[track_caller]
-fn run(command: &mut Command) -> String {
-    let ended = run_command(command);
-    println!("{}\n{}", ended.out, ended.err);
-    assert_eq!(ended.code, Some(0), "{command:?}");
-    ended.out + &ended.err
-}
-
 /// The promises of its loop, results of the type it is given, and an answer or an error for any input.
 #[rstest]
 #[ignore = "needs the wheel"]
@@ -35,7 +29,7 @@ fn the_package_passes_its_own_tests(
 ) {
     let mut tests = Command::new(python());
     let tests = tests.args(["-m", "unittest", module]);
-    let said = run(tests.current_dir(project("crates/python/tests")));
+    let said = run_command(tests.current_dir(project("crates/python/tests"))).err;
     assert_contains(&said, &["\nOK\n"]);
     assert!(!said.contains("Ran 0 tests"), "{said}");
 }
@@ -49,7 +43,7 @@ fn the_types_of_the_wheel_match_its_stubs() {
         "-m mypy --strict --package=albireo",
     ] {
         let mut mypy = Command::new(python());
-        run(mypy.args(check.split(' ')).current_dir(folder.path()));
+        run_command(mypy.args(check.split(' ')).current_dir(folder.path())).succeeds();
     }
 }
 
@@ -102,14 +96,8 @@ fn decided(
 #[test]
 #[ignore = "needs ../shared and the wheel"]
 fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
-    let policies = [
-        ("albireo", 3e-4, Screen::NeverEmpty),
-        ("albireo", 3e-4, Screen::EmptyWithoutDetections),
-        ("albireo", 1e-3, Screen::NeverEmpty),
-        ("fixed-skip", 2.0, Screen::NeverEmpty),
-        ("ctd", 0.5, Screen::NeverEmpty),
-        ("expected-loss", 0.3, Screen::NeverEmpty),
-    ];
+    let expected_loss = ("", "expected-loss:0.3", Screen::NeverEmpty);
+    let runs = RUNS.into_iter().chain([expected_loss]);
     let folder = tempfile::tempdir().unwrap();
     let mut jobs = String::new();
     let mut expected = Vec::new();
@@ -121,54 +109,48 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
         };
         let frame = |found: &Vec<ScoredBox>| found.iter().map(corners).collect();
         let frames: Vec<Vec<[f64; 6]>> = given(&sequence).iter().map(frame).collect();
-        for (number, (policy, threshold, screen)) in policies.into_iter().enumerate() {
+        for (number, (_, asked, screen)) in runs.clone().enumerate() {
             let name = format!("{}-{number}", sequence.name);
+            let (policy, threshold) = asked.split_once(':').unwrap();
+            let threshold: f64 = threshold.parse().unwrap();
             let job = json!({
                 "name": name, "policy": policy, "threshold": threshold, "frames": frames,
                 "size": [picture.width, picture.height],
                 "empty_without_detections": matches!(screen, Screen::EmptyWithoutDetections),
             });
             writeln!(jobs, "{job}").unwrap();
-            let asked = format!("{policy}:{threshold}");
-            let decided = decided(&asked, screen, picture, &recorded);
-            expected.push((name, decided));
+            expected.push((name, decided(asked, screen, picture, &recorded)));
         }
     }
     let list = folder.path().join("jobs.jsonl");
     std::fs::write(&list, jobs).unwrap();
-    run(Command::new(python())
-        .arg(project("crates/python/tests/golden.py"))
-        .args([&list, folder.path()]));
+    let mut golden = Command::new(python());
+    golden.arg(project("crates/python/tests/golden.py"));
+    run_command(golden.args([&list, folder.path()])).succeeds();
     for (name, expected) in expected {
         let found = std::fs::read(folder.path().join(&name)).unwrap();
         assert!(!found.is_empty() && found == expected, "{name}");
     }
 }
 
-/// The built wheels and source distribution.
-fn built() -> Vec<PathBuf> {
-    std::fs::read_dir(project("target/wheels"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.is_file())
-        .collect()
-}
-
 #[test]
 #[ignore = "needs the wheel"]
 fn the_wheel_is_small_and_depends_on_numpy_alone() {
-    let wheels: Vec<_> = (built().into_iter())
-        .filter(|path| path.extension().is_some_and(|kind| kind == "whl"))
-        .collect();
-    let [wheel] = &wheels[..] else {
-        panic!("one wheel for this machine: {wheels:?}");
+    let entries = std::fs::read_dir(project("target/wheels")).unwrap();
+    let built: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+    let of_kind = |kind: &str| {
+        let files = built.iter();
+        let files = files.filter(|path| path.extension().is_some_and(|own| own == kind));
+        files.collect::<Vec<_>>()
+    };
+    let [wheel] = of_kind("whl")[..] else {
+        panic!("one wheel for this machine: {built:?}");
     };
     assert!(wheel.metadata().unwrap().len() <= 3_000_000);
+    assert!(!of_kind("gz").is_empty(), "no source distribution");
     let requires = "import importlib.metadata as m; print(m.requires('albireo'))";
-    let said = run(Command::new(python()).args(["-c", requires]));
+    let said = run_command(Command::new(python()).args(["-c", requires])).succeeds();
     assert_eq!(said.trim(), "['numpy>=1.23']");
-    let is_source = |path: &PathBuf| path.extension().is_some_and(|kind| kind == "gz");
-    assert!(built().iter().any(is_source));
 }
 
 #[test]
@@ -177,17 +159,12 @@ fn the_python_example_of_the_readme_runs_in_a_fresh_environment() {
     let page = text("README.md");
     let (_, rest) = page.split_once("```python\n").unwrap();
     let (example, _) = rest.split_once("```").unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["docs", "models"] {
-        std::os::unix::fs::symlink(project(name), folder.path().join(name)).unwrap();
-    }
+    let folder = workshop();
     let mut tar = Command::new("tar");
-    run(tar
-        .arg("-xf")
-        .arg(project("demo/road.tar"))
-        .current_dir(&folder));
+    tar.args(["-xf", "demo/road.tar"]);
+    run_command(tar.current_dir(&folder)).succeeds();
     let mut venv = Command::new(python());
-    run(venv.args(["-m", "venv"]).arg(folder.path().join("venv")));
+    run_command(venv.args(["-m", "venv"]).arg(folder.path().join("venv"))).succeeds();
     let fresh = folder.path().join("venv/bin/python");
     // From local files: the wheel, and the other packages of the example.
     let mut install = Command::new(&fresh);
@@ -196,9 +173,9 @@ fn the_python_example_of_the_readme_runs_in_a_fresh_environment() {
     for files in ["target/wheels", ".cache/wheel/files"] {
         install.arg("--find-links").arg(project(files));
     }
-    run(install.args(["albireo", "onnxruntime", "pillow"]));
+    run_command(install.args(["albireo", "onnxruntime", "pillow"])).succeeds();
     let mut command = Command::new(fresh);
-    let said = run(command.args(["-c", example]).current_dir(&folder));
+    let said = run_command(command.args(["-c", example]).current_dir(&folder)).succeeds();
     let skipped = said.split_once("of 88 frames skipped").unwrap().0;
     let skipped: u32 = skipped.split_whitespace().last().unwrap().parse().unwrap();
     assert!((20..70).contains(&skipped), "{said}");

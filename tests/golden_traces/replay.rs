@@ -3,41 +3,20 @@
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    Albireo, BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig,
-    Profile, decide,
+    BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig, Profile,
+    decide,
 };
+use albireo_eval::trace::TraceFrame;
 use serde::Deserialize;
 
 /// The largest allowed difference of boxes and τ.
 const TOLERANCE: f64 = 1e-9;
 
-#[derive(Deserialize)]
-struct GoldenFrame {
-    frame: u64,
-    state: String,
-    tau_max: Option<f64>,
-    active: usize,
-    objects: Vec<GoldenObject>,
-}
-
-#[derive(Deserialize)]
-struct GoldenObject {
-    id: u64,
-    class: u16,
-    confirmed: bool,
-    conf: f64,
-    #[serde(rename = "box")]
-    bounding_box: [f64; 4],
-    tau: f64,
-    hits: u32,
-    since_update: u32,
-    since_infer: u32,
-    rescues: u32,
-}
-
-/// The detections in a line of an excerpt.
+/// A line of an excerpt.
 #[derive(Deserialize)]
 struct ExcerptFrame {
+    #[serde(flatten)]
+    golden: TraceFrame,
     /// cx, cy, w, h, confidence, class.
     detections: Vec<(f64, f64, f64, f64, f64, u16)>,
 }
@@ -92,24 +71,16 @@ pub(crate) fn compare(
     screen: Screen,
     picture: PictureSize,
     recorded: &[Vec<Detection>],
-    golden: &str,
+    golden: &[TraceFrame],
 ) {
     let mut policy = reference(asked);
     let mut outcome = Outcome::default();
-    assert_eq!(recorded.len(), golden.lines().count(), "{what}: frames");
-    for (line, detections) in golden.lines().zip(recorded) {
-        let expected: GoldenFrame = serde_json::from_str(line).unwrap();
-        let at = format!("{what}, frame {}", expected.frame);
+    assert_eq!(recorded.len(), golden.len(), "{what}: frames");
+    for (expected, given) in golden.iter().zip(recorded) {
         let index = expected.frame;
-        decide_frame(
-            &mut *policy,
-            index,
-            screen,
-            picture,
-            detections,
-            &mut outcome,
-        );
-        assert_eq!(outcome.state.as_str(), expected.state, "{at}");
+        let at = format!("{what}, frame {index}");
+        decide_frame(&mut *policy, index, screen, picture, given, &mut outcome);
+        assert_eq!(outcome.state, expected.state, "{at}");
         assert_eq!(outcome.active, expected.active, "{at}");
         match (outcome.tau_max, expected.tau_max) {
             (Some(found), Some(expected)) => close(found, expected, &at, "tau_max"),
@@ -122,38 +93,33 @@ pub(crate) fn compare(
             compare_object(&at, found, expected);
         }
         // The evaluation scores every object, on every frame kind.
-        let reported: Vec<_> = outcome.boxes.iter().map(|b| b.object.unwrap().0).collect();
+        let reported = outcome.boxes.iter().map(|shown| shown.object.unwrap());
+        let mut reported: Vec<_> = reported.collect();
+        reported.sort_unstable();
         let all: Vec<_> = expected.objects.iter().map(|object| object.id).collect();
-        let mut sorted = reported.clone();
-        sorted.sort_unstable();
-        assert_eq!(sorted, all, "{at}: boxes reported");
+        assert_eq!(reported, all, "{at}: boxes reported");
         let rescued = outcome.boxes.iter().any(|b| b.source == BoxSource::Rescued);
         // Objects that CTD keeps after a miss do not make a frame AI.
-        let missed = |object: &GoldenObject| object.since_update > 0;
+        let missed = |object: &ObjectRecord| object.since_update > 0;
         let skipped = outcome.state.is_skipped();
         let expected_rescued = !skipped && expected.objects.iter().any(missed);
         assert_eq!(rescued, expected_rescued, "{at}: rescued boxes");
-        if policy.name() == Albireo::NAME {
-            assert_eq!(rescued, expected.state == "AI", "{at}: rescued boxes");
-        }
     }
 }
 
-fn compare_object(at: &str, found: &ObjectRecord, expected: &GoldenObject) {
-    let at = &format!("{at}, object {}", expected.id);
-    assert_eq!(found.id.0, expected.id, "{at}");
-    assert_eq!(found.class.0, expected.class, "{at}: class");
-    assert_eq!(found.confirmed, expected.confirmed, "{at}: confirmed");
-    assert_eq!(found.confidence, expected.conf, "{at}: confidence");
-    assert_eq!(found.hits, expected.hits, "{at}: hits");
-    assert_eq!(found.since_update, expected.since_update, "{at}: update");
-    assert_eq!(found.since_infer, expected.since_infer, "{at}: infer");
-    assert_eq!(found.misses, expected.rescues, "{at}: rescues");
-    let sides: [f64; 4] = found.bounding_box.into();
-    for (found, expected) in sides.into_iter().zip(expected.bounding_box) {
+fn compare_object(at: &str, found: &ObjectRecord, expected: &ObjectRecord) {
+    let at = &format!("{at}, object {}", expected.id.0);
+    let sides = |object: &ObjectRecord| <[f64; 4]>::from(object.bounding_box);
+    for (found, expected) in sides(found).into_iter().zip(sides(expected)) {
         close(found, expected, at, "box");
     }
     close(found.tau, expected.tau, at, "tau");
+    let exact = ObjectRecord {
+        bounding_box: found.bounding_box,
+        tau: found.tau,
+        ..*expected
+    };
+    assert_eq!(*found, exact, "{at}");
 }
 
 fn close(found: f64, expected: f64, at: &str, what: &str) {
@@ -165,17 +131,18 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
 
 /// Replays an excerpt, whose lines include the detections.
 pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
-    let detections = |line: &str| -> Vec<Detection> {
+    let (mut recorded, mut golden) = (Vec::new(), Vec::new());
+    for line in lines.lines() {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();
-        let detections = frame.detections.iter().map(|d| Detection {
-            bounding_box: BoundingBox::new(d.0, d.1, d.2, d.3),
-            confidence: d.4,
-            class: ClassId(d.5),
+        let detections = frame.detections.into_iter();
+        let detections = detections.map(|(cx, cy, w, h, confidence, class)| Detection {
+            bounding_box: BoundingBox::new(cx, cy, w, h),
+            confidence,
+            class: ClassId(class),
         });
-        detections.collect()
-    };
-    let recorded: Vec<_> = lines.lines().map(detections).collect();
-    compare("excerpt", asked, screen, picture, &recorded, lines);
-    let frames = recorded.len();
-    assert!(frames >= 36, "{frames}");
+        recorded.push(detections.collect::<Vec<_>>());
+        golden.push(frame.golden);
+    }
+    compare("excerpt", asked, screen, picture, &recorded, &golden);
+    assert!(golden.len() >= 36, "{}", golden.len());
 }

@@ -1,10 +1,9 @@
-//! The recorded sequences of the shared data, and their golden traces.
+//! The recorded sequences of the shared data.
 
 use crate::support::shared;
 use albireo_core::detection::Detection;
 use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, recorded};
-use std::io::Read;
 
 /// The published code did not get detections below this confidence.
 const DETECTOR_THRESHOLD: f64 = 0.5;
@@ -31,16 +30,4 @@ pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
     frames
         .map(|frame| frame.into_iter().map(normalise).collect())
         .collect()
-}
-
-/// The golden trace of the policy named `folder`.
-pub(crate) fn golden(sequence: &Clip, folder: &str) -> String {
-    let path = shared(&format!("golden/{folder}/{}.jsonl.gz", sequence.name));
-    let file =
-        std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-    let mut golden = String::new();
-    flate2::read::GzDecoder::new(file)
-        .read_to_string(&mut golden)
-        .unwrap();
-    golden
 }
