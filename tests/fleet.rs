@@ -96,44 +96,25 @@ impl Car {
         let what = format!("{}: {last} is delivered", self.name);
         until(&what, async || kept() && waiting().await == 0.0).await;
     }
-
-    /// Ends the node, and returns its name, the number of reports it made according to its disk, and the reported clips.
-    async fn made(mut self) -> (String, u64, BTreeSet<String>) {
-        self.end().await;
-        let file = self.folder.as_ref().unwrap().path().join("state/node.db");
-        let db = rusqlite::Connection::open(file).unwrap();
-        let made = "SELECT value FROM counter WHERE name = 'made'";
-        let made: i64 = db.query_row(made, [], |row| row.get(0)).unwrap();
-        (self.name, made.unsigned_abs(), self.reported)
-    }
 }
 
-/// Asserts that the hub has every report of the node exactly once, and returns their number.
-async fn every_report_once(hub: &HubProcess, car: Car) -> u64 {
-    let (name, made, reported) = car.made().await;
-    let clips = hub.clips(&name).await;
-    let stored = clips.len() as u64;
-    let numbers = clips.iter().map(|clip| clip["count"].as_u64().unwrap());
-    let expected: BTreeSet<u64> = (1..=stored).collect();
-    assert_eq!(
-        numbers.collect::<BTreeSet<_>>(),
-        expected,
-        "{name}: none missing, none twice"
-    );
-    assert_eq!(stored, made, "{name}");
-    let names = clips
-        .iter()
-        .map(|clip| clip["clip"].as_str().unwrap().to_owned());
-    let names: BTreeSet<String> = names.collect();
-    assert_eq!(
-        names.len() as u64,
-        stored,
-        "{name}: no clip under two numbers"
-    );
-    let lost: Vec<_> = reported.difference(&names).collect();
+/// Ends a node, and asserts that the hub has every report that it made according to its disk exactly once.
+async fn every_report_once(hub: &HubProcess, mut car: Car) -> u64 {
+    car.end().await;
+    let file = car.folder.as_ref().unwrap().path().join("state/node.db");
+    let db = rusqlite::Connection::open(file).unwrap();
+    let made = "SELECT value FROM counter WHERE name = 'made'";
+    let made: i64 = db.query_row(made, [], |row| row.get(0)).unwrap();
+    let (name, made, reported) = (&car.name, made.unsigned_abs(), &car.reported);
+    let clips = hub.has_each_once(name, made).await;
+    let clips = clips.iter().map(|clip| clip["clip"].as_str().unwrap());
+    let clips: BTreeSet<String> = clips.map(str::to_owned).collect();
+    let count = clips.len() as u64;
+    assert_eq!(count, made, "{name}: no clip under two numbers");
+    let lost: Vec<_> = reported.difference(&clips).collect();
     assert!(lost.is_empty(), "{name}: {lost:?} are lost");
     assert!(!reported.is_empty(), "{name}: no reports were published");
-    stored
+    made
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -201,32 +182,37 @@ struct Fleet {
 }
 
 impl Fleet {
-    /// Starts the parts that do not run.
-    async fn heal(&mut self) {
-        if !self.database_up {
-            self.database.up();
-            self.database_up = true;
-        }
-        if self.router.is_none() {
-            self.router = Some(Router::start(&self.endpoint));
-        }
-        if self.hub.is_none() {
-            self.hub = Some(HubProcess::start(&self.settings));
-        }
-        for car in &mut self.cars {
-            if car.node.is_none() {
-                car.start().await;
+    /// Starts a part, unless it runs: car 0 or 1, the hub (2), the router (3) or the database (4).
+    async fn start(&mut self, part: usize) {
+        match part {
+            4 if !self.database_up => {
+                self.database.up();
+                self.database_up = true;
             }
+            3 if self.router.is_none() => self.router = Some(Router::start(&self.endpoint)),
+            2 if self.hub.is_none() => self.hub = Some(HubProcess::start(&self.settings)),
+            0 | 1 if self.cars[part].node.is_none() => self.cars[part].start().await,
+            _ => {}
         }
     }
 
-    /// The number of the newest clip in the database, once the hub answers.
-    async fn newest(&self) -> i64 {
-        let hub = self.hub.as_ref().unwrap();
-        let page = hub
-            .until("/api/v1/clips?limit=1", |page| page["clips"].is_array())
-            .await;
-        page["clips"][0]["id"].as_i64().unwrap_or(0)
+    async fn kill(&mut self, part: usize, after: Duration) {
+        match part {
+            4 => {
+                self.database.kill();
+                self.database_up = false;
+            }
+            3 => self.router.take().unwrap().kill().await,
+            2 => self.hub.take().unwrap().kill().await,
+            _ => self.cars[part].kill(after).await,
+        }
+    }
+
+    /// Starts the parts that do not run, the database first.
+    async fn heal(&mut self) {
+        for part in (0..5).rev() {
+            self.start(part).await;
+        }
     }
 }
 
@@ -258,45 +244,22 @@ async fn node_hub_router_and_database_killed_in_any_order_lose_and_duplicate_no_
                 car.drive(2).await;
             }
         }
-        killed[victim as usize] += 1;
-        let car = below(2) as usize;
+        let (victim, car) = (victim as usize, below(2) as usize);
+        killed[victim] += 1;
         if victim > 0 {
             tokio::time::sleep(after).await;
         }
-        match victim {
-            0 => {
-                if fleet.cars[car].node.is_none() {
-                    fleet.cars[car].start().await;
-                }
-                fleet.cars[car].kill(after).await;
-            }
-            1 => {
-                let hub = fleet.hub.take();
-                let hub = hub.unwrap_or_else(|| HubProcess::start(&fleet.settings));
-                hub.kill().await;
-            }
-            2 => {
-                let router = fleet.router.take();
-                let router = router.unwrap_or_else(|| Router::start(&fleet.endpoint));
-                router.kill().await;
-            }
-            _ => {
-                if !fleet.database_up {
-                    fleet.database.up();
-                }
-                fleet.database.kill();
-                fleet.database_up = false;
-            }
-        }
+        let part = if victim > 0 { victim + 1 } else { car };
+        fleet.start(part).await;
+        fleet.kill(part, after).await;
         // Often the next part is killed while this one is still down.
         if below(2) == 0 {
             fleet.heal().await;
         }
         if kill % 12 == 11 {
             fleet.heal().await;
-            let before = fleet.newest().await;
             fleet.cars[0].drive(2).await;
-            until("clips arrive again", async || fleet.newest().await > before).await;
+            fleet.cars[0].until_delivered().await;
         }
     }
     fleet.heal().await;

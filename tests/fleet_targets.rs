@@ -2,9 +2,8 @@
 
 use crate::fleet::Car;
 use crate::support::fleet::{HubProcess, settings, sqlite};
-use crate::support::{PATIENCE, assert_contains, assert_has, json_at, run};
+use crate::support::{assert_contains, assert_has, json_at, run, until};
 use serde_json::{Value, json};
-use std::time::Instant;
 
 /// The output and the exit code of `albireo fleet`.
 fn fleet(hub: &HubProcess, words: &str) -> (String, Option<i32>) {
@@ -16,19 +15,6 @@ fn fleet(hub: &HubProcess, words: &str) -> (String, Option<i32>) {
 async fn at_node(car: &Car) -> Value {
     let http = &car.node.as_ref().unwrap().http;
     json_at(&format!("{http}/api/v1/target")).await
-}
-
-/// Sends frames until the node's report of its target satisfies `wanted`.
-async fn until(car: &mut Car, wanted: impl Fn(&Value) -> bool) {
-    let until = Instant::now() + PATIENCE;
-    loop {
-        car.drive(5).await;
-        let report = at_node(car).await;
-        if wanted(&report) {
-            return;
-        }
-        assert!(Instant::now() < until, "{report}");
-    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -56,9 +42,14 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     assert_contains(words, &["policy `vanilla` has no threshold"]);
     let held = json!({"target": {"skip_rate": 0.5}, "source": "hub"});
     assert_has(&at_node(&car).await, &held);
+    assert_eq!(hub.get("/api/v1/drift").await, json!([]));
 
     // The node measures it and reports its state to the hub.
-    until(&mut car, |report| report["state"]["actual"].is_f64()).await;
+    until("the target is measured", async || {
+        car.drive(5).await;
+        at_node(&car).await["state"]["actual"].is_f64()
+    })
+    .await;
     hub.until("/api/v1/nodes/car-1", |node| {
         node["status"]["target"]["actual"].is_f64()
     })
@@ -78,7 +69,12 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     assert_eq!(turned.send().await.unwrap().status(), 200);
     let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
     let drift = drift.await;
-    assert_eq!(drift[0]["why"], "the threshold was set by hand", "{drift}");
+    let by_hand = json!({
+        "desired": {"target": {"skip_rate": 0.5}},
+        "in_force": {"threshold": {"name": "lambda", "value": 0.3}},
+        "why": "the threshold was set by hand",
+    });
+    assert_has(&drift[0], &by_hand);
     let (said, _) = fleet(&hub, "drift");
     assert_contains(&said, &["hold skip_rate 0.5", "lambda 0.3"]);
 

@@ -1,16 +1,17 @@
 //! A hub and a router as processes, and nodes that only send reports.
 
-use super::{
-    PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at, zenoh_session,
-};
-use albireo_wire::{ClipReport, ReportAnswer, ReportBatch, ReportRefusal, VERSION, read};
+mod reports;
+
+pub(crate) use super::postgres::{on_both, sqlite};
+pub(crate) use reports::{Reply, in_batch, now_ns, uplink};
+
+use super::{PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at};
+use albireo_wire::{BatchCompression, ClipReport};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
-use uuid::{Builder, Uuid};
 
 /// `albireo hub`, running.
 pub(crate) struct HubProcess {
@@ -53,11 +54,6 @@ pub(crate) fn behind(router: &str, database: &str) -> Settings {
         ("ALBIREO_ZENOH__LISTEN", "[]".to_owned()),
     ]);
     settings
-}
-
-/// The URL of the database file `hub.db` in a folder.
-pub(crate) fn sqlite(folder: &Path) -> String {
-    format!("sqlite:{}", folder.join("hub.db").display())
 }
 
 impl HubProcess {
@@ -139,6 +135,16 @@ impl HubProcess {
             }
         }
     }
+
+    /// Asserts that it has the reports 1 to `made` of a node, each once, and returns their clips.
+    pub(crate) async fn has_each_once(&self, node: &str, made: u64) -> Vec<Value> {
+        let clips = self.clips(node).await;
+        let mut counts: Vec<_> = clips.iter().map(|clip| clip["count"].as_u64()).collect();
+        counts.sort_unstable();
+        let expected: Vec<_> = (1..=made).map(Some).collect();
+        assert_eq!(counts, expected, "{node}: none missing, none twice");
+        clips
+    }
 }
 
 /// A Zenoh router as a process: Zenoh's Python binding, which shares no code with this project.
@@ -174,101 +180,39 @@ pub(crate) fn router_config(folder: &Path) -> PathBuf {
     file
 }
 
-/// The session of a node's uplink, which retries until its router answers.
-pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
-    let retry = json!({"period_init_ms": 50, "period_max_ms": 200});
-    let settings = [
-        ("mode", json!("client")),
-        ("connect/endpoints", json!([endpoint])),
-        ("connect/timeout_ms", json!(-1)),
-        ("connect/exit_on_failure", json!(false)),
-        ("connect/retry", retry),
-    ];
-    zenoh_session(&settings).await.expect("a session")
-}
-
-/// The time now, nanoseconds since the Unix epoch.
-pub(crate) fn now_ns() -> u64 {
-    let now = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .expect("a clock after 1970");
-    u64::try_from(now.as_nanos()).expect("a clock before 2554")
-}
-
-/// Sends the reports with those numbers, and returns the answer, if one comes.
+/// Sends the reports with those numbers.
 pub(crate) async fn send(
     session: &zenoh::Session,
     node: &str,
     numbers: std::ops::RangeInclusive<u64>,
     begun_ns: u64,
-) -> Option<Result<ReportAnswer, ReportRefusal>> {
-    let batch = ReportBatch {
-        v: VERSION,
-        node: node.to_owned(),
-        t_ms: now_ns() / 1_000_000,
-        reports: numbers.map(|one| report(node, one, begun_ns)).collect(),
-    };
-    let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
-    let replies = session
-        .get(format!("albireo/@report/{node}"))
-        .payload(payload.expect("a batch that can be written"))
-        .timeout(Duration::from_secs(2))
-        .await
-        .expect("a query");
-    while let Ok(reply) = replies.recv_async().await {
-        match reply.result() {
-            Ok(sample) => {
-                return Some(Ok(read(&sample.payload().to_bytes()).expect("an answer")));
-            }
-            Err(error) => {
-                // Zenoh's own error, for a timeout, is no refusal.
-                if let Ok(refusal) = read::<ReportRefusal>(&error.payload().to_bytes()) {
-                    return Some(Err(refusal));
-                }
-            }
-        }
-    }
-    None
+) -> Reply {
+    let reports = numbers.map(|one| report(node, one, begun_ns)).collect();
+    let payload = in_batch(node, reports).to_payload(BatchCompression::Best);
+    reports::send(session, node, payload.unwrap(), Duration::from_secs(2)).await
 }
 
-/// Sends the reports of a node until they are acknowledged, and counts the refusals before that by reason.
+/// Sends the reports of a node until they are acknowledged.
 pub(crate) async fn deliver(
     session: &zenoh::Session,
     node: &str,
     numbers: std::ops::RangeInclusive<u64>,
     begun_ns: u64,
-) -> BTreeMap<String, u64> {
+) {
     let until = Instant::now() + PATIENCE;
-    let mut refused = BTreeMap::new();
     loop {
-        match send(session, node, numbers.clone(), begun_ns).await {
-            Some(Ok(answer)) => {
-                assert!(answer.refused.is_empty(), "{answer:?}");
-                return refused;
-            }
-            Some(Err(refusal)) => {
-                *refused.entry(format!("{:?}", refusal.reason)).or_default() += 1;
-            }
-            None => *refused.entry("no answer".to_owned()).or_default() += 1,
+        let reply = send(session, node, numbers.clone(), begun_ns).await;
+        if matches!(reply, Reply::Answer(_)) {
+            return reply.assert_stored();
         }
-        assert!(Instant::now() < until, "never acknowledged: {refused:?}");
+        assert!(Instant::now() < until, "never acknowledged: {reply:?}");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
 }
 
-/// An id that is unique per node, time and number.
-fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
-    let mut random = [0; 10];
-    let name = node.bytes().fold(0_u16, |sum, byte| {
-        sum.wrapping_mul(31).wrapping_add(byte.into())
-    });
-    random[..2].copy_from_slice(&name.to_be_bytes());
-    random[2..].copy_from_slice(&number.to_be_bytes());
-    Builder::from_unix_timestamp_millis(begun_ns / 1_000_000, &random).into_uuid()
-}
-
 pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
-    let mut report = clip_report(node, "front", number, id(node, number, begun_ns));
+    let id = reports::id(node, number, begun_ns);
+    let mut report = clip_report(node, "front", number, id);
     report.started_ns = begun_ns + number * 1_000_000;
     report
 }

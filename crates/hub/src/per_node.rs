@@ -46,17 +46,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_node_with_a_full_queue_takes_no_place_of_another() {
-        let all = PerNode::new(2);
-        let places = [all.place("a"), all.place("a")];
-        assert!(places.iter().all(Option::is_some));
-        assert!(all.place("a").is_none());
-        assert!(all.place("b").is_some());
-        drop(places);
-        assert!(all.place("a").is_some());
-    }
-
-    #[test]
     fn a_node_with_an_empty_queue_is_not_remembered() {
         let all = PerNode::new(2);
         let _waiting = all.place("a");

@@ -1,23 +1,17 @@
 //! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{
-    Fixture, Hub, PATIENCE, assert_has, config, counts, now_ns, on_both, pull, sqlite, store,
-    uplink,
-};
+use crate::support::{Hub, PATIENCE, assert_has, config, now_ns, on_both, sqlite};
 use crate::tuning::{SimulatedFleet, fleet, put};
-use albireo_hub::config::DatabaseConfig;
 use albireo_hub::store::{Store, StoreError, transfer};
 use serde_json::json;
 use std::collections::BTreeMap;
 
-async fn sums_are_exact(database: &str) {
-    let fixture = Fixture::on(config(database)).await;
-    let (hub, session) = (&fixture.hub, &fixture.session);
-    let start = now_ns() - 90_000_000_000_000;
-    for (node, series) in [("car-1", 1), ("car-2", 2)] {
+async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    for node in ["car-1", "car-2"] {
         for first in (0..200).step_by(50) {
-            store(session, node, series, first..=first + 49, start).await;
+            hub.store(node, first..=first + 49).await;
         }
     }
     let clips = hub.get("/api/v1/clips?limit=1000").await;
@@ -114,46 +108,23 @@ async fn sums_are_exact(database: &str) {
     let csv = csv.unwrap().text().await.unwrap();
     assert_eq!(csv.lines().count(), 401);
     assert!(csv.starts_with("id,node,camera,"), "{csv}");
-    fixture.end().await;
+    hub.stop().await;
 }
 
-on_both!(
-    sums_are_exact,
-    sums_match_the_clips_and_never_mix_energy_qualities,
-    postgres_sums_match_the_clips_and_never_mix_energy_qualities
-);
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_file_that_is_no_database_is_rejected_and_left_unchanged() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("letter.db");
-    let letter = "Dear reader, this is no database, and it has enough words to be one.";
-    std::fs::write(&file, letter.repeat(40)).unwrap();
-    let before = std::fs::read(&file).unwrap();
-    let config = DatabaseConfig {
-        url: format!("sqlite:{}", file.display()),
-        ..DatabaseConfig::default()
-    };
-    let error = Store::open(&config).await.unwrap_err();
-    assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
-    assert!(error.to_string().contains("database.url"), "{error}");
-    assert_eq!(std::fs::read(&file).unwrap(), before);
-}
+on_both!(sums_match_the_clips_and_never_mix_energy_qualities);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
-    let fixture = Fixture::start().await;
-    let (hub, session) = (&fixture.hub, &fixture.session);
-    let start = now_ns() - 3_600_000_000_000;
+    let hub = Hub::fresh().await;
     for number in [1, 4] {
-        store(session, "car-1", 1, number..=number, start).await;
+        hub.store("car-1", number..=number).await;
     }
-    let text = read_events(hub, "0", "event: gap").await;
+    let text = read_events(&hub, "0", "event: gap").await;
     let has_gap = text.contains("\"first\":2") && text.contains("id: ");
     assert!(has_gap, "{text}");
-    let text = read_events(hub, "999999", "event: resync").await;
+    let text = read_events(&hub, "999999", "event: resync").await;
     assert!(text.contains("another database"), "{text}");
-    fixture.end().await;
+    hub.stop().await;
 }
 
 /// Reads the event stream until an event contains `wanted`.
@@ -179,35 +150,37 @@ async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tables_of_a_newer_or_another_program_are_rejected() {
-    for (statements, wanted) in [
-        (
-            "UPDATE hub_meta SET value = '999' WHERE key = 'version'",
-            "newer",
-        ),
+async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is_unchanged() {
+    let letter = "Dear reader, this is no database, and it has enough words to be one.";
+    let newer = "UPDATE hub_meta SET value = '999' WHERE key = 'version'";
+    for (statement, wanted) in [
+        (newer, "newer"),
         ("DROP TABLE hub_meta", "not a hub's"),
+        (letter, "database.url"),
     ] {
         let folder = tempfile::tempdir().unwrap();
-        let config = DatabaseConfig {
-            url: sqlite(folder.path()),
-            ..DatabaseConfig::default()
-        };
-        Store::open(&config).await.unwrap().close().await;
-        let raw = rusqlite::Connection::open(folder.path().join("hub.db")).unwrap();
-        raw.execute_batch(statements).unwrap();
-        drop(raw);
+        let file = folder.path().join("hub.db");
+        let config = config(&sqlite(folder.path())).database;
+        let is_letter = statement == letter;
+        if is_letter {
+            std::fs::write(&file, letter.repeat(40)).unwrap();
+        } else {
+            Store::open(&config).await.unwrap().close().await;
+            let raw = rusqlite::Connection::open(&file).unwrap();
+            raw.execute_batch(statement).unwrap();
+        }
         let error = Store::open(&config).await.unwrap_err();
         assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
         assert!(error.to_string().contains(wanted), "{error}");
+        let left = std::fs::read(&file).unwrap();
+        assert!(!is_letter || left == letter.repeat(40).as_bytes());
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_diagnostic_archive_describes_the_hub() {
-    let fixture = Fixture::start().await;
-    let (hub, session) = (&fixture.hub, &fixture.session);
-    let start = now_ns() - 3_600_000_000_000;
-    store(session, "car-1", 1, 1..=1, start).await;
+    let hub = Hub::fresh().await;
+    hub.store("car-1", 1..=1).await;
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
@@ -227,7 +200,7 @@ async fn the_diagnostic_archive_describes_the_hub() {
     ] {
         assert!(text.contains(part), "no {part} in {text}");
     }
-    fixture.end().await;
+    hub.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -235,15 +208,14 @@ async fn the_diagnostic_archive_describes_the_hub() {
 async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {
     let folder = tempfile::tempdir().unwrap();
     let file = sqlite(folder.path());
-    let start = now_ns() - 90_000_000_000_000;
     let hub = Hub::start(config(&file)).await;
-    let session = uplink(&hub.zenoh).await;
     for first in (0..1200).step_by(100) {
-        store(&session, "car-1", 1, first..=first + 99, start).await;
+        hub.store("car-1", first..=first + 99).await;
     }
     let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
     let order = |u: f64| json!({"u": u, "select": "sim-*"});
-    let (_, first) = put(&hub, order(5e-4)).await;
+    let applied = json!({"applied": 2});
+    let first = put(&hub, order(5e-4), applied.clone()).await;
     nodes.end().await;
     let paths = [
         "/api/v1/clips?limit=1000",
@@ -254,7 +226,7 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
     for path in paths {
         before.push(hub.get(path).await);
     }
-    let desired = pull(&session, "sim-000001").await;
+    let desired = hub.pull("sim-000001").await;
     hub.stop().await;
 
     let server = Postgres::start();
@@ -272,13 +244,12 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
     for (path, before) in paths.into_iter().zip(before) {
         assert_eq!(hub.get(path).await, before, "{path}");
     }
-    let session = uplink(&hub.zenoh).await;
-    let imported = pull(&session, "sim-000001").await;
+    let imported = hub.pull("sim-000001").await;
     let expected = (desired.revision, desired.setting);
     assert_eq!((imported.revision, imported.setting), expected);
     // Reports stored before are known; new ones get new ids.
-    store(&session, "car-1", 1, 1150..=1249, start).await;
-    assert_eq!(counts(&hub, "car-1").await.len(), 1000);
+    hub.store("car-1", 1150..=1249).await;
+    assert_eq!(hub.counts("car-1").await.len(), 1000);
     let energy = hub.get("/api/v1/energy?by=node&since_ms=0").await;
     let clips: i64 = (energy["groups"].as_array().unwrap().iter())
         .filter(|group| group["group"] == "car-1")
@@ -286,8 +257,7 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
         .sum();
     assert_eq!(clips, 1250);
     let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
-    let (_, second) = put(&hub, order(7e-4)).await;
-    assert_eq!(second["counts"], first["counts"], "{second}");
+    let second = put(&hub, order(7e-4), applied).await;
     assert!(second["revision"].as_u64() > first["revision"].as_u64());
     nodes.end().await;
     hub.stop().await;

@@ -1,67 +1,47 @@
 //! Watching one node through the hub: the node sends only while it is watched.
 
-use crate::support::{
-    Hub, PATIENCE, assert_has, batch, config, deliver, full_status, now_ns, pull, put_status,
-    sqlite, uplink,
-};
+use crate::support::{Hub, PATIENCE, assert_has, batch_of, full_status, names, now_ns};
 use serde_json::{Value, json};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::time::timeout;
 use zenoh::Wait;
 
-fn counters() -> Value {
-    json!({
-        "v": 1, "t_ns": 1, "camera": "front", "frames": 7,
-        "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,
-        "calls": {"uncertain": 4}, "dropped": {}, "threshold": {"name": "u", "value": 3e-4}, "watts": [], "power_quality": "unavailable"
-    })
-}
-
-/// Sends the status of `car-7` until the hub has it.
-async fn come_online(hub: &Hub, node: &zenoh::Session) {
-    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
-        put_status(node, "car-7", &full_status(10, 0, &[])).await;
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_node_learns_that_it_is_watched_and_its_counters_reach_the_watcher() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let hub = Hub::fresh().await;
     let unknown = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http)).await;
     assert_eq!(unknown.unwrap().status(), 404);
-    let node = uplink(&hub.zenoh).await;
-    let (notified, mut notices) = tokio::sync::mpsc::unbounded_channel();
-    let _notice = node
-        .declare_subscriber("albireo/@changed/car-7")
-        .callback(move |_| {
-            let _ = notified.send(());
-        })
-        .await
-        .unwrap();
-    come_online(&hub, &node).await;
-    assert_eq!(pull(&node, "car-7").await.watched_for_s, None);
-    while notices.try_recv().is_ok() {}
+    let node = &hub.uplink;
+    let notices = node.declare_subscriber("albireo/@changed/car-7");
+    let notices = notices.await.unwrap();
+    hub.put_status("car-7", &full_status(10, 0, &[])).await;
+    hub.until_state("car-7", "online").await;
+    assert_eq!(hub.pull("car-7").await.watched_for_s, None);
+    while let Ok(Some(_)) = notices.try_recv() {}
 
     let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
         .await
         .unwrap();
     assert_eq!(live.status(), 200);
-    timeout(PATIENCE, notices.recv()).await.unwrap().unwrap();
-    let lease = pull(&node, "car-7").await.watched_for_s.unwrap();
+    let notice = timeout(PATIENCE, notices.recv_async()).await;
+    notice.unwrap().unwrap();
+    let lease = hub.pull("car-7").await.watched_for_s.unwrap();
     assert!((1..=31).contains(&lease), "{lease}");
 
     // Now it sends, and the watcher receives it.
-    let publisher = node
-        .declare_publisher("albireo/car-7/front/counters")
-        .await
-        .unwrap();
+    let publisher = node.declare_publisher("albireo/car-7/front/counters");
+    let publisher = publisher.await.unwrap();
+    let counters = json!({
+        "v": 1, "t_ns": 1, "camera": "front", "frames": 7,
+        "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,
+        "calls": {"uncertain": 4}, "dropped": {}, "threshold": {"name": "u", "value": 3e-4}, "watts": [],
+        "power_quality": "unavailable",
+    });
     let mut text = String::new();
     timeout(PATIENCE, async {
         while !text.contains("event: counters") {
-            publisher.put(counters().to_string()).await.unwrap();
+            publisher.put(counters.to_string()).await.unwrap();
             if let Ok(chunk) = timeout(Duration::from_millis(100), live.chunk()).await {
                 text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
             }
@@ -77,14 +57,14 @@ async fn a_node_learns_that_it_is_watched_and_its_counters_reach_the_watcher() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_picture_is_requested_from_its_node_only() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let node = uplink(&hub.zenoh).await;
-    come_online(&hub, &node).await;
+    let hub = Hub::fresh().await;
+    hub.put_status("car-7", &full_status(10, 0, &[])).await;
+    hub.until_state("car-7", "online").await;
     // The first query is never answered, as if it was lost on the way: Zenoh ends it with an error.
     let dropped = Arc::new(OnceLock::new());
     let first = Arc::clone(&dropped);
-    let _pictures = node
+    let _pictures = hub
+        .uplink
         .declare_queryable("albireo/car-7/front/picture")
         .callback(move |query| {
             let Err(query) = first.set(query) else { return };
@@ -110,30 +90,19 @@ async fn a_picture_is_requested_from_its_node_only() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
-    let folder = tempfile::tempdir().unwrap();
-    let configuration = config(&sqlite(folder.path()));
-    let mut hub = Hub::start(configuration.clone()).await;
-    let node = uplink(&hub.zenoh).await;
+    let mut hub = Hub::fresh().await;
     // A clip each, of now: 100.4, 101.1 and 100.8 J measured in part, measured and estimated.
     let now = now_ns();
-    for (name, number, series) in [("car-1", 1, 1), ("car-2", 3, 2), ("car-3", 2, 3)] {
-        let mut one = batch(name, series, number..=number, now);
-        for report in &mut one.reports {
-            report.started_ns = now;
-        }
-        deliver(&node, &one).await;
+    for (name, number) in [("car-1", 1), ("car-2", 3), ("car-3", 2)] {
+        let mut one = batch_of(name, number..=number, now);
+        one.reports[0].started_ns = now;
+        hub.deliver(&one).await;
     }
     let mut shown = Vec::new();
     for restarted in [false, true] {
         if restarted {
-            hub.stop().await;
-            hub = Hub::start(configuration.clone()).await;
+            hub = hub.restart().await;
         }
-        let names = |page: &Value| -> Vec<String> {
-            let nodes = page["nodes"].as_array().unwrap().iter();
-            let name = |node: &Value| node["node"].as_str().unwrap().to_owned();
-            nodes.map(name).collect()
-        };
         let read = |page: &Value| names(page) == ["car-2", "car-3", "car-1"];
         let page = hub.until("/api/v1/nodes?sort=joules&down=true", read).await;
         let rows = hub.get("/api/v1/nodes?sort=joules").await;
@@ -155,8 +124,7 @@ async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_index_lists_every_documented_route() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let hub = Hub::fresh().await;
     let index = hub.get("/api/v1").await;
     let routes = index["routes"].as_array().unwrap();
     let described = hub.get("/openapi.json").await;

@@ -1,4 +1,4 @@
-//! Promises of the hub, over real Zenoh sessions and real databases. Each test named `postgres_…` starts its own server.
+//! Promises of the hub, over real Zenoh sessions and databases. Each test with `postgres` in its name starts a server.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

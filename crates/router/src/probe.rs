@@ -154,12 +154,9 @@ mod tests {
         for _ in 0..3 {
             probes.record(Err("none".to_owned()));
         }
-        assert!(
-            probes
-                .stuck()
-                .unwrap()
-                .contains("3 attempts in a row opened no session: none")
-        );
+        let stuck = probes.stuck().unwrap();
+        let expected = "3 attempts in a row opened no session: none";
+        assert!(stuck.contains(expected), "{stuck}");
         assert_eq!((probes.failed(), probes.took()), (5, None));
     }
 }

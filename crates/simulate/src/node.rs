@@ -388,11 +388,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn node(options: Options) -> SimNode {
-        SimNode::new(
-            3,
-            &Options { seed: 1, ..options },
-            1_000_000_000_000_000_000,
-        )
+        let options = Options { seed: 1, ..options };
+        SimNode::new(3, &options, 1_000_000_000_000_000_000)
     }
 
     fn desired(revision: u64, value: f64) -> Desired {
@@ -420,34 +417,6 @@ mod tests {
     }
 
     #[test]
-    fn a_target_changes_the_threshold_and_a_threshold_ends_the_target() {
-        let mut node = node(Options::default());
-        let hold = |revision, target| Desired {
-            revision,
-            setting: Some(DesiredSetting::Target(target)),
-            ..Desired::nothing()
-        };
-        assert!(node.take(&hold(1, Some(Target::SkipRate(0.6)))));
-        let target = node.status(0).full.unwrap().target.unwrap();
-        assert_eq!(target.status, Some(TargetStatus::Held));
-        assert!((target.actual.unwrap() - 0.6).abs() < 1e-9 && node.u() > FIRST_U);
-        assert!(node.take(&hold(2, Some(Target::SkipRate(0.99)))));
-        let target = node.status(0).full.unwrap().target.unwrap();
-        assert_eq!(
-            (target.status, node.u()),
-            (Some(TargetStatus::CannotBeMet), 2e-3)
-        );
-        assert!(node.take(&desired(3, 1e-3)));
-        assert_eq!(
-            (node.status(0).full.unwrap().target, node.u()),
-            (None, 1e-3)
-        );
-        assert!(node.take(&hold(4, Some(Target::Watts(3.0)))));
-        assert!(node.take(&hold(5, None)) && !node.take(&hold(4, Some(Target::Watts(3.0)))));
-        assert_eq!((node.target, node.revision, node.u()), (None, 5, 1e-3));
-    }
-
-    #[test]
     fn a_report_has_the_threshold_in_force_when_its_clip_was_made() {
         let mut node = node(Options {
             backlog: 3,
@@ -463,30 +432,6 @@ mod tests {
             .collect();
         assert_eq!(values, [FIRST_U, FIRST_U, FIRST_U, 1e-2, 1e-2]);
         assert!(batch.reports.iter().all(|r| r.states.frames() == r.frames));
-    }
-
-    #[test]
-    fn a_clip_costs_more_above_the_threshold_configured_as_worse() {
-        let behaviour = Behaviour {
-            worse_above: Some(4e-4),
-            worse_by: 1.5,
-            ..Options::default().behaviour
-        };
-        let mut node = node(Options {
-            behaviour,
-            backlog: 50,
-            ..Options::default()
-        });
-        node.take(&desired(1, 5e-4));
-        node.made += 50;
-        let joules = |node: &SimNode, range: std::ops::Range<u64>| {
-            let count = (range.end - range.start) as f64;
-            range
-                .map(|n| node.report(n).energy.joules.unwrap())
-                .sum::<f64>()
-                / count
-        };
-        assert!(joules(&node, 50..100) > 1.2 * joules(&node, 0..50));
     }
 
     #[test]

@@ -31,30 +31,26 @@ fn key_of(line: &str) -> Option<&str> {
 #[test]
 fn every_key_is_in_the_shipped_file_with_a_comment() {
     let text = std::fs::read_to_string(shipped()).unwrap();
-    let (mut section, mut shown, mut commented) = (String::new(), Vec::new(), false);
+    let (mut section, mut shown, mut above) = ("", Vec::new(), "");
     for line in text.lines() {
         let bare = line.strip_prefix("# ").unwrap_or(line);
         if bare.starts_with('[') {
-            section = bare.trim_matches(['[', ']']).to_owned();
-            commented = false;
+            section = bare.trim_matches(['[', ']']);
         } else if let Some(key) = key_of(line) {
-            assert!(commented, "no comment above: {line}");
+            let is_other = above.starts_with("# [") || key_of(above).is_some();
+            let is_commented = above.starts_with('#') && !is_other;
+            assert!(is_commented, "no comment above: {line}");
             shown.push(format!("{section}.{key}"));
-            commented = false;
-        } else {
-            commented = line.starts_with('#');
         }
+        above = line;
     }
-    let token = NamedToken {
+    let mut config = HubConfig::default();
+    config.tokens.push(NamedToken {
         name: "a".into(),
         role: Role::Read,
         token: None,
         token_file: None,
-    };
-    let config = HubConfig {
-        tokens: vec![token],
-        ..HubConfig::default()
-    };
+    });
     let mut wanted = Vec::new();
     for (section, values) in serde_json::to_value(&config).unwrap().as_object().unwrap() {
         let values = values.get(0).unwrap_or(values).as_object().unwrap();
@@ -78,36 +74,27 @@ fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {
 
 #[test]
 fn an_impossible_value_is_rejected_with_its_key() {
-    for (text, key) in [
-        ("[hub]\nprefix = \"a//b\"", "hub.prefix"),
-        ("[zenoh]\nmode = \"boss\"", "zenoh"),
-        ("[zenoh]\nlistn = []", "zenoh"),
-        ("[http]\nlisten = \"0.0.0.0:8090\"", "http.listen"),
-        ("[database]\nurl = \"mysql://x\"", "database.url"),
-        ("[database]\nurl = \"sqlite::memory:\"", "database.url"),
-        ("[database]\ntimeout_ms = 0", "database.timeout_ms"),
-        ("[database]\nreaders = 4", "database.readers"),
-        ("[ingest]\nbusy_after_ms = 3000", "ingest.busy_after_ms"),
-        (
-            "[presence]\nsilent_after_s = nan",
-            "presence.silent_after_s",
-        ),
-        (
-            "[presence]\noffline_after_s = 1.0",
-            "presence.offline_after_s",
-        ),
-        ("[history]\nclips_days = 0", "history.clips_days"),
-        ("[[token]]\nname = \"a\"", "token.a.token"),
-        (
-            "[[token]]\nname = \"\"\ntoken = \"0123456789abcdef\"",
-            "token[0].name",
-        ),
-        (
-            "[[token]]\nname = \"a\"\ntoken = \"0123456789abcdef\"\nrole = \"all\"",
-            "token.a.role",
-        ),
-        ("[hubb]\nprefix = \"a\"", "hubb"),
+    // With the key of the finding, if it is not the one that is set.
+    for case in [
+        r#"hub.prefix = "a//b""#,
+        r#"zenoh.mode = "boss" -> zenoh"#,
+        "zenoh.listn = [] -> zenoh",
+        r#"http.listen = "0.0.0.0:8090""#,
+        r#"database.url = "mysql://x""#,
+        r#"database.url = "sqlite::memory:""#,
+        "database.timeout_ms = 0",
+        "database.readers = 4",
+        "ingest.busy_after_ms = 3000",
+        "presence.silent_after_s = nan",
+        "presence.offline_after_s = 1.0",
+        "history.clips_days = 0",
+        r#"token = [{name = "a"}] -> token.a.token"#,
+        r#"token = [{name = "", token = "0123456789abcdef"}] -> token[0].name"#,
+        r#"token = [{name = "a", token = "0123456789abcdef", role = "all"}] -> token.a.role"#,
+        r#"hubb.prefix = "a" -> hubb"#,
     ] {
+        let set = case.split(" = ").next().unwrap();
+        let (text, key) = case.split_once(" -> ").unwrap_or((case, set));
         let error = read(text).expect_err(text);
         let found: Vec<String> = error.findings.iter().map(ToString::to_string).collect();
         assert_eq!(found.len(), 1, "{text}: {found:?}");

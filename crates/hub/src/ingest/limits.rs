@@ -242,10 +242,8 @@ mod tests {
             }
         }
         let days = (now - start).as_secs_f64() / DAY_S;
-        assert!(
-            (15.0..25.0).contains(&days),
-            "{days} days, asked {requests} times"
-        );
+        let said = format!("{days} days, asked {requests} times");
+        assert!((15.0..25.0).contains(&days), "{said}");
         // Another is not held up by it, and each camera has a share of its own.
         drop(limits.admit("b", now).unwrap());
         limits.has_cameras("a", 4);

@@ -173,9 +173,7 @@ mod tests {
     #[test]
     fn text_with_a_nul_is_made_storable() {
         let row = super::super::row::row(&serde_json::json!({ "a": "a\0b", "id": [1, 255] }));
-        assert_eq!(
-            recordset(vec![row.unwrap()]),
-            "[{\"a\":\"a\u{fffd}b\",\"id\":\"\\\\x01ff\"}]"
-        );
+        let stored = "[{\"a\":\"a\u{fffd}b\",\"id\":\"\\\\x01ff\"}]";
+        assert_eq!(recordset(vec![row.unwrap()]), stored);
     }
 }

@@ -117,11 +117,7 @@ mod tests {
         let error = read::<ChangeNode>(row.clone()).unwrap_err();
         assert!(error.to_string().contains("seven"), "{error}");
         row.clear();
-        assert!(
-            read::<ChangeNode>(row)
-                .unwrap_err()
-                .to_string()
-                .contains("revision")
-        );
+        let error = read::<ChangeNode>(row).unwrap_err();
+        assert!(error.to_string().contains("revision"), "{error}");
     }
 }

@@ -269,7 +269,6 @@ pub(crate) fn shuffle<T>(list: &mut [T], seed: u64) {
 mod tests {
     use super::*;
     use crate::presence::reported;
-    use proptest::prelude::*;
 
     fn new() -> Threshold {
         u(5e-4)
@@ -297,39 +296,14 @@ mod tests {
         for (what, node, at, expected) in [
             ("nothing yet", reported(true, 6, old(), no), 10, "pending"),
             ("the value", reported(true, 7, new(), no), 10, "applied"),
-            (
-                "a later one's same value",
-                reported(true, 8, new(), no),
-                10,
-                "applied",
-            ),
+            ("a later one", reported(true, 8, new(), no), 10, "applied"),
             ("another value", reported(true, 7, old(), no), 10, "pending"),
-            (
-                "by accident, too early",
-                reported(true, 6, new(), no),
-                10,
-                "pending",
-            ),
-            (
-                "no answer in time",
-                reported(true, 6, old(), no),
-                100,
-                "timed_out",
-            ),
+            ("too early", reported(true, 6, new(), no), 10, "pending"),
+            ("too late", reported(true, 6, old(), no), 100, "timed_out"),
             ("away", reported(false, 6, old(), no), 100, "waiting"),
-            (
-                "applied and away",
-                reported(false, 7, new(), no),
-                100,
-                "applied",
-            ),
+            ("left since", reported(false, 7, new(), no), 100, "applied"),
             ("refused", reported(true, 6, old(), Some(7)), 10, "refused"),
-            (
-                "another one refused",
-                reported(true, 6, old(), Some(6)),
-                10,
-                "pending",
-            ),
+            ("an older", reported(true, 6, old(), Some(6)), 10, "pending"),
         ] {
             let mut member = asked();
             member.observe(&node, 100, at);
@@ -364,20 +338,5 @@ mod tests {
         member.asked(9, 1);
         member.observe(&reported(true, 9, old(), None), 100, 2);
         assert_eq!(member.applied_ms(), Some(2));
-    }
-
-    proptest! {
-        #[test]
-        fn a_shuffle_has_every_node_once_and_is_reproducible(count in 0usize..200, seed in any::<u64>()) {
-            let shuffled = || {
-                let mut list: Vec<usize> = (0..count).collect();
-                shuffle(&mut list, seed);
-                list
-            };
-            let mut list = shuffled();
-            prop_assert_eq!(&list, &shuffled());
-            list.sort_unstable();
-            prop_assert_eq!(list, (0..count).collect::<Vec<_>>());
-        }
     }
 }

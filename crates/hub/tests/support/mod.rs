@@ -12,31 +12,38 @@ mod assertions;
 #[path = "../../../../tests/support/ports.rs"]
 mod ports;
 pub mod postgres;
+#[path = "../../../../tests/support/fleet/reports.rs"]
+mod reports;
 
 pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
+pub(crate) use postgres::{on_both, sqlite};
+pub(crate) use reports::{Reply, id, now_ns, open};
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
-    AuditReport, AuditSums, ClipReport, Desired, HealthState, OutboxStatus, PullRequest,
-    ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
+    AuditReport, AuditSums, BatchCompression, ClipReport, Desired, HealthState, OutboxStatus,
+    PullRequest, ReportBatch, StatusMessage, VERSION,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::ops::RangeInclusive;
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
-use uuid::{Builder, Uuid};
 
 /// The limit of any single wait on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A running hub.
+/// A running hub, and the uplink of nodes to it.
 pub struct Hub {
     pub http: String,
     pub zenoh: String,
+    pub uplink: zenoh::Session,
     pub config: HubConfig,
+    /// The folder of a database of its own.
+    folder: Option<tempfile::TempDir>,
     shutdown: CancellationToken,
     task: tokio::task::JoinHandle<Result<(), albireo_hub::HubError>>,
 }
@@ -51,12 +58,23 @@ pub fn config(database: &str) -> HubConfig {
     config
 }
 
-/// The URL of the database file in `folder`.
-pub fn sqlite(folder: &Path) -> String {
-    format!("sqlite:{}", folder.join("hub.db").display())
-}
-
 impl Hub {
+    /// A hub with a new SQLite file.
+    pub async fn fresh() -> Self {
+        Self::fresh_with(|_| ()).await
+    }
+
+    /// A hub with a new SQLite file and changes to its configuration.
+    pub async fn fresh_with(change: impl FnOnce(&mut HubConfig)) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = config(&sqlite(folder.path()));
+        change(&mut config);
+        Self {
+            folder: Some(folder),
+            ..Self::start(config).await
+        }
+    }
+
     /// Starts a hub and waits until it is ready.
     pub async fn start(config: HubConfig) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -64,10 +82,13 @@ impl Hub {
         let shutdown = CancellationToken::new();
         let (given, stop) = (config.clone(), shutdown.clone());
         let task = tokio::spawn(async move { albireo_hub::run(&given, listener, stop).await });
+        let zenoh = [&config.zenoh.listen[..], &config.zenoh.connect].concat()[0].clone();
         let hub = Self {
-            zenoh: [&config.zenoh.listen[..], &config.zenoh.connect].concat()[0].clone(),
+            uplink: reports::uplink(&zenoh).await,
+            zenoh,
             http,
             config,
+            folder: None,
             shutdown,
             task,
         };
@@ -77,8 +98,19 @@ impl Hub {
 
     /// Stops the hub as a signal does.
     pub async fn stop(self) {
+        self.uplink.close().await.unwrap();
         self.shutdown.cancel();
         self.task.await.unwrap().unwrap();
+    }
+
+    /// Stops the hub and starts it with the same configuration and database.
+    pub async fn restart(mut self) -> Self {
+        let (config, folder) = (self.config.clone(), self.folder.take());
+        self.stop().await;
+        Self {
+            folder,
+            ..Self::start(config).await
+        }
     }
 
     /// The JSON answer at `path`.
@@ -114,154 +146,71 @@ impl Hub {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-}
 
-/// A hub and a node's session.
-pub struct Fixture {
-    pub hub: Hub,
-    pub session: zenoh::Session,
-    folder: Option<tempfile::TempDir>,
-}
-
-impl Fixture {
-    /// A hub with a SQLite file.
-    pub async fn start() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let fixture = Self::on(config(&sqlite(folder.path()))).await;
-        Self {
-            folder: Some(folder),
-            ..fixture
-        }
+    /// Waits until a node has a state, and returns the node.
+    pub async fn until_state(&self, node: &str, state: &str) -> Value {
+        let path = format!("/api/v1/nodes/{node}");
+        self.until(&path, |node| node["state"] == state).await
     }
 
-    pub async fn on(config: HubConfig) -> Self {
-        let hub = Hub::start(config).await;
-        Self {
-            session: uplink(&hub.zenoh).await,
-            hub,
-            folder: None,
-        }
+    /// Sends a payload as the reports of `node`.
+    pub async fn send(&self, node: &str, payload: Vec<u8>) -> Reply {
+        reports::send(&self.uplink, node, payload, Duration::from_secs(20)).await
     }
 
-    pub async fn end(self) {
-        self.session.close().await.unwrap();
-        self.hub.stop().await;
-        drop(self.folder);
-    }
-}
-
-/// A test on SQLite and on PostgreSQL.
-macro_rules! on_both {
-    ($test:path, $sqlite:ident, $postgres:ident) => {
-        #[tokio::test(flavor = "multi_thread")]
-        async fn $sqlite() {
-            let folder = tempfile::tempdir().unwrap();
-            $test(&crate::support::sqlite(folder.path())).await;
-        }
-
-        #[tokio::test(flavor = "multi_thread")]
-        #[ignore = "needs PostgreSQL"]
-        async fn $postgres() {
-            let server = crate::support::postgres::Postgres::start();
-            $test(&server.url()).await;
-        }
-    };
-}
-pub(crate) use on_both;
-
-/// The Zenoh session of a node's uplink.
-pub async fn uplink(endpoint: &str) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"client\"".to_owned()),
-        ("connect/endpoints", format!("[\"{endpoint}\"]")),
-        ("connect/timeout_ms", "-1".to_owned()),
-        ("scouting/multicast/enabled", "false".to_owned()),
-    ] {
-        config.insert_json5(key, &value).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
-}
-
-/// The reply to a batch.
-#[derive(Debug, PartialEq)]
-pub enum Reply {
-    Answer(ReportAnswer),
-    Refused(ReportRefusal),
-    Nothing,
-}
-
-impl Reply {
-    pub fn answer(self) -> ReportAnswer {
-        match self {
-            Self::Answer(answer) => answer,
-            reply => panic!("{reply:?}"),
-        }
-    }
-
-    /// Asserts that every report was stored.
-    pub fn assert_stored(self) {
-        let answer = self.answer();
-        assert!(answer.refused.is_empty(), "{answer:?}");
-    }
-}
-
-/// Sends a payload on the key of `node`.
-pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Reply {
-    let key = format!("albireo/@report/{node}");
-    let replies = session
-        .get(key)
-        .payload(payload)
-        .timeout(Duration::from_secs(20))
-        .await
-        .unwrap();
-    while let Ok(reply) = replies.recv_async().await {
-        match reply.result() {
-            Ok(sample) => {
-                return Reply::Answer(albireo_wire::read(&sample.payload().to_bytes()).unwrap());
+    /// Sends a batch until the hub answers.
+    pub async fn deliver(&self, batch: &ReportBatch) -> Reply {
+        let until = Instant::now() + PATIENCE;
+        let payload = batch.to_payload(BatchCompression::Best).unwrap();
+        loop {
+            match self.send(&batch.node, payload.clone()).await {
+                Reply::Nothing => {}
+                reply => return reply,
             }
-            Err(error) => {
-                if let Ok(refusal) = albireo_wire::read(&error.payload().to_bytes()) {
-                    return Reply::Refused(refusal);
-                }
-            }
+            assert!(Instant::now() < until, "no hub answers");
+            tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-    Reply::Nothing
-}
 
-/// Sends a batch until a hub answers.
-pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Reply {
-    let until = Instant::now() + PATIENCE;
-    let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
-    let payload = payload.unwrap();
-    loop {
-        match send(session, &batch.node, payload.clone()).await {
-            Reply::Nothing => {}
-            reply => return reply,
-        }
-        assert!(Instant::now() < until, "no hub answers");
-        tokio::time::sleep(Duration::from_millis(20)).await;
+    /// Delivers the batch of these reports, all of which must be stored.
+    pub async fn store(&self, node: &str, numbers: RangeInclusive<u64>) {
+        self.deliver(&batch(node, numbers)).await.assert_stored();
+    }
+
+    /// The counts of a node's clips, sorted.
+    pub async fn counts(&self, node: &str) -> Vec<u64> {
+        let path = format!("/api/v1/clips?node={node}&limit=1000");
+        let clips = self.get(&path).await;
+        let clips = clips["clips"].as_array().unwrap().iter();
+        let mut counts: Vec<u64> = clips.map(|clip| clip["count"].as_u64().unwrap()).collect();
+        counts.sort_unstable();
+        counts
+    }
+
+    /// Publishes the status of a node.
+    pub async fn put_status(&self, node: &str, status: &StatusMessage) {
+        let payload = serde_json::to_vec(status).unwrap();
+        let key = format!("albireo/@status/{node}");
+        self.uplink.put(key, payload).await.unwrap();
+    }
+
+    /// The desired setting that the hub answers to a node's query.
+    pub async fn pull(&self, node: &str) -> Desired {
+        let request = PullRequest {
+            v: VERSION,
+            revision: 0,
+        };
+        let query = self.uplink.get(format!("albireo/@pull/{node}"));
+        let query = query.payload(serde_json::to_vec(&request).unwrap());
+        let replies = query.timeout(Duration::from_secs(20)).await.unwrap();
+        let reply = replies.recv_async().await.unwrap();
+        let sample = reply.into_result().unwrap();
+        albireo_wire::read(&sample.payload().to_bytes()).unwrap()
     }
 }
 
-/// Delivers the batch of these reports, all of which must be stored.
-pub async fn store(
-    session: &zenoh::Session,
-    node: &str,
-    series: u8,
-    numbers: std::ops::RangeInclusive<u64>,
-    started_ns: u64,
-) {
-    let batch = batch(node, series, numbers, started_ns);
-    deliver(session, &batch).await.assert_stored();
-}
-
-/// Now, nanoseconds since the Unix epoch.
-pub fn now_ns() -> u64 {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    u64::try_from(since.unwrap().as_nanos()).unwrap()
-}
+/// A day before the tests, when their reports begin.
+pub static YESTERDAY: LazyLock<u64> = LazyLock::new(|| now_ns() - 90_000_000_000_000);
 
 /// The audit of every second report: ten boxes of the detector in four frames, of which nine or eight were shown.
 fn audit(number: u64) -> AuditReport {
@@ -284,15 +233,8 @@ fn audit(number: u64) -> AuditReport {
     }
 }
 
-/// The id of a report of that series and number, made at that time.
-pub fn id(series: u8, number: u64, made_ns: u64) -> Uuid {
-    let mut random = [series; 10];
-    random[2..].copy_from_slice(&number.to_be_bytes());
-    Builder::from_unix_timestamp_millis(made_ns / 1_000_000, &random).into_uuid()
-}
-
-/// The report of clip `number` of a series, which began `number` × 40 s after `started_ns`.
-pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipReport {
+/// The report of clip `number` of a node, which began `number` × 40 s after `started_ns`.
+pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     let begun_ns = started_ns + number * 40_000_000_000;
     let joules = 100.1 + number as f64 / 3.0;
     let times = |count: u64, mean: f64| {
@@ -301,7 +243,7 @@ pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipRepor
     };
     let quality = ["measured", "partial", "estimated"][number as usize % 3];
     let report = json!({
-        "v": VERSION, "id": id(series, number, begun_ns + 40_000_000_000), "node": node, "camera": "front",
+        "v": VERSION, "id": id(node, number, begun_ns + 40_000_000_000), "node": node, "camera": "front",
         "clip": format!("window-{number}"), "count": number, "ended_by": "window", "started_ns": begun_ns,
         "duration_s": 40.0, "frames": 1200, "states": {"E": 100, "P": 700, "E+I": 50, "I": 300, "AI": 50},
         "skip_rate": 800.0 / 1200.0, "degraded_frames": 20, "dropped": {}, "policy": "albireo",
@@ -321,34 +263,20 @@ pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipRepor
 }
 
 /// The batch of reports with those numbers.
-pub fn batch(
-    node: &str,
-    series: u8,
-    numbers: std::ops::RangeInclusive<u64>,
-    started_ns: u64,
-) -> ReportBatch {
-    ReportBatch {
-        v: VERSION,
-        node: node.into(),
-        t_ms: now_ns() / 1_000_000,
-        reports: numbers
-            .map(|number| report(node, series, number, started_ns))
-            .collect(),
-    }
+pub fn batch(node: &str, numbers: RangeInclusive<u64>) -> ReportBatch {
+    batch_of(node, numbers, *YESTERDAY)
 }
 
-/// The counts of a node's clips at the hub, sorted.
-pub async fn counts(hub: &Hub, node: &str) -> Vec<u64> {
-    let clips = hub
-        .get(&format!("/api/v1/clips?node={node}&limit=1000"))
-        .await;
-    let clips = clips["clips"].as_array().unwrap();
-    let mut counts: Vec<u64> = clips
-        .iter()
-        .map(|clip| clip["count"].as_u64().unwrap())
-        .collect();
-    counts.sort_unstable();
-    counts
+/// The batch of reports of a node that began its first clip at another time.
+pub fn batch_of(node: &str, numbers: RangeInclusive<u64>, started_ns: u64) -> ReportBatch {
+    let reports = numbers.map(|number| report(node, number, started_ns));
+    reports::in_batch(node, reports.collect())
+}
+
+/// The names of the nodes of a page, in its order.
+pub fn names(page: &Value) -> Vec<&str> {
+    let nodes = page["nodes"].as_array().unwrap().iter();
+    nodes.map(|node| node["node"].as_str().unwrap()).collect()
 }
 
 /// A short status, without the full part.
@@ -383,30 +311,4 @@ pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessag
         full: Some(serde_json::from_value(full).unwrap()),
         ..status(run, seq)
     }
-}
-
-/// Publishes the status of a node.
-pub async fn put_status(session: &zenoh::Session, node: &str, status: &StatusMessage) {
-    let payload = serde_json::to_vec(status).unwrap();
-    session
-        .put(format!("albireo/@status/{node}"), payload)
-        .await
-        .unwrap();
-}
-
-/// The desired setting that the hub answers to a node's query.
-pub async fn pull(session: &zenoh::Session, node: &str) -> Desired {
-    let request = PullRequest {
-        v: VERSION,
-        revision: 0,
-    };
-    let replies = session
-        .get(format!("albireo/@pull/{node}"))
-        .payload(serde_json::to_vec(&request).unwrap())
-        .timeout(Duration::from_secs(20))
-        .await
-        .unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    let sample = reply.into_result().unwrap();
-    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
 }

@@ -1,8 +1,35 @@
-//! A PostgreSQL server per test: in a temporary folder, on loopback, under a user other than root.
+//! The databases of hubs: a SQLite file, or a PostgreSQL server per test: in a temporary folder, on loopback, under a user
+//! other than root.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+
+/// The URL of the database file `hub.db` in a folder.
+pub(crate) fn sqlite(folder: &Path) -> String {
+    format!("sqlite:{}", folder.join("hub.db").display())
+}
+
+/// A test on SQLite and on PostgreSQL.
+macro_rules! on_both {
+    ($test:ident) => {
+        mod $test {
+            #[tokio::test(flavor = "multi_thread")]
+            async fn sqlite() {
+                let folder = tempfile::tempdir().unwrap();
+                super::$test(&crate::support::postgres::sqlite(folder.path())).await;
+            }
+
+            #[tokio::test(flavor = "multi_thread")]
+            #[ignore = "needs PostgreSQL"]
+            async fn postgres() {
+                let server = crate::support::postgres::Postgres::start();
+                super::$test(&server.url()).await;
+            }
+        }
+    };
+}
+pub(crate) use on_both;
 
 /// A running server; stopped when dropped.
 pub struct Postgres {
@@ -13,20 +40,18 @@ pub struct Postgres {
 
 /// The folder of the server's programs: on the path, or where Debian puts them.
 fn tools() -> PathBuf {
-    let found = std::env::var_os("PATH")
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let debian = std::fs::read_dir("/usr/lib/postgresql")
         .into_iter()
-        .flat_map(|path| std::env::split_paths(&path).collect::<Vec<_>>())
-        .find(|folder| folder.join("initdb").exists() && folder.join("pg_ctl").exists());
-    found
-        .or_else(|| {
-            let mut versions: Vec<_> = std::fs::read_dir("/usr/lib/postgresql")
-                .ok()?
-                .filter_map(|entry| Some(entry.ok()?.path().join("bin")))
-                .filter(|folder| folder.join("initdb").exists())
-                .collect();
-            versions.sort();
-            versions.pop()
-        })
+        .flatten();
+    let mut versions: Vec<_> = debian
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .collect();
+    versions.sort();
+    let newest_first = versions.iter().rev().map(|version| version.join("bin"));
+    std::env::split_paths(&path)
+        .chain(newest_first)
+        .find(|folder| folder.join("initdb").exists() && folder.join("pg_ctl").exists())
         .expect("PostgreSQL's initdb is not installed: `make debian`")
 }
 

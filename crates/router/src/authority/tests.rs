@@ -4,8 +4,10 @@ use std::process::Command;
 
 const YEAR: Duration = Duration::from_secs(365 * 86_400);
 
-fn authority(folder: &Path) -> Authority {
-    Authority::create(folder, "fleet north", YEAR * 10).unwrap()
+fn authority() -> (tempfile::TempDir, Authority) {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::create(folder.path(), "fleet north", YEAR * 10);
+    (folder, authority.unwrap())
 }
 
 fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, RouterError> {
@@ -24,8 +26,8 @@ fn common_name_of(issued: &Issued) -> String {
 
 #[test]
 fn a_certificate_names_role_name_and_issue_and_keys_are_private() {
-    let folder = tempfile::tempdir().unwrap();
-    let issued = issue(&mut authority(folder.path()), Role::Node, "car-7").unwrap();
+    let (folder, mut authority) = authority();
+    let issued = issue(&mut authority, Role::Node, "car-7").unwrap();
     assert_eq!(common_name_of(&issued), "node/car-7/1");
     for (file, mode) in [
         (issued.key.as_path(), 0o600),
@@ -40,8 +42,7 @@ fn a_certificate_names_role_name_and_issue_and_keys_are_private() {
 
 #[test]
 fn openssl_accepts_the_chain_for_the_intended_purposes() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut authority = authority(folder.path());
+    let (folder, mut authority) = authority();
     let hosts = ["router.example".to_owned(), "127.0.0.1".to_owned()];
     let router = authority.issue(Role::Router, "east", &hosts, YEAR).unwrap();
     let node = issue(&mut authority, Role::Node, "car-7").unwrap();
@@ -74,8 +75,7 @@ fn openssl_accepts_the_chain_for_the_intended_purposes() {
 
 #[test]
 fn a_name_has_one_valid_certificate_and_a_new_issue_after_revocation() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut authority = authority(folder.path());
+    let (folder, mut authority) = authority();
     issue(&mut authority, Role::Node, "car-7").unwrap();
     let again = issue(&mut authority, Role::Node, "car-7");
     assert_refused(again, "renew it, or revoke it first");
@@ -93,8 +93,7 @@ fn a_name_has_one_valid_certificate_and_a_new_issue_after_revocation() {
 
 #[test]
 fn renewal_keeps_the_name_and_replaces_key_and_expiry() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut authority = authority(folder.path());
+    let (_folder, mut authority) = authority();
     let first = issue(&mut authority, Role::Node, "car-7").unwrap();
     let key = std::fs::read(&first.key).unwrap();
     let second = authority.renew(Role::Node, "car-7", YEAR * 2).unwrap();
@@ -108,16 +107,15 @@ fn renewal_keeps_the_name_and_replaces_key_and_expiry() {
 
 #[test]
 fn a_second_authority_does_not_overwrite_the_first() {
-    let folder = tempfile::tempdir().unwrap();
-    drop(authority(folder.path()));
+    let (folder, first) = authority();
+    drop(first);
     let again = Authority::create(folder.path(), "other", YEAR);
     assert_refused(again.map(drop), "exists already");
 }
 
 #[test]
 fn unsafe_names_and_impossible_lifetimes_are_rejected() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut authority = authority(folder.path());
+    let (_folder, mut authority) = authority();
     for name in ["", "a/b", "*", "../x", "a b"] {
         let refused = issue(&mut authority, Role::Node, name);
         assert_refused(refused, "name");
@@ -130,8 +128,8 @@ fn unsafe_names_and_impossible_lifetimes_are_rejected() {
 
 #[test]
 fn an_unreadable_list_is_an_error_and_stays_unchanged() {
-    let folder = tempfile::tempdir().unwrap();
-    drop(authority(folder.path()));
+    let (folder, first) = authority();
+    drop(first);
     let list = folder.path().join("list.json");
     for text in ["{", r#"{"v": 9, "issued": []}"#] {
         std::fs::write(&list, text).unwrap();

@@ -22,6 +22,16 @@ pub(super) fn clips(mean: f64) -> Mean {
     Mean { clips: 5, sum }
 }
 
+/// The clips of nodes in their windows.
+fn in_windows(windows: &[[Window; 2]], clips: impl Fn(&Window) -> Figures) -> Measured {
+    let one = |[before, after]: &[Window; 2]| {
+        let (before, node) = (clips(before), after.node.clone());
+        let after = clips(after);
+        (node, BeforeAfter { before, after })
+    };
+    windows.iter().map(one).collect()
+}
+
 const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
@@ -113,33 +123,28 @@ impl World {
             Some(reported(node.reachable, revision, has, node.refused))
         });
         if let Some(windows) = rollout.tick(self.now) {
-            let found = windows.iter().map(|both| self.measure(both)).collect();
+            for [before, after] in &windows {
+                assert_eq!(before.value, old().value.to_string());
+                assert!(before.from_ms < before.until_ms);
+                assert!(before.until_ms <= after.from_ms && after.from_ms <= after.until_ms);
+            }
+            let found = in_windows(&windows, |window| self.clips(window));
             rollout.measured(&found, self.now);
         }
     }
 
-    fn measure(&self, [before, after]: &[Window; 2]) -> (String, BeforeAfter) {
-        assert_eq!(before.value, old().value.to_string());
-        assert!(before.from_ms < before.until_ms);
-        assert!(before.until_ms <= after.from_ms && after.from_ms <= after.until_ms);
-        let figures = |factor: f64| -> Figures {
-            [
-                (Figure::SkipRate, clips(0.5)),
-                (Figure::JoulesMeasured, clips(100.0 * factor)),
-                (Figure::LatencyP99, clips(20.0)),
-                (Figure::Degraded, clips(0.0)),
-            ]
-            .into()
-        };
-        let factor = match after.value == new().value.to_string() {
-            true => self.nodes[&after.node].factor,
+    fn clips(&self, window: &Window) -> Figures {
+        let factor = match window.value == new().value.to_string() {
+            true => self.nodes[&window.node].factor,
             false => 1.0,
         };
-        let clips = BeforeAfter {
-            before: figures(1.0),
-            after: figures(factor),
-        };
-        (after.node.clone(), clips)
+        [
+            (Figure::SkipRate, clips(0.5)),
+            (Figure::JoulesMeasured, clips(100.0 * factor)),
+            (Figure::LatencyP99, clips(20.0)),
+            (Figure::Degraded, clips(0.0)),
+        ]
+        .into()
     }
 
     fn run(&mut self, rollout: &mut Run, seconds: usize) {
@@ -250,9 +255,6 @@ fn a_stage_that_fails_its_gate_restores_the_old_value_on_all_nodes_of_the_rollou
     let gate = gates.find(|g| g.verdict == Verdict::Failed).unwrap();
     let found = (gate.figure, gate.nodes, gate.compared);
     assert_eq!(found, (Some(Figure::JoulesMeasured), 16, 20));
-    let change = gate.change.unwrap();
-    let is_right = (change.estimate - 0.33).abs() < 0.01 && change.lower > 0.05;
-    assert!(is_right, "{change:?}");
     // The harm is noticed half-way, not at the end of the soak.
     assert!(world.now < 300 * SECOND, "{}", world.now);
 }
@@ -342,6 +344,11 @@ fn a_failed_stage_is_held_for_a_decision_if_the_plan_says_so() {
     let mut there = world.clone();
     there.run_until(&mut onward, "done");
     assert_eq!(there.have(new()), 40);
+    let mut stopped = rollout.clone();
+    stopped.command(Command::Stop, "ops", world.now).unwrap();
+    let mut there = world.clone();
+    there.run(&mut stopped, 500);
+    assert_eq!((stopped.phase.name(), there.have(new())), ("stopped", 20));
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
     assert_eq!(world.have(new()), 0);

@@ -50,7 +50,7 @@ async fn play(script: Vec<Happens>) {
     let mut stage = stage(in_threes()).await;
     let steps = stage.steps.clone();
     // A worker whose thread was stuck takes no more steps.
-    let end = |step| drop(steps.send(step));
+    let end = |step| _ = steps.send(step);
     let mut asked: Vec<(usize, Asked)> = Vec::new();
     for happens in script {
         match happens {

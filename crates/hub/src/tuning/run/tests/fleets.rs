@@ -3,9 +3,9 @@
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
 //! docs/fleet.md; the default number of rollouts is just enough to detect a broken promise.
 
-use super::super::super::metric::{Figure, Figures, Mean};
+use super::super::super::metric::{Figure, Figures};
 use super::super::*;
-use super::{new, old, reported};
+use super::{in_windows, new, old, reported};
 
 const HOUR: Millis = 3_600_000;
 /// Time between two steps of the simulation.
@@ -44,8 +44,8 @@ struct Fleet {
     seed: u64,
     /// The relative increase of a clip's energy with the new value.
     change: f64,
-    /// Each node's value, and the time since it has it.
-    has: Vec<(Threshold, Millis)>,
+    /// Each node's value.
+    has: Vec<Threshold>,
     now: Millis,
 }
 
@@ -61,8 +61,7 @@ impl Fleet {
     /// Clips of the hours of a window in which the node drives.
     fn clips(&self, window: &Window) -> Figures {
         let node = Self::number(&window.node);
-        let (mut energy, mut latency, mut skip) =
-            (Mean::default(), Mean::default(), Mean::default());
+        let mut figures = Figures::new();
         let factor = if window.value == new().value.to_string() {
             1.0 + self.change
         } else {
@@ -86,60 +85,43 @@ impl Fleet {
                     noise(what).exp()
                 }
             };
-            for (mean, value) in [
-                (&mut energy, factor * level(1)),
-                (&mut latency, level(2)),
-                (&mut skip, 0.5 + 0.1 * noise(3)),
+            for (figure, value) in [
+                (Figure::JoulesMeasured, factor * level(1)),
+                (Figure::LatencyP99, level(2)),
+                (Figure::SkipRate, 0.5 + 0.1 * noise(3)),
+                (Figure::Degraded, 0.0),
             ] {
+                let mean = figures.entry(figure).or_default();
                 mean.clips += 10;
                 mean.sum += 10.0 * value;
             }
         }
-        let (clips, sum) = (skip.clips, 0.0);
-        let figures = [
-            (Figure::JoulesMeasured, energy),
-            (Figure::LatencyP99, latency),
-            (Figure::SkipRate, skip),
-            (Figure::Degraded, Mean { clips, sum }),
-        ];
-        let figures = figures.into_iter();
-        figures.filter(|(_, mean)| mean.clips > 0).collect()
-    }
-
-    fn measure(&self, windows: &[[Window; 2]]) -> Measured {
-        let one = |[before, after]: &[Window; 2]| {
-            let clips = BeforeAfter {
-                before: self.clips(before),
-                after: self.clips(after),
-            };
-            (after.node.clone(), clips)
-        };
-        windows.iter().map(one).collect()
+        figures
     }
 
     fn step(&mut self, rollout: &mut Run) {
         self.now += STEP;
         for order in rollout.due() {
             for node in &order.nodes {
-                self.has[Self::number(node) as usize] = (order.knob, self.now);
+                self.has[Self::number(node) as usize] = order.knob;
             }
             rollout.asked(&order, 1, self.now);
         }
         rollout.observe(self.now, |node| {
             let number = Self::number(node);
             let reachable = !self.is_parked(number, self.now);
-            Some(reported(reachable, 1, self.has[number as usize].0, None))
+            Some(reported(reachable, 1, self.has[number as usize], None))
         });
         if let Some(windows) = rollout.tick(self.now) {
-            rollout.measured(&self.measure(&windows), self.now);
+            let found = in_windows(&windows, |window| self.clips(window));
+            rollout.measured(&found, self.now);
         }
     }
 }
 
 /// The number of rollouts by outcome.
-#[derive(Debug, Default, PartialEq)]
+#[derive(Debug, Default)]
 struct Ends {
-    rollouts: u32,
     in_force: u32,
     failed: u32,
     undecided: u32,
@@ -172,7 +154,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
         let mut fleet = Fleet {
             seed: seed.wrapping_mul(1_000_003) ^ nodes as u64,
             change,
-            has: vec![(old(), start); nodes],
+            has: vec![old(); nodes],
             now: start,
         };
         while !matches!(
@@ -181,7 +163,6 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
         ) {
             fleet.step(&mut rollout);
         }
-        ends.rollouts += 1;
         let failed = (rollout.record.iter()).any(|e| e.verdict == Some(Verdict::Failed));
         match rollout.phase {
             Phase::Returning if failed => ends.failed += 1,
@@ -189,7 +170,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
             _ => ends.in_force += 1,
         }
     }
-    let share = |count: u32| f64::from(count) / f64::from(ends.rollouts) * 100.0;
+    let share = |count: u32| f64::from(count) / rollouts as f64 * 100.0;
     println!(
         "| {nodes} | {} | {driving_hours} | {:+.0} % | {:.1} % | {:.1} % | {:.1} % | {rollouts} |",
         stages.join(", "),

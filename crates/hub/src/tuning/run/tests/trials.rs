@@ -2,9 +2,9 @@
 
 use super::super::super::metric::{Figure, Mean};
 use super::super::*;
-use super::{clips, reported};
+use super::{clips, in_windows, reported};
 use proptest::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 fn u(value: f64) -> Threshold {
     Threshold::new("u", value)
@@ -43,20 +43,23 @@ fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     });
 }
 
+/// A trial of thirty nodes that have their values.
+fn running() -> Run {
+    let mut trial = begin(candidates(30), 3).unwrap();
+    obey(&mut trial, &mut 0, 0);
+    trial.tick(0);
+    trial
+}
+
 /// Each node has its own level, and the energy falls with the value.
 fn measure(windows: &[[Window; 2]]) -> Measured {
-    let of = |(i, [before, after]): (usize, &[Window; 2])| {
-        let level = 100.0 + (i % 7) as f64;
-        let value = |window: &Window| window.value.parse::<f64>().unwrap();
-        let factor = |window| 1.0 - 0.3 * (value(window) / 1e-4).log10();
-        let figures = |mean: f64| [(Figure::JoulesMeasured, clips(mean))].into();
-        let figures = BeforeAfter {
-            before: figures(level * factor(before)),
-            after: figures(level * factor(after)),
-        };
-        (after.node.clone(), figures)
-    };
-    windows.iter().enumerate().map(of).collect()
+    in_windows(windows, |window| {
+        let number: usize = window.node["cam-".len()..].parse().unwrap();
+        let level = 100.0 + (number % 7) as f64;
+        let value: f64 = window.value.parse().unwrap();
+        let factor = 1.0 - 0.3 * (value / 1e-4).log10();
+        [(Figure::JoulesMeasured, clips(level * factor))].into()
+    })
 }
 
 #[test]
@@ -120,10 +123,7 @@ fn a_plan_that_compares_nothing_is_rejected() {
 
 #[test]
 fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
-    let mut revision = 0;
-    let mut trial = begin(candidates(30), 3).unwrap();
-    obey(&mut trial, &mut revision, 0);
-    trial.tick(0);
+    let mut trial = running();
     let mut measured = measure(&trial.windows(50_000));
     measured.get_mut("cam-000").unwrap().after.clear();
     measured.get_mut("cam-001").unwrap().after =
@@ -138,10 +138,7 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
 
 #[test]
 fn a_trial_that_cannot_be_measured_ends_without_a_result_and_restores_the_old_value() {
-    let mut revision = 0;
-    let mut trial = begin(candidates(30), 3).unwrap();
-    obey(&mut trial, &mut revision, 0);
-    trial.tick(0);
+    let mut trial = running();
     for second in 0..i64::from(ATTEMPTS) {
         assert!(trial.tick(100_000 + second * 1_000).is_some());
         trial.not_measured(100_000 + second * 1_000);
@@ -158,6 +155,8 @@ proptest! {
         let mut reversed = candidates(count);
         reversed.reverse();
         prop_assert_eq!(&trial, &begin(reversed, seed).unwrap());
+        let nodes: BTreeSet<_> = trial.members.iter().map(|m| &m.node).collect();
+        prop_assert_eq!(nodes.len(), count);
         let size = |arm| trial.members.iter().filter(|m| m.group == arm).count();
         let sizes = [size(0), size(1), size(2)];
         prop_assert_eq!(sizes.iter().sum::<usize>(), count);
