@@ -69,3 +69,29 @@ impl TargetReport {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_target_message_holds_one_known_target_or_null() {
+        let read = serde_json::from_str::<TargetMessage>;
+        let message = read(r#"{"target":{"skip_rate":0.5}}"#).unwrap();
+        assert_eq!(
+            (message.v, message.target),
+            (1, Some(Target::SkipRate(0.5)))
+        );
+        assert_eq!(read(r#"{"target":null,"v":1}"#).unwrap().target, None);
+        for wrong in [
+            "{}",
+            r#"{"target":0.5}"#,
+            r#"{"target":{"speed":1}}"#,
+            r#"{"target":{"skip_rate":0.5,"watts":3}}"#,
+            r#"{"target":{"skip_rate":"half"}}"#,
+            r#"{"target":null,"u":3}"#,
+        ] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
+}
